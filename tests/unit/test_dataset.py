@@ -5,6 +5,7 @@ import re
 import sys
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet
@@ -17,7 +18,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
-from drone_env.datasets.config import FORMAT, DatasetConfig, dataset_config
+from drone_env.datasets.config import FORMAT, DatasetConfig
 from drone_env.datasets.trajectories import chance, fly_map
 from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.installer import install_command
@@ -36,6 +37,10 @@ def made(folder: Path, config: DatasetConfig, formats: tuple[str, ...] = ("parqu
     return folder / "set"
 
 
+def config_of(task: str, *maps: Any, **options: Any) -> DatasetConfig:
+    return DatasetConfig(get_task(task), *maps, **options)
+
+
 def rows(folder: Path) -> list[dict]:
     return pyarrow.parquet.read_table(folder / "steps.parquet").to_pylist()
 
@@ -50,7 +55,7 @@ def flights(folder: Path) -> list[list[dict]]:
 
 @pytest.mark.parametrize("task", SHORT)
 def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task: str, tmp_path: Path) -> None:
-    folder = made(tmp_path, dataset_config(task, range(5, 6), "train", reward_profile="tiered"))
+    folder = made(tmp_path, config_of(task, range(5, 6), "train", reward_profile="tiered"))
     for flight in flights(folder):
         first = flight[0]
         episode = Episode(task, "tiered")
@@ -80,7 +85,7 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
 
 def test_chance_flies_with_probability_epsilon() -> None:
     def strays(epsilon: float, maps: int) -> float:
-        config = dataset_config("easy", range(maps), agents=["random"], epsilon=epsilon)
+        config = config_of("easy", range(maps), agents=["random"], epsilon=epsilon)
         changed = [f.actions != f.agent_actions for seed in config.seeds for f in fly_map(config, seed)]
         return float(np.concatenate(changed).mean())
 
@@ -93,13 +98,13 @@ def test_chance_flies_with_probability_epsilon() -> None:
 def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
     draws = [list(islice(chance(*of), 100)) for of in (("optimal", 1), ("optimal", 2), ("greedy", 1))]
     assert draws[0] not in draws[1:]
-    (flight,) = fly_map(dataset_config("medium", range(2, 3), agents=["greedy"], epsilon=0.5), 2)
-    _, same, _ = fly_map(dataset_config("medium", range(4), epsilon=0.5), 2)
+    (flight,) = fly_map(config_of("medium", range(2, 3), agents=["greedy"], epsilon=0.5), 2)
+    _, same, _ = fly_map(config_of("medium", range(4), epsilon=0.5), 2)
     assert (flight.actions.tobytes(), flight.grids.tobytes()) == (same.actions.tobytes(), same.grids.tobytes())
 
 
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
-    config = dataset_config("easy", range(4))
+    config = config_of("easy", range(4))
     contents = []
     for name in ("first", "second"):
         build_dataset(config, tmp_path / name, FORMATS)
@@ -110,7 +115,7 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
-    config = dataset_config("hard", range(3), "train", ["greedy"])
+    config = config_of("hard", range(3), "train", ["greedy"])
     folder = made(tmp_path, config)
     schema = pyarrow.parquet.read_schema(folder / "steps.parquet")
     expected = {"seed": "int64", "grid": "uint8[324]", "reward": "double", "event": "string", "q_values": "double[5]"}
@@ -131,9 +136,9 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
 def test_the_hash_changes_with_everything_that_decides_the_rows() -> None:
     base = {"task": "easy", "seeds": range(3), "agents": ("greedy",), "epsilon": 0.1, "reward_profile": "aligned"}
     changes = [{}, {"task": "hard"}, {"seeds": range(4)}, {"agents": ("greedy", "random")}, {"epsilon": 0.2}]
-    hashes = [dataset_config(**{**base, **change}).as_json()["config_hash"] for change in changes]
+    hashes = [config_of(**{**base, **change}).as_json()["config_hash"] for change in changes]
     assert len(set(hashes)) == len(changes)
-    assert hashes[0] == dataset_config(**base).as_json()["config_hash"]
+    assert hashes[0] == config_of(**base).as_json()["config_hash"]
 
 
 @needs_minari
@@ -141,7 +146,7 @@ def test_the_hash_changes_with_everything_that_decides_the_rows() -> None:
 def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import minari
 
-    config = dataset_config(task, range(3), reward_profile="composite")
+    config = config_of(task, range(3), reward_profile="composite")
     folder = made(tmp_path, config, ("parquet", "minari"), rows_per_group=60)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
     (name,) = minari.list_local_datasets()
@@ -181,18 +186,18 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_dataset(dataset_config("easy", range(5)), tmp_path / "set", FORMATS, rows_per_group=1, on_map=interrupt)
+        build_dataset(config_of("easy", range(5)), tmp_path / "set", FORMATS, rows_per_group=1, on_map=interrupt)
     assert maps == [False, False, False]
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> None:
-    config = dataset_config("easy", range(1))
+    config = config_of("easy", range(1))
     (tmp_path / "set").mkdir()
     assert build_dataset(config, tmp_path / "set", FORMATS) == len(rows(tmp_path / "set"))
     before = (tmp_path / "set" / "steps.parquet").read_bytes()
     with pytest.raises(InvalidValueError, match="not an empty folder"):
-        build_dataset(dataset_config("easy", range(2)), tmp_path / "set")
+        build_dataset(config_of("easy", range(2)), tmp_path / "set")
     (tmp_path / "file").touch()
     with pytest.raises(InvalidValueError, match="not an empty folder"):
         build_dataset(config, tmp_path / "file")
@@ -207,7 +212,7 @@ def test_a_missing_package_is_said_before_anything_is_flown(
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setattr(build, "fly_map", None)
     with pytest.raises(MissingPackageError, match=re.escape(install_command("data"))):
-        build_dataset(dataset_config("easy", range(2)), tmp_path / "set", (format_,))
+        build_dataset(config_of("easy", range(2)), tmp_path / "set", (format_,))
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,7 +70,6 @@ def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             store.analysis("hard", patience=0)
             eventually(lambda: len(solved) == 3)
             thread = store._optima._thread
-            assert thread is not None
             slow.setattr(thread, "shutdown", lambda stop=thread.shutdown, **how: (closing.set(), stop(**how)))
             store.close()
     assert solved == [8, 7, 6]

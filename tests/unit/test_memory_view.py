@@ -85,9 +85,8 @@ def test_a_file_of_another_program_is_kept_under_another_name(tmp_path: Path, ca
     for _ in range(2):
         Store(tmp_path).close()
         assert len(view(tmp_path)) == 1
-    kept = [tmp_path / f"memory.kept-{number}.json" for number in (1, 2, 3)]
+    kept = sorted(tmp_path.glob("memory.kept-*.json"))
     assert [one.read_bytes() for one in kept] == others
-    assert sorted(tmp_path.glob("memory*")) == sorted([path, *kept])
     for one in kept:
         assert f"{path} was not written by drone-env: it is kept as {one}" in caplog.text
 
