@@ -20,7 +20,7 @@ from drone_env.server.schemas import ResetOptions, WireAction
 Schema = dict[str, Any]
 Case = tuple[str, bytes]
 """What a body or frame is, and its bytes."""
-ITEMS = ("1", "12345", "[]", "{}", "[[]]", '""', "1e9", "NaN", '"\\ud800"')
+ITEMS = ("12345", '"\\ud800"')
 """Items of long lists. 12345 is wrong in most, and so long that no list has more items than the schemas allow."""
 
 
@@ -49,11 +49,7 @@ def of_sockets() -> dict[str, list[Case]]:
 
 
 def _texts(schema: Schema, root: Schema, limit: int) -> Iterator[Case]:
-    """Texts of nearly `limit` bytes: some that fit no schema, and for each part of one, the worst in its place."""
-    yield "nested lists", b"[" * (limit // 2) + b"]" * (limit // 2)
-    yield "nested objects", b'{"a":' * (limit // 5)
-    yield "twice the same key", b"{" + b",".join([b'"a":[]'] * (limit // 8)) + b"}"
-    yield "digits", b"1" * limit
+    """Texts of nearly `limit` bytes: the worst values in the place of all, and of each part of the schema."""
     for name, text in _values(limit):
         yield name, text.encode()
     for variant in _variants(schema, root):
@@ -61,21 +57,15 @@ def _texts(schema: Schema, root: Schema, limit: int) -> Iterator[Case]:
         if not isinstance(base, dict):
             continue
         size = limit - 2048 - len(json.dumps(base))
-        for where, items in _places(variant, root):
+        for where in _places(variant, root):
             for name, text in _values(size):
-                yield (f"{'.'.join(where)}: {name}", _put(base, where, text).encode())
-            if items is not None:
-                item = json.dumps(_example(items, root))
-                text = "[" + ",".join([item] * (size // (len(item) + 1))) + "]"
-                yield (f"{'.'.join(where)}: list of what belongs there", _put(base, where, text).encode())
+                yield f"{'.'.join(where)}: {name}", _put(base, where, text).encode()
 
 
 def _values(size: int) -> Iterator[tuple[str, str]]:
     for item in ITEMS:
         yield f"list of {item}", "[" + ",".join([item] * ((size - 2) // (len(item) + 1))) + "]"
     yield "many keys", "{" + ",".join(f'"{number:x}":1' for number in range(size // 10)) + "}"
-    yield "long string", '"' + "a" * (size - 2) + '"'
-    yield "escaped string", '"' + "\\u00e9" * ((size - 2) // 6) + '"'
 
 
 def _put(base: Any, where: tuple[str, ...], text: str) -> str:
@@ -107,19 +97,18 @@ def _variants(schema: Schema, root: Schema) -> list[Schema]:
     return [_resolved(option, root) for option in options if option.get("type") != "null"]
 
 
-def _places(schema: Schema, root: Schema) -> Iterator[tuple[tuple[str, ...], Schema | None]]:
-    """The way to each part of an object, and to a part that nobody knows; of a list, the schema of its items."""
-    yield ("unknown",), None
+def _places(schema: Schema, root: Schema) -> Iterator[tuple[str, ...]]:
+    """The way to each part of an object, and to a part that nobody knows."""
+    yield ("unknown",)
     for name, part in schema.get("properties", {}).items():
         for variant in _variants(part, root):
             where: tuple[str, ...] = (name,)
             while variant.get("type") == "array":
-                items = _variants(variant.get("items", {}), root)[0]
-                yield where, items
-                where, variant = (*where, "[]"), items
-            yield where, None
+                yield where
+                where, variant = (*where, "[]"), _variants(variant.get("items", {}), root)[0]
+            yield where
             if variant.get("type") == "object":
-                yield from (((*where, *rest), items) for rest, items in _places(variant, root))
+                yield from ((*where, *rest) for rest in _places(variant, root))
 
 
 def _example(schema: Schema, root: Schema) -> Any:
@@ -160,8 +149,6 @@ def test_no_body_has_many_validation_errors(shared_client: TestClient, counted: 
     headers = {"Content-Type": "application/json"}
     for path, bodies in of_routes(shared_client.get("/openapi.json").json()):
         for name, content in bodies:
-            if not name.endswith(("list of 12345", "many keys", '\\ud800"')):
-                continue
             answer = shared_client.post(path.replace("{env_name}", "drone-env"), content=content, headers=headers)
             assert answer.status_code < 500, (path, name, answer.text)
     assert 0 < max(counted) <= MOST

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import math
 import sqlite3
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic_core import to_json
 from starlette.testclient import TestClient, WebSocketTestSession
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocketDisconnect
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
@@ -19,10 +18,8 @@ from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.incoming import SMALL
-from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.sessions import openenv_json
 from drone_env.server.settings import Settings
-from drone_env.server.state import Shared
 from tests.api.conftest import Clock
 from tests.cluster.sessions import openenv_result
 
@@ -108,31 +105,6 @@ def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: C
             assert not app.state.socket.touched
 
 
-def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
-    told = 0
-
-    async def receive() -> Any:
-        return {"type": "websocket.connect"}
-
-    async def send(message: Any) -> None:
-        nonlocal told
-        if message["type"] == "websocket.close":
-            told += 1
-            while told < 2:
-                await asyncio.sleep(0.01)
-
-    async def sweep() -> None:
-        endpoint = OpenEnvSocket(Shared(Settings(idle_seconds=1)))
-        for _ in range(2):
-            socket = WebSocket({"type": "websocket"}, receive, send)
-            await socket.accept()
-            endpoint.touched[socket] = -math.inf
-        await asyncio.wait_for(endpoint.close_idle(), 10)
-        assert not endpoint.touched
-
-    asyncio.run(sweep())
-
-
 @pytest.mark.parametrize("kind", ["/ws", "/live"])
 def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind: str) -> None:
     frames = iter([{"type": "websocket.connect"}, *[{"type": "websocket.receive", "text": '{"type":"none"}'}] * 200])
@@ -158,11 +130,6 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind
     asyncio.run(asyncio.wait_for(fly(), 60))
     assert answers == 200
     assert turns >= 200
-
-
-def test_a_session_of_another_connection_cannot_be_taken_over(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/ws?session_id=1") as socket:
-        assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
 
 
 def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_again(

@@ -179,21 +179,6 @@ def test_sessions_are_idle_by_a_clock_that_nobody_sets(tmp_path: Path) -> None:
         assert store.expire_sessions(60) == [session_id]
 
 
-def test_a_clock_that_was_set_back_between_two_starts_lets_no_session_live_longer(tmp_path: Path) -> None:
-    now = 1_000_000.0
-    with Store(tmp_path, lambda: now) as store:
-        older = opened(store)
-        now += 30
-        newer = opened(store)
-    now -= 3600
-    with Store(tmp_path, lambda: now) as store:
-        assert store.expire_sessions(60) == []
-        now += 30
-        assert store.expire_sessions(60) == [older]
-        now += 30
-        assert store.expire_sessions(60) == [newer]
-
-
 def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:
     session_id = opened(store)
     with store.session(session_id) as row:
