@@ -42,7 +42,7 @@ def running(
     app: ASGIApp, connections: int = 100, http: type[Http] = Http, **more: Any
 ) -> Generator[Callable[[], socket.socket]]:
     """A server of this application in a thread; opens connections to it."""
-    (listening,) = listen("127.0.0.1", 0)
+    listening = listen("127.0.0.1", 0)
     config = uvicorn.Config(
         app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1, **more
     )
@@ -435,19 +435,8 @@ def test_connections_leave_room_for_other_files() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has connections inherit it")
 def test_who_never_reads_is_given_up() -> None:
-    (listening,) = listen("127.0.0.1", 0)
+    listening = listen("127.0.0.1", 0)
     with listening, socket.create_connection(listening.getsockname()) as client, listening.accept()[0] as accepted:
         assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 75_000
         taken_of(client, bytes(65_536), most=64 << 20)
         assert len(accepted.recv(1 << 20)) < 1 << 16
-
-
-def test_a_name_of_several_addresses_is_listened_on_at_one_port() -> None:
-    sockets = listen("localhost", 0)
-    try:
-        assert len({sock.getsockname()[1] for sock in sockets}) == 1
-        for sock in sockets:
-            socket.create_connection(sock.getsockname()[:2]).close()
-    finally:
-        for sock in sockets:
-            sock.close()

@@ -102,14 +102,15 @@ class TestWhereItCannotBe:
             monkeypatch.setenv(f"DRONE_ENV_{name}", str(value))
 
     def test_a_data_folder_that_is_a_file(self) -> None:
-        told = re.escape(f"server: the data folder {__file__} cannot be used: ") + r"[^\n]+$"
-        with pytest.raises(SystemExit, match=told):
+        with pytest.raises(SystemExit, match=rf"^server: [^\n]*{__file__}[^\n]*$"):
             app.main(["--data", __file__, "--workers", "2"])
 
     def test_a_port_that_is_taken(self, tmp_path: Path) -> None:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             port = taken.getsockname()[1]
-            told = rf"^server: cannot listen on 127\.0\.0\.1, port {port}: Address already in use; --host and --port "
+            told = (
+                rf"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
+            )
             with pytest.raises(SystemExit, match=told):
                 app.main(["--port", str(port), "--workers", "2"])
         assert not (tmp_path / "data").exists()
