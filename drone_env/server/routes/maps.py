@@ -1,5 +1,6 @@
 """The routes of the map editor: a map as a drawing, what a drawing is worth, and drawings that are kept as tasks."""
 
+from contextlib import suppress
 from itertools import groupby
 from typing import Annotated, Literal
 
@@ -18,7 +19,6 @@ from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
-from drone_env.server.jobs import bench
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.routes.replay import best_flight
@@ -208,10 +208,8 @@ def _worth(drawn: DrawnMap) -> str:
     except TooLargeError:
         from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
 
-        try:
+        with suppress(MemoryError):
             between = bounds(episode)
-        except MemoryError:
-            bench().require_new()
     answer = MapWorth(
         name=name_of(text.encode()), toml=text, numbers=_numbers(episode), optimum=optimum, bounds=between
     )
