@@ -1,10 +1,10 @@
 """The routes that look at a flight of the past: flown again frame by frame, and analysed move by move."""
 
 from itertools import chain
-from typing import Annotated, Any, cast
+from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -23,28 +23,9 @@ from drone_env.server.state import SharedParts
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
 RECORD_ERRORS = answers(400, 413, 415, 422, 503)
 RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]), "me")
-NEEDED = [name for name, field in EpisodeRecord.model_fields.items() if field.is_required()]
 
 
-def _say_what_a_flight_is(value: Any, check: ValidatorFunctionWrapHandler) -> EpisodeRecord:
-    given = cast(dict[str, Any], value) if isinstance(value, dict) else {}
-    missing = [name for name in NEEDED if name not in given]
-    if missing:
-        # People come here with files: the page sends what it is given.
-        raise RequestError(
-            422,
-            "no_flight",
-            "this is not a flight: one is a JSON object, as drone-env fly --record FILE writes it and the page saves, "
-            f"with {', '.join(NEEDED)}; missing here: {', '.join(missing)}",
-        )
-    return check(value)
-
-
-Record = Annotated[
-    EpisodeRecord,
-    WrapValidator(_say_what_a_flight_is),
-    Body(openapi_examples={"one step": {"value": RECORD.model_dump()}}),
-]
+Record = Annotated[EpisodeRecord, Body(openapi_examples={"one step": {"value": RECORD.model_dump()}})]
 
 
 class AnalysedMove(Message):
