@@ -49,9 +49,7 @@ class AnalysedFlight(Message):
     score: Score
     optimal_score: Score = Field(description="The highest score that any flight over this map can reach.")
     regret: float = Field(ge=0, description="optimal_score - score.")
-    accuracy: float | None = Field(
-        description="Share of best moves among those where anything could be lost; null where there was none."
-    )
+    accuracy: float | None = Field(description="Share of best moves among those where anything could be lost.")
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
     optimal_steps: Count = Field(description="Steps of a best flight.")
@@ -88,11 +86,8 @@ def _annotated(record: EpisodeRecord) -> str:
     analysis = analyse_flight(record, lambda start: bench().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
-        score=analysis.score,
+        **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts")},
         optimal_score=analysis.optimum,
-        regret=analysis.regret,
-        accuracy=analysis.accuracy,
-        counts=analysis.counts,
         moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
         optimal_steps=best.steps,
         optimal_actions=[DIRECTIONS[action] for action in best.actions],
