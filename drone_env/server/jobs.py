@@ -38,6 +38,13 @@ KEPT_SOLVERS = 16 << 20
 GROWTH = 32 << 20
 """Bytes by which a process may grow over its jobs; then another takes its place."""
 
+NEXT, LAST, AGAIN = range(3)
+"""What a process does after a job: take the next, end, or end because the job needs a new process."""
+
+
+class FullError(BaseException):
+    """Memory ran out in a process that keeps memory of earlier jobs. The job runs again in a new process."""
+
 
 class Bench:
     """What the jobs of a process share.
@@ -51,12 +58,14 @@ class Bench:
         self.runs = ModelRuns(settings.data / RUNS)
         self.evaluations = Evaluations(settings.data / EVALUATIONS)
         self._solvers: OrderedDict[tuple[TaskConfig, int], Solver] = OrderedDict()
+        self.is_new = True
+        """Whether this process runs its first job."""
 
     def solver_of(self, task: TaskConfig, seed: int) -> "Solver":
         """What can still be reached on a map, from its start.
 
         Raises:
-            TooLargeError: if solving it would take too much memory.
+            TooLargeError: if solving it would take too much memory, even in a new process.
         """
         from drone_env.planning.optimal import solver_of  # loads Numba, which the process that serves does without
 
@@ -64,12 +73,18 @@ class Bench:
         try:
             solver = self._solvers.get(key) or solver_of(Episode(task, seed=seed))
         except MemoryError:
+            self.require_new()
             raise TooLargeError(f"the exact values of this map of {task.id!r} take too much memory") from None
         self._solvers[key] = solver
         self._solvers.move_to_end(key)
         while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > KEPT_SOLVERS:
             self._solvers.popitem(last=False)
         return solver
+
+    def require_new(self) -> None:
+        """Call this when memory has run out: a process that has run other jobs leaves the job to a new one."""
+        if not self.is_new:
+            raise FullError
 
 
 _benches: list[Bench] = []
@@ -101,7 +116,7 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
     """Run jobs until the server closes the connection: the main function of a worker process.
 
     Args:
-        connection: Functions and arguments come in; results, errors and whether the process has grown too much go out.
+        connection: Functions and arguments come in, results and errors go out.
         others: The server's end. It is closed here, so that the end of the server is seen.
         settings: The configuration of the server.
         environment: Variables of the server's environment.
@@ -130,12 +145,16 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
                 result = function(*arguments)
         except DroneEnvError as raised:
             error = raised
-        except MemoryError:
-            error = TooLargeError(too_much(settings.job_megabytes))
+        except (FullError, MemoryError):
+            if not bench().is_new:
+                connection.send((None, None, AGAIN))
+                return
+            error = TooLargeError(limits.too_much)
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
-        connection.send((result, error, limits.outgrown))
+        bench().is_new = False
+        connection.send((result, error, LAST if limits.outgrown else NEXT))
 
 
 class Limits:
@@ -150,9 +169,11 @@ class Limits:
 
     def __init__(self, settings: Settings) -> None:
         self.seconds, self._bytes = settings.job_seconds, settings.job_megabytes << 20
+        self.too_much = too_much(settings.job_megabytes)
         self._compiling = 0
-        self._first = self._most = _allocated()
-        """Bytes of the new process and of code that was compiled since; and the most that the job may have."""
+        self._first = _allocated()
+        self._compilers = 0
+        """Bytes that compiling has allocated. They are not the job's."""
         if sys.platform != "win32":
             from numba.core import event
 
@@ -164,38 +185,29 @@ class Limits:
                 def on_start(self, event: event.Event) -> None:
                     if not limits._compiling:
                         limits._lift()
-                        limits._compiled(-_allocated())
+                        limits._compilers -= _allocated()
                     limits._compiling += 1
 
                 def on_end(self, event: event.Event) -> None:
                     limits._compiling -= 1
                     if not limits._compiling:
-                        limits._compiled(_allocated())
-                        limits._set()
+                        limits._compilers += _allocated()
+                        limits.__enter__()
 
             event.register("numba:compile", Compiling())
 
     @property
     def outgrown(self) -> bool:
         """Whether the process holds more memory than it should keep."""
-        return _allocated() > self._first + GROWTH
+        return _allocated() > self._first + self._compilers + GROWTH
 
     def __enter__(self) -> None:
         """Limit time and memory from now on."""
-        self._most = _allocated() + self._bytes
-        self._set()
-
-    def _compiled(self, allocated: int) -> None:
-        """Leave what compiling has allocated out of account."""
-        self._first += allocated
-        self._most += allocated
-
-    def _set(self) -> None:
         if sys.platform != "win32":
             used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
             _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * self.seconds)
             if sys.platform == "linux":
-                _set_soft_limit(resource.RLIMIT_DATA, self._most)
+                _set_soft_limit(resource.RLIMIT_DATA, self._first + self._compilers + self._bytes)
             signal.setitimer(signal.ITIMER_PROF, self.seconds)
 
     def __exit__(self, *error: object) -> None:

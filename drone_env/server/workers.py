@@ -23,7 +23,7 @@ from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import Scores, solve_maps
-from drone_env.server.jobs import serve, too_long, too_much
+from drone_env.server.jobs import AGAIN, NEXT, serve, too_long, too_much
 from drone_env.server.map_choice import DEFAULT_TASK, is_registered
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
@@ -174,8 +174,8 @@ class Workers:
     def _run(self, job: Job, process: "_Process | None") -> "tuple[Any, DroneEnvError | None, _Process | None]":
         """Run a job in a process that has run others, or in a new one.
 
-        If an old process dies, a new one runs the job again: what a request gets must not depend on the requests
-        before it.
+        If an old process dies or runs out of memory, a new one runs the job again: what a request gets must not depend
+        on the requests before it.
 
         Returns:
             The result, or the error; and the process, unless it has ended.
@@ -187,7 +187,7 @@ class Workers:
                 job.process = process
                 if job.dropped and (self._closed or not job.quick):
                     process.kill()
-            result, error, has_grown = process.call(job.function, job.arguments)
+            result, error, then = process.call(job.function, job.arguments)
         except (EOFError, OSError):
             error = self._error_of(process, job)
             is_final = is_new or job.dropped or isinstance(error, TooLargeError)
@@ -195,10 +195,10 @@ class Workers:
         except Exception:  # such as what cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
             return None, RequestError(500, "internal", FAILED), process
-        if not has_grown:
+        if then == NEXT:
             return result, error, process
         process.end()
-        return result, error, None
+        return self._run(job, None) if then == AGAIN else (result, error, None)
 
     def _next(self, reserved: bool) -> Job | None:
         """The job whose turn it is, once there is one; None when the pool is closed."""
@@ -251,8 +251,8 @@ class _Process:
 
     def call(
         self, function: Callable[..., Any], arguments: tuple[object, ...]
-    ) -> tuple[Any, DroneEnvError | None, bool]:
-        """The result of a function, or what it raised; and whether the process has grown too much to go on.
+    ) -> tuple[Any, DroneEnvError | None, int]:
+        """The result of a function, or what it raised; and what the process does next: `NEXT`, `LAST` or `AGAIN`.
 
         Raises:
             EOFError, OSError: if the process has ended.

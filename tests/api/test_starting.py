@@ -109,7 +109,7 @@ class TestWhereItCannotBe:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             port = taken.getsockname()[1]
             told = (
-                rf"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
+                r"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
             )
             with pytest.raises(SystemExit, match=told):
                 app.main(["--port", str(port), "--workers", "2"])

@@ -3,9 +3,7 @@
 import asyncio
 import os
 import signal
-from collections import deque
 from collections.abc import Callable, Iterator
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from starlette.requests import Request
 
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError, TooLargeError
+from drone_env.planning.optimal import solve
 from drone_env.server import jobs, workers
 from drone_env.server.problems import RequestError
 from drone_env.server.settings import Settings
@@ -63,8 +62,15 @@ def spin() -> None:
         pass
 
 
-def spin_in_c() -> None:
-    deque(repeat(0), 0)
+def spin_compiled() -> None:
+    from numba import njit
+
+    @njit
+    def forever(number: np.ndarray) -> None:
+        while number[0] >= 0:
+            number[0] = (3 * number[0] + 1) & 0xFFFF
+
+    forever(np.zeros(1, np.int64))
 
 
 def allocate(megabytes: int) -> int:
@@ -96,24 +102,30 @@ def test_too_much_time_and_memory_are_refused_and_the_next_job_runs(pool: Worker
     with pytest.raises(TooLargeError, match="MB of memory"):
         pool.submit(allocate, 80, caller="a").result()
     assert pool.submit(allocate, 40, caller="a").result()
-    for function in (spin, spin_in_c):
+    for function in (spin, spin_compiled):
         with pytest.raises(TooLargeError, match="s of CPU time"):
             pool.submit(function, caller="a").result()
         assert pool.submit(abs, -3, caller="a").result() == 3
 
 
-def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) -> None:
+def test_a_worker_that_has_grown_is_replaced(pool: Workers) -> None:
     before, hoarded, after = (pool.submit(hoard, size, caller="a").result() for size in (0, 48, 0))
-    assert before == hoarded != after, "a worker that has grown is replaced"
-    kept = pool.submit(hoard, 24, caller="a").result()
-    assert pool.submit(allocate, 50, caller="a").result()
-    after = pool.submit(os.getpid, caller="a").result()
-    assert after == kept
-    os.kill(after, signal.SIGKILL)
-    assert pool.submit(abs, -3, caller="a").result() == 3, "the process died before the job"
+    assert before == hoarded != after
+
+
+def test_a_worker_that_dies_fails_one_job(pool: Workers) -> None:
     with pytest.raises(RequestError, match="the server failed"):
         pool.submit(die, signal.SIGKILL, caller="a").result()
     assert pool.submit(abs, -3, caller="a").result() == 3
+
+
+def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) -> None:
+    kept = pool.submit(hoard, 24, caller="a").result()
+    assert pool.submit(allocate, 50, caller="a").result(), "a new process has room for it"
+    after = pool.submit(os.getpid, caller="a").result()
+    assert after != kept
+    os.kill(after, signal.SIGKILL)
+    assert pool.submit(abs, -3, caller="a").result() == 3, "the process died before the job"
 
 
 def test_callers_take_turns_and_dropped_jobs_do_not_run(
@@ -131,6 +143,17 @@ def test_callers_take_turns_and_dropped_jobs_do_not_run(
     submitted["a3"].result()
     assert notes.read_text() == "a1b1a2b2a3"
     assert submitted["c1"].cancelled()
+
+
+def test_a_running_job_is_dropped_with_its_worker(
+    pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    job = pool.submit(wait_at, gate, caller="a")
+    eventually(lambda: job.process is not None)
+    job.cancel()
+    with pytest.raises(RequestError, match="nobody waits"):
+        job.result()
+    assert pool.submit(abs, -3, caller="a").result() == 3
 
 
 def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None:
@@ -175,6 +198,11 @@ def test_workers_know_the_tasks_that_the_server_has(pool: Workers, monkeypatch: 
     monkeypatch.delitem(TASKS, "toy")
     with pytest.raises(LookupError, match="unknown task"):
         pool.submit(deliveries_of, "toy", caller="a").result()
+
+
+def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
+    easy = get_task("easy")
+    assert pool.solve(easy, [7, 8]).result()[0] == solve(easy, 7).score
 
 
 def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,14 +5,16 @@ import re
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from drone_env.client import DroneEnvClient
+from drone_env.core.episode import Episode
+from drone_env.planning.optimal import solve
 from tests.api.serving import Server, serving
 from tests.api.test_stalled_readers import MOST, connected, pushed
 
@@ -20,6 +22,7 @@ from tests.api.test_stalled_readers import MOST, connected, pushed
 @pytest.mark.long
 def test_several_workers_serve_one_session_and_end_when_the_first_process_is_asked_to(tmp_path: Path) -> None:
     with serving(tmp_path / "data", ("drone_env/server/app.py", "--workers", "2")) as server:
+        steps_over_many_connections_follow_each_other(server)
         concurrent_steps_are_flown_one_after_another(server)
         with ExitStack() as opened:
             for _ in range(2):
@@ -63,6 +66,23 @@ def state_of(process: str) -> str:
         return ""
 
 
+def steps_over_many_connections_follow_each_other(workers: Server) -> None:
+    expected = Episode("hard", "tiered")
+    expected.reset(7)
+    opener = DroneEnvClient(workers.url)
+    opener.reset("hard", seed=7)
+    opener.close(keep_session=True)
+    for action in solve("hard", 7).actions:
+        # A connection for each step, so that both workers get some.
+        client = DroneEnvClient(workers.url)
+        client.session_id = opener.session_id
+        observation = client.step(action.name)
+        client.close(keep_session=True)
+        expected.step(action)
+        assert (observation["step_count"], observation["reward_total"]) == (expected.steps, expected.reward_total)
+    assert observation["done"]
+
+
 def concurrent_steps_are_flown_one_after_another(workers: Server) -> None:
     opener = DroneEnvClient(workers.url)
     opener.reset("hard", seed=7)
@@ -75,7 +95,9 @@ def concurrent_steps_are_flown_one_after_another(workers: Server) -> None:
         seen.extend(client.step("WAIT")["step_count"] for _ in range(10))
         client.close(keep_session=True)
 
-    with ThreadPoolExecutor(8) as pool:
-        for waiting in [pool.submit(wait_ten_times) for _ in range(8)]:
-            waiting.result()
+    threads = [threading.Thread(target=wait_ten_times) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
     assert sorted(seen) == list(range(1, 81))

@@ -1,6 +1,5 @@
 """The routes of the map editor: a map as a drawing, what a drawing is worth, and drawings that are kept as tasks."""
 
-from contextlib import suppress
 from itertools import groupby
 from typing import Annotated, Literal, get_args
 
@@ -19,6 +18,7 @@ from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
+from drone_env.server.jobs import bench
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.routes.replay import best_flight
@@ -194,8 +194,10 @@ def _worth(drawn: DrawnMap) -> str:
     except TooLargeError:
         from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
 
-        with suppress(MemoryError):
+        try:
             between = bounds(episode)
+        except MemoryError:
+            bench().require_new()
     name, numbers = name_of(text.encode()), _numbers(episode)
     return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum, bounds=between).model_dump_json()
 
