@@ -209,7 +209,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     [
         (["--maps", "0"], "at least 1"),
         (["--epsilon", "2"], "0 to 1"),
-        (["--formats", "csv"], "minari, parquet"),
+        (["--formats", "csv"], "parquet, minari"),
         (["--agents", "greedy", "greedy"], "each once"),
         (["--agents", "ace"], "greedy, optimal, pathqnet, random"),
     ],
