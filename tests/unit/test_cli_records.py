@@ -83,8 +83,8 @@ def test_a_flight_is_the_same_recorded_or_flown_first(flight: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("arguments", "allowed"),
     [
-        (["analyse-flight"], "got neither"),
-        (["analyse-flight", "flight.json", "--seed", "7"], "without --agent and --seed"),
+        (["analyse-flight"], "takes the file of a record alone, or --task"),
+        (["analyse-flight", "flight.json", "--seed", "7"], "the file of a record alone"),
         (["replay", "missing.json"], "missing.json"),
         (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
