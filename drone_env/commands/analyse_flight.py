@@ -40,9 +40,7 @@ def analyse_flight(
     from drone_env.results import analysis
     from drone_env.results.record import load_record
 
-    if file is not None and task is None:
-        if agent is not None or seed is not None:
-            raise InvalidValueError("a record names agent and seed itself: give the file without --agent and --seed")
+    if file is not None and (task, agent, seed) == (None, None, None):
         analysed = analysis.analyse_flight(load_record(file))
     elif file is None and task is not None:
         name = "greedy" if agent is None else agent
@@ -52,10 +50,7 @@ def analyse_flight(
         flown = start.copy()
         analysed = analysis.analyse_actions(start, rollout(flown, begin(pilot, name, flown)).actions, name)
     else:
-        given = "neither" if file is None else "both"
-        raise InvalidValueError(
-            f"analyse-flight takes the file of a record, or --task (with --agent and --seed) to fly first; got {given}"
-        )
+        raise InvalidValueError("analyse-flight takes the file of a record alone, or --task, --agent and --seed to fly")
     if json:
         print_json(analysed.to_dict())
     else:

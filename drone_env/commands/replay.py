@@ -1,7 +1,6 @@
 """`drone-env replay`: recorded flights once more."""
 
-import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +9,7 @@ import tyro
 from drone_env.commands.arguments import ChosenProfile
 from drone_env.commands.flights import film, log_flight, prepare_film
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import RewardProfile, get_reward_profile
-from drone_env.envs.ansi import draw_text
+from drone_env.core.rewards import get_reward_profile
 from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -40,7 +38,7 @@ def replay(
             episode in the store, whose folder is `DRONE_ENV_DATA`, without that `data`.
         verify: Check all flights and print one line for each, no log. Exits with 1 if one does not fit its record,
             or is of a task, a version or a profile that there is not.
-        render: Show the map after every step; with --verify, beside its lines.
+        render: Show the map after every step; with --verify there is no log to show it beside.
         video: Save the flight, which must be the only one, as a film to this file: .gif, or .mp4, which needs the extra
             `video`.
         reward: What the steps are to pay, instead of the profile that the record names: another profile, or a TOML
@@ -57,8 +55,10 @@ def replay(
         if len(found) != 1:
             raise InvalidValueError(f"--video takes one flight, and {source} holds {len(found)}")
     for name, record in found:
-        if verify:
-            _require_own_profile(record, profile)
+        if verify and profile is not None and profile.id != record.reward_profile:
+            raise InvalidValueError(
+                f"--verify compares the rewards of {record.reward_profile!r}, so --reward cannot be {profile.id!r}"
+            )
         try:
             checked = records.replay(record, profile)
         except (InvalidValueError, UnknownNameError) as error:
@@ -69,22 +69,13 @@ def replay(
             failed = True
             continue
         film(checked, video)
-        episode = Episode(checked.task, checked.reward_profile, record.seed)
         if not verify:
+            episode = Episode(checked.task, checked.reward_profile, record.seed)
             log_flight(episode, record.agent, checked.actions, render)
             continue
-        if render:
-            _show(episode, checked.actions)
         rewards, ended = f"{len(record.rewards)} rewards", "" if record.ended else ", unfinished"
         print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")
     return int(failed)
-
-
-def _show(episode: Episode, actions: Iterable[int]) -> None:
-    print(draw_text(episode), file=sys.stderr)
-    for action in actions:
-        episode.step(action)
-        print(draw_text(episode), file=sys.stderr)
 
 
 def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
@@ -106,10 +97,3 @@ def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
             yield f"line {number} of {path}", record
     else:
         yield str(path), load_record(path)
-
-
-def _require_own_profile(record: "EpisodeRecord", profile: RewardProfile | None) -> None:
-    if profile is not None and profile.id != record.reward_profile:
-        raise InvalidValueError(
-            f"--verify compares the rewards of {record.reward_profile!r}, so --reward cannot be {profile.id!r}"
-        )

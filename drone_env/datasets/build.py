@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from drone_env.datasets.config import DatasetConfig
 from drone_env.datasets.formats import MINARI_FOLDER, PARQUET_FILE, Write, columns, minari_writer, parquet_writer
 from drone_env.datasets.trajectories import Trajectory, fly_map
-from drone_env.errors import InvalidValueError, UnknownNameError, needs
+from drone_env.errors import InvalidValueError, needs
 
 WRITERS: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]] = {
     "parquet": parquet_writer,
@@ -40,17 +40,13 @@ def build_dataset(
         The number of rows.
 
     Raises:
-        UnknownNameError: if there is no such format.
-        InvalidValueError: if no format is named, or the folder is not empty or cannot be made there.
+        InvalidValueError: if there is no such format, or none is named, or the folder is not empty or cannot be made.
         MissingPackageError: if a format's package is not installed.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
-    for name in formats:
-        if name not in WRITERS:
-            raise UnknownNameError("format", name, WRITERS)
-    if not formats:
-        raise InvalidValueError(f"formats must be one or more of {', '.join(WRITERS)}")
+    if not formats or set(formats) - WRITERS.keys():
+        raise InvalidValueError(f"formats must be one or more of {', '.join(WRITERS)}; got {', '.join(formats)}")
     if not out.name or not out.parent.is_dir():
         raise InvalidValueError(f"the data set takes a folder in one that exists, got {str(out)!r}")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):

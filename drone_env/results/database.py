@@ -98,9 +98,9 @@ class Database:
         self._busy_seconds = busy_seconds
         # Session ids are secrets; SQLite gives the files beside this one the same permissions.
         path.touch(mode=0o600)
-        self._write_lock = threading.Lock()
+        # A thread inside a transaction that begins another gets the error of SQLite, instead of waiting for itself.
+        self._write_lock = threading.RLock()
         self._read_lock = threading.Lock()
-        self._writing_thread: int | None = None
         with self._errors():
             # Writers poll by themselves: SQLite's own waiting grows to 100 ms, a transaction here lasts 0.1 ms.
             self._writer = self._connect(0)
@@ -148,17 +148,11 @@ class Database:
             StoreError: if a statement fails, the file stays busy or is gone, or this thread is inside such a block
                 already.
         """
-        if self._writing_thread == threading.get_ident():
-            raise StoreError("this thread is inside another transaction of the store: end that first")
         with self._errors(), self._write_lock:
-            self._writing_thread = threading.get_ident()
-            try:
-                self._when_free(lambda: self._writer.execute("BEGIN IMMEDIATE"))
-                with self._writer:
-                    yield self._writer
-                    self.check()
-            finally:
-                self._writing_thread = None
+            self._when_free(lambda: self._writer.execute("BEGIN IMMEDIATE"))
+            with self._writer:
+                yield self._writer
+                self.check()
 
     def check_task(self, connection: sqlite3.Connection, task: TaskConfig, claim: bool = False) -> None:
         """See that what is kept under the name of a task is of this task.

@@ -4,8 +4,8 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from datetime import datetime, timezone
 from itertools import groupby
-from operator import attrgetter
-from typing import Annotated, Any, NamedTuple, cast
+from operator import itemgetter
+from typing import Annotated, Any, cast
 
 from pydantic import Field, PlainSerializer, TypeAdapter, ValidationError, computed_field
 from typing_extensions import Self
@@ -133,53 +133,30 @@ STORED = list(StoredEpisode.model_fields)
 SELECT_STORED = f"SELECT number, {', '.join(STORED)} FROM episodes"
 
 
-class MapRow(NamedTuple):
-    """A row of `SELECT_BY_MAP`: the means of the flights of one agent over one map, of which `id` is the newest."""
-
-    agent: str
-    task: str
-    task_version: int
-    seed: int
-    flights: int
-    id: str
-    score: float
-    success: float
-    steps: float
-    reward: float
-    reward_profile: str | None
-    solved: bool
-    optimum: float | None
-    number: int
-
-
 # Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
 SELECT_BY_MAP = """
-    SELECT e.agent, task, task_version, seed, count(*), e.id, avg(e.score), avg(e.outcome = 'delivered'), avg(e.steps),
-        avg(e.reward_total), iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL),
-        o.task IS NOT NULL, o.score, max(e.number)
+    SELECT e.agent, task, task_version, o.task IS NOT NULL,
+        iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL), max(e.number), seed, avg(e.score),
+        avg(e.steps), avg(e.outcome = 'delivered'), o.score, count(*), avg(e.reward_total), e.id
     FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) {where}
     GROUP BY e.agent, seed ORDER BY e.agent, seed
 """
-"""With the WHERE of the episodes of one task."""
+"""The means of each agent's flights over each map, with the id of the newest; with the WHERE of one task's episodes."""
+OF_RESULTS = ("seeds", "scores", "steps", "success", "optimal_scores", "flights", "rewards", "ids")
+"""What `SELECT_BY_MAP` gives last, as `Results` names it."""
 
 
-def results_by_agent(rows: Iterable[MapRow]) -> dict[str, Results]:
-    """The results of each agent, one row per map."""
+def results_by_agent(rows: Iterable[Sequence[Any]]) -> dict[str, Results]:
+    """The results of each agent, one row per map, from the rows of `SELECT_BY_MAP`."""
     found: dict[str, Results] = {}
-    for agent, of_agent in groupby(rows, key=attrgetter("agent")):
-        maps = list(of_agent)
-        first, profiles = maps[0], {row.reward_profile for row in maps}
+    for agent, of_agent in groupby(rows, key=itemgetter(0)):
+        _, tasks, versions, _, profiles, _, *columns = zip(*of_agent, strict=True)
+        named = dict(zip(OF_RESULTS, columns, strict=True))
+        seeds = (named["seeds"][0], named["seeds"][-1] + 1)
         found[agent] = Results.of_rows(
-            EpisodesKey(first.task, first.task_version, "custom", (first.seed, maps[-1].seed + 1), agent),
-            seeds=[row.seed for row in maps],
-            scores=[row.score for row in maps],
-            steps=[row.steps for row in maps],
-            success=[row.success for row in maps],
-            optimal_scores=[row.optimum for row in maps],
-            flights=[row.flights for row in maps],
-            rewards=[row.reward for row in maps],
-            reward_profile=first.reward_profile if len(profiles) == 1 else None,
-            ids=[row.id for row in maps],
+            EpisodesKey(tasks[0], versions[0], "custom", seeds, agent),
+            reward_profile=profiles[0] if len(set(profiles)) == 1 else None,
+            **named,
         )
     return found
 

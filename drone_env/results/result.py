@@ -148,16 +148,14 @@ class Results:
         return [Result(*row) for row in zip(*columns, optima, flights, self.ids or [None] * n, strict=True)]
 
     def __repr__(self) -> str:
-        """The figures in three lines of at most 80 columns."""
+        """The figures in three lines."""
         from drone_env.results.statistics import Summary, with_interval
 
         figures, key = Summary.of(self), self.key
         score = with_interval(figures.score, figures.score_ci95)
         best = "unknown" if figures.optimum is None else f"{figures.optimum:.4f}"
-        what = f" on {key.task} v{key.version}"
-        room = 80 - len(what)
         return (
-            f"{key.agent if len(key.agent) <= room else f'…{key.agent[1 - room :]}'}{what}\n"
+            f"{key.agent} on {key.task} v{key.version}\n"
             f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({figures.maps}, split {key.split})\n"
             f"score {score}{'' if figures.score_ci95 is None else ' (95 %)'}, optimum {best}, "
             f"success {figures.success_rate:.1%}, steps {figures.steps:.1f}"

@@ -23,7 +23,6 @@ from drone_env.results.finished import (
     SELECT_STORED,
     Analysis,
     EpisodeSummary,
-    MapRow,
     StoredEpisode,
     analyse,
     check_agent,
@@ -208,7 +207,7 @@ class Store:
         where, values = selection(task, agent, before, after, episode_id, seed)
         chosen = f"{where} {NEWEST}", (*values, _at_most(n))
         found = self._rows(*chosen)
-        return self._rows(*chosen) if self._solve(found, patience) else found
+        return self._rows(*chosen) if self._solve(_unsolved(found), patience) else found
 
     def by_map(self, task: str | TaskConfig, patience: float | None = None) -> dict[str, Results]:
         """All finished episodes of a task by agent, one row per map; optima as for `listed`.
@@ -219,10 +218,9 @@ class Store:
         """
         where, values = selection(task)
         chosen = SELECT_BY_MAP.format(where=where), values
-        found = [MapRow(*row) for row in self._read(*chosen)]
-        if self._solve(found, patience):
-            found = [MapRow(*row) for row in self._read(*chosen)]
-        return results_by_agent(found)
+        found = self._read(*chosen)
+        unsolved = [(name, version, row[0]) for _, name, version, solved, _, _, *row in found if not solved]
+        return results_by_agent(self._read(*chosen) if self._solve(unsolved, patience) else found)
 
     def kept(self, episode_ids: Iterable[str]) -> set[str]:
         """Those of these ids that the store has."""
@@ -407,18 +405,17 @@ class Store:
             self._view.refresh()
             if self._solves_all:
                 for one in stored:
-                    self._solve(self._rows("WHERE id = ?", (one.id,)), 0.0)
+                    self._solve(_unsolved(self._rows("WHERE id = ?", (one.id,))), 0.0)
 
-    def _solve(self, rows: Sequence[EpisodeSummary] | Sequence[MapRow], patience: float | None) -> bool:
-        """Have the maps of rows solved that have no optimum; whether there were any."""
-        unsolved: dict[Map, None] = {}
-        for row in rows:
-            if not row.solved:
-                with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
-                    unsolved[get_task(row.task, row.task_version), row.seed] = None
-        if unsolved:
-            self._optima.want(unsolved, PATIENCE if patience is None else patience)
-        return bool(unsolved)
+    def _solve(self, unsolved: Iterable[tuple[str, int, int]], patience: float | None) -> bool:
+        """Have maps solved, named by task, version and seed; whether there were any."""
+        maps: dict[Map, None] = {}
+        for name, version, seed in unsolved:
+            with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
+                maps[get_task(name, version), seed] = None
+        if maps:
+            self._optima.want(maps, PATIENCE if patience is None else patience)
+        return bool(maps)
 
     def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
         """A clock that has gone back since the last start would let sessions live on: it begins where they are."""
@@ -439,6 +436,10 @@ class Store:
 
     def _newer(self, after: int, n: int) -> list[tuple[int, StoredEpisode]]:
         return self._stored(f"WHERE number > ? {NEWEST}", (after, n))[::-1]
+
+
+def _unsolved(rows: Iterable[EpisodeSummary]) -> list[tuple[str, int, int]]:
+    return [(row.task, row.task_version, row.seed) for row in rows if not row.solved]
 
 
 def _at_most(n: int) -> int:

@@ -59,14 +59,3 @@ def test_a_film_that_cannot_be_made_is_said_before_the_flight(
     assert why in captured.err
     assert captured.out == ""
     assert [file.name for file in tmp_path.iterdir()] == ["folder.gif"]
-
-
-def test_a_replay_of_several_flights_is_no_film(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    records = tmp_path / "flights.jsonl"
-    for _ in range(2):
-        main(["fly", "--task", "easy", "--seed", "14", "--record", str(records)])
-    capsys.readouterr()
-    assert main(["replay", str(records), "--video", str(tmp_path / "flight.gif")]) == 2
-    captured = capsys.readouterr()
-    assert f"--video takes one flight, and {records} holds 2" in captured.err
-    assert captured.out == ""

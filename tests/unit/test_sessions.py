@@ -183,9 +183,9 @@ def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> Non
     session_id = opened(store)
     with store.session(session_id) as row:
         advance(row, 4)
-        with pytest.raises(StoreError, match="inside another"), store.session(session_id):
+        with pytest.raises(StoreError, match="within a transaction"), store.session(session_id):
             pytest.fail("the block must not be entered")
-        with pytest.raises(StoreError, match="inside another"):
+        with pytest.raises(StoreError, match="within a transaction"):
             opened(store)
         assert store.read_session(session_id).actions == ()
     assert store.read_session(session_id).actions == (4,)
