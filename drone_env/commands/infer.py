@@ -2,13 +2,11 @@
 
 import contextlib
 import dataclasses
-import functools
 import json as json_format
 import sys
-from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -16,16 +14,9 @@ from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
-from drone_env.errors import InvalidValueError, StoreError, needs, text_of
+from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
-
-if TYPE_CHECKING:
-    from drone_env.llm.config import RunConfig
-    from drone_env.llm.flight import PilotedEpisode
-    from drone_env.llm.run_folder import RunFolder
-    from drone_env.llm.runner import Sender
-    from drone_env.results.store import Store
 
 PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
@@ -122,7 +113,7 @@ def infer(
         from drone_env.llm.image import running_image
         from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import ConsoleObserver
-        from drone_env.llm.prompt import get_prompt, untold
+        from drone_env.llm.prompt import get_prompt
         from drone_env.llm.settings import check_url, load_settings, token_for
     from pydantic import ValidationError
 
@@ -180,10 +171,6 @@ def infer(
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    for one in chosen:
-        missing = untold(one, config_task)
-        if missing:
-            print(f"prompt {one.id} does not tell, on {config_task.short_name}: {', '.join(missing)}", file=sys.stderr)
     data = data_folder() if data is None else data
     root = out or _new_folder(data / RUNS, configs[0].model, config_task.short_name)
 
@@ -198,22 +185,23 @@ def infer(
         if use_image:
             options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
         store = None if options.server is not None else stack.enter_context(Store(data))
-        open_endpoint: Callable[[RunConfig, str | None], Sender]
-        open_endpoint = functools.partial(Endpoint, timeout=options.timeout)
         if engine == "ray":
-            open_endpoint = _cluster_endpoint(stack, address, options)
+            from drone_env.cluster.connect import connect
+
+            stack.enter_context(connect(address))
         for config in configs:
-            with contextlib.closing(
-                run_folder.RunFolder(paths[config.prompt], config, resume and config.prompt in begun)
-            ) as folder:
-                problems: list[str] = []
+            folder = run_folder.RunFolder(paths[config.prompt], config, resume and config.prompt in begun)
+            with contextlib.closing(folder):
+                if engine == "ray":
+                    from drone_env.cluster.senders import ClusterEndpoint
+
+                    sender = ClusterEndpoint(config, token, options)
+                else:
+                    sender = Endpoint(config, token, options.timeout)
                 limiter = RateLimiter(options)
-                keep = functools.partial(_keep, folder, store, problems)
-                observer = ConsoleObserver(config, limiter, keep)
+                observer = ConsoleObserver(config, limiter, folder, store)
                 try:
-                    with observer.progress:
-                        run = runner.run(config, folder, open_endpoint(config, token), limiter, observer)
-                        result = asyncio.run(run)
+                    result = asyncio.run(runner.run(config, folder, sender, limiter, observer))
                     if report:
                         from drone_env.llm.report import report as figures_of
                         from drone_env.llm.report import write_report
@@ -226,9 +214,9 @@ def infer(
                     print(f"interrupted; to go on, {go_on}", file=sys.stderr)
                     raise
                 finally:
-                    if problems:
-                        lost = f"{len(problems)} flights are not in the store: {problems[0]}"
-                        print(f"{lost}; to add them, {go_on}", file=sys.stderr)
+                    if lost := observer.not_stored:
+                        told = f"{len(lost)} flights are not in the store: {lost[0]}; to add them, {go_on}"
+                        print(told, file=sys.stderr)
             for line in [*runner.summary_lines(result), f"run: {folder.path}"]:
                 print(line, file=sys.stderr)
             status = max(status, runner.EXIT_STATUS[result.verdict])
@@ -240,26 +228,6 @@ def infer(
         for line in write_paired_report(root, found):
             print(line, file=sys.stderr)
     return status
-
-
-def _keep(folder: "RunFolder", store: "Store | None", problems: list[str], flown: "PilotedEpisode") -> None:
-    try:
-        if store is not None:
-            folder.keep(flown, store)
-    except StoreError as error:
-        # The flight is paid: the run continues without the store.
-        problems.append(str(error))
-
-
-def _cluster_endpoint(
-    stack: contextlib.ExitStack, address: str | None, options: Options
-) -> "Callable[[RunConfig, str | None], Sender]":
-    from drone_env.cluster.connect import connect
-
-    stack.enter_context(connect(address))
-    from drone_env.cluster.senders import ClusterEndpoint
-
-    return functools.partial(ClusterEndpoint, options=options)
 
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:

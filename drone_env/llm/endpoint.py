@@ -1,9 +1,7 @@
 """An OpenAI-compatible endpoint: sends one request, reads what comes back, and classifies the failures."""
 
 import asyncio
-import base64
 import contextlib
-import itertools
 import json
 import re
 import ssl
@@ -13,7 +11,7 @@ from email.utils import parsedate_to_datetime
 from functools import lru_cache
 from time import time
 from typing import Any, cast
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import httpx
 
@@ -30,15 +28,11 @@ MOST_TOKENS = 10**12
 """Larger counts of tokens are ignored."""
 MOST_BYTES = 1 << 22
 """Longer answers are rejected: a million tokens take less, and an endpoint must not fill the memory."""
-PACKED = 64
-"""A compressed answer may be this much shorter: nobody asks for one, and one can grow a thousandfold."""
-POOLS = 8
-"""Pools of connections. A pool scans all its connections for each request, which is slow with hundreds in one."""
 SILENCE_SECONDS = 1.0
 """How long to wait for the end of a response after the end of its stream."""
 STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
 PARTS = {
-    **dict.fromkeys(("text", "output_text", "summary_text"), "text"),
+    **dict.fromkeys(("text", "output_text"), "text"),
     **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
     "refusal": "refusal",
 }
@@ -48,23 +42,6 @@ HINTS = {
     403: "the token may not use this model or endpoint",
     404: "there is no such model or address: check MODEL_NAME and API_BASE_URL",
 }
-OPTIONS = (
-    (
-        "max_tokens",
-        "max_completion_tokens",
-        "--max-answer-tokens 0 --extra '{\"max_completion_tokens\": %(max_tokens)d}'",
-    ),
-    ("max_tokens", "max_tokens|context (length|window)", "another --max-answer-tokens, or with 0 to send none"),
-    ("temperature", "temperature", "--no-temperature"),
-    ("top_p", "top_p", "no --top-p"),
-    ("seed", r"\bseed\b", "no --sampling-seed"),
-    ("stream", "stream", "--no-stream"),
-    ("response_format", "response_format|json_schema", "--answers text"),
-    ("tools", r"tool_choice|\btools?\b|function", "--answers text"),
-)
-"""A field that was sent, how an endpoint rejects it, and the option that fixes it; the first match counts."""
-NO_PICTURE = re.compile(r"image|vision|multi-?modal|content\b.*\bstring|string\b.*\bcontent", re.IGNORECASE)
-"""How an endpoint rejects pictures."""
 SHORTEST_SECRET = 8
 """Shorter tokens, such as the `x` that local servers accept, are not secret: they are parts of words."""
 
@@ -121,7 +98,6 @@ class Endpoint:
         self._token = token
         self._timeout = timeout
         self._stream = config.stream
-        self._picture = config.load_prompt().picture
         streamed = {"stream": True, "stream_options": {"include_usage": True}} if config.stream else {}
         self._bodies = [body | streamed for body in request_bodies(config)]
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
@@ -129,18 +105,14 @@ class Endpoint:
             headers["authorization"] = f"Bearer {token}"
         # A redirect could take the token elsewhere, and so could a proxy for this machine. The rate limiter limits the
         # connections.
-        self._clients = [
-            httpx.AsyncClient(
-                headers=headers,
-                trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
-                verify=trusted(),
-                follow_redirects=False,
-                timeout=None,
-                limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
-            )
-            for _ in range(POOLS)
-        ]
-        self._next_client = itertools.cycle(self._clients)
+        self._client = httpx.AsyncClient(
+            headers=headers,
+            trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
+            verify=trusted(),
+            follow_redirects=False,
+            timeout=None,
+            limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
+        )
 
     async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
         """Send one request. The answer does not contain the token, even if the endpoint quotes it.
@@ -163,19 +135,18 @@ class Endpoint:
 
     async def close(self) -> None:
         """Close all connections."""
-        for client in self._clients:
-            await client.aclose()
+        await self._client.aclose()
 
     async def _send(self, messages: Sequence[ChatMessage], call_id: str, body: dict[str, Any]) -> Answer:
         body = {"messages": list(messages), **body}
         headers = {"x-client-request-id": call_id}
-        async with next(self._next_client).stream("POST", self._url, json=body, headers=headers) as response:
+        async with self._client.stream("POST", self._url, json=body, headers=headers) as response:
             data = await _read(response)
         if not response.is_success:
             raise self._refusal(response.status_code, _error_text(data), response.headers)
+        if not data.strip():
+            raise TryFailedError(200, "the response is empty", retried=True)
         try:
-            if not data.strip():
-                raise _SentError({"message": "the response is empty"})
             fields = _streamed(data) if self._stream else _answer([_json(data)], "message")
         except _SentError as sent:
             raise self._error_inside(sent.value, response.headers) from None
@@ -189,29 +160,17 @@ class Endpoint:
         reason = f"{self._clean(_message_of(error) or json.dumps(error))} (in a 200 response)"
         named = (str(_fields(error).get(name)) for name in ("code", "status"))
         status = next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
-        headers = httpx.Headers({**headers, **_wait_in(error)})
         if status is not None:
             return self._refusal(status, reason, headers)
-        return TryFailedError(200, reason, retried=True, retry_after=_retry_after(headers))
+        return TryFailedError(200, reason, retried=True)
 
     def _refusal(self, status: int, reason: str, headers: httpx.Headers) -> TryFailedError:
-        reason = self._clean(reason)
-        if not reason:
-            reason = f"{httpx.codes.get_reason_phrase(status)}, without a reason".removeprefix(", ")
+        reason = self._clean(reason) or httpx.codes.get_reason_phrase(status)
         if 300 <= status < 400:
             where = self._clean(headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
-        if self._picture and _takes_no_picture(status, reason):
-            reason += " (each call shows a picture: try it with one that does not, such as --prompt grid)"
-            return TryFailedError(status, reason, fatal=True)
         if status in HINTS:
             return TryFailedError(status, f"{HINTS[status]} ({reason})", fatal=True)
-        if status in (400, 422):
-            sent = self._bodies[0]
-            for name, told, option in OPTIONS:
-                if name in sent and re.search(told, reason, re.IGNORECASE):
-                    reason += f" (try it with {option % sent})"
-                    break
         retried = status in RETRIED or status >= 500
         return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
 
@@ -223,29 +182,20 @@ class Endpoint:
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
-def _takes_no_picture(status: int, reason: str) -> bool:
-    """Whether an endpoint rejects the picture; some call that an error of their own (500), or no such model (404)."""
-    if status == 500 and "support" not in reason:
-        return False
-    return status == 413 or (status in (400, 404, 415, 422, 500) and NO_PICTURE.search(reason) is not None)
-
-
 async def _read(response: httpx.Response) -> bytes:
     """The body up to a limit; of a stream up to its end mark, after which a server may stay silent."""
-    packed = "content-encoding" in response.headers
-    most = MOST_BYTES // PACKED if packed else MOST_BYTES
-    data, chunks = bytearray(), response.aiter_raw()
+    data, chunks = bytearray(), response.aiter_bytes()
     async for chunk in chunks:
         data += chunk
-        if len(data) > most:
+        if len(data) > MOST_BYTES:
             # Not worth a retry, whatever its status.
-            raise ValueError(f"it takes more than {most:,} bytes")
+            raise ValueError(f"it takes more than {MOST_BYTES:,} bytes")
         if STREAM_END.search(data, max(0, len(data) - len(chunk) - len("data: [DONE]"))):
             # httpx reuses a connection if its response was read to the end.
             with contextlib.suppress(asyncio.TimeoutError, httpx.HTTPError):
                 await asyncio.wait_for(_pass_over(chunks), SILENCE_SECONDS)
             break
-    return httpx.Response(200, headers=response.headers, content=bytes(data)).content if packed else bytes(data)
+    return bytes(data)
 
 
 async def _pass_over(chunks: AsyncIterator[bytes]) -> None:
@@ -351,73 +301,18 @@ def _message_of(error: Any) -> str | None:
     return next((message for message in map(_message_of, named) if message is not None), None)
 
 
-def _wait_in(error: Any) -> dict[str, str]:
-    """The headers about waiting in an error: in itself, in its `metadata`, or in the `headers` of these.
-
-    OpenRouter names the millisecond since 1970 at which its limit ends.
-    """
-    found: dict[str, str] = {}
-    parts = [error]
-    for part in parts:
-        named = {name.lower().replace("_", "-"): str(value) for name, value in _fields(part).items()}
-        found |= {name: named[name] for name in ("retry-after", "retry-after-ms") if name in named}
-        if not found and re.fullmatch("[0-9]{13}", named.get("x-ratelimit-reset", "")):
-            found["retry-after-ms"] = str(int(named["x-ratelimit-reset"]) - 1000 * time())
-        parts += [_fields(part)[name] for name in ("metadata", "headers") if name in _fields(part)]
-    return found
-
-
 def _retry_after(headers: httpx.Headers) -> float | None:
-    """Seconds that the endpoint asks to wait, from its headers; None if they do not say."""
-    milliseconds, after = headers.get("retry-after-ms"), headers.get("retry-after")
+    """Seconds that the endpoint asks to wait; None if it names none."""
+    after = headers.get("retry-after", "")
     try:
-        if milliseconds is not None:
-            return max(0.0, float(milliseconds) / 1000)
-        if after is None:
-            return None
-        if after.strip().replace(".", "", 1).isdecimal():
-            return float(after)
-        return max(0.0, parsedate_to_datetime(after).timestamp() - time())
+        return max(0.0, float(after) if after[:1].isdecimal() else parsedate_to_datetime(after).timestamp() - time())
     except (TypeError, ValueError):
         return None
 
 
 def without_secret(text: str, secret: str | None) -> str:
-    """The text with `***` in place of the secret.
-
-    It finds the secret in any case, backwards, with escaped characters (as in URLs, HTML, JSON and mail), in base64 at
-    any offset, and in hexadecimal.
-    """
+    """The text with `***` in place of the secret, also in another case, or escaped as in URLs."""
     if secret is None or len(secret) < SHORTEST_SECRET:
         return text
-    return _spellings(secret).sub("***", text)
-
-
-@lru_cache(maxsize=8)
-def _spellings(secret: str) -> re.Pattern[str]:
-    forward = r"\s?".join(map(_character, secret))
-    backwards = r"\s?".join(map(_character, reversed(secret)))
-    hexadecimal = r"[\W_]{0,3}".join(f"{ord(letter):02x}" for letter in secret)
-    coded = [_base64(spelling, offset) for spelling in (secret, secret.lower(), secret.upper()) for offset in range(3)]
-    # Looking at one character first is several times faster than trying all spellings everywhere.
-    begins = "".join(form[1:3] if form[0] == "[" else form[0] for form in coded)
-    firsts = re.escape(secret[0] + secret[-1] + hexadecimal[0] + "%=\\&" + begins)
-    return re.compile(f"(?=[{firsts}])(?:{'|'.join([forward, backwards, hexadecimal, *coded])})", re.IGNORECASE)
-
-
-def _character(letter: str) -> str:
-    """One character, plain or escaped."""
-    code = ord(letter)
-    escapes = rf"(?:%(?:25)*|=|\\{{1,4}}(?:x|u00|u\{{0*)|&#x0*){code:02x}[;}}]?|&#0*{code};?"
-    return f"(?:{re.escape(letter)}|{escapes})"
-
-
-def _base64(secret: str, offset: int) -> str:
-    """The base64 of the secret after this many other bytes, in either alphabet, perhaps on several lines.
-
-    Without the digits at its ends that also depend on its neighbours: they show less than a character.
-    """
-    coded = base64.b64encode(b"\0" * offset + secret.encode()).decode().rstrip("=")
-    first, last = -(-8 * offset // 6), 8 * (offset + len(secret)) // 6
-    digits = ["[+-]" if digit == "+" else "[/_]" if digit == "/" else digit for digit in coded[first:last]]
-    return r"\s*".join(digits)
+    spellings = "|".join(re.escape(spelling) for spelling in {secret, quote(secret, safe="")})
+    return re.sub(spellings, "***", text, flags=re.IGNORECASE)

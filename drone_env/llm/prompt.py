@@ -17,12 +17,11 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
-from drone_env.llm.answers import MARK
+from drone_env.llm.answers import MARK, Answer, Reading, read_answer
 from drone_env.llm.content import (
     LARGEST,
     PLAIN,
     SMALLEST,
-    TITLES,
     VALUES,
     ChatMessage,
     Part,
@@ -67,6 +66,10 @@ class Prompt(PromptFile):
     def symbols_of(self, task: TaskConfig, seed: int) -> Symbols:
         """Its words for actions and cells on a map."""
         return draw_symbols(task, seed) if self.symbols else PLAIN
+
+    def read(self, answer: Answer, task: TaskConfig, seed: int) -> Reading:
+        """Understand an answer of a model that flies over a map."""
+        return read_answer(answer, self.plan, self.marks, self.symbols_of(task, seed).actions)
 
 
 def prompt_ids() -> list[str]:
@@ -248,23 +251,3 @@ def _render(prompt: Prompt, template: str, values: Mapping[str, object]) -> str:
     except Exception as error:
         # Your own template can fail in as many ways as a program.
         raise InvalidValueError(f"prompt {prompt.id} cannot be filled in: {error}") from error
-
-
-def untold(prompt: Prompt, task: TaskConfig) -> list[str]:
-    """What a prompt omits that affects the best flight over maps of a task, in words.
-
-    Your own prompt tells the rules if it includes the part with them. Every prompt tells the cell below.
-    """
-    one, alone = task.deliveries == 1, task.uniform and task.battery_capacity == task.max_steps
-    needed: list[tuple[str, list[set[str]]]] = [
-        ("the score and what ends a flight", [{name} for name in _parts() if name.startswith("rules-")]),
-        ("where the drone is", [{"x", "y"}, {"grid"}, {"picture"}]),
-        ("the units of battery", [{"battery_steps"}]),
-        ("the steps taken", [{"step"}, {"steps_left"}, *([{"battery_steps"}] if alone else [])]),
-        ("all parcels", [{"parcels"}, {"grid"}, {"picture"}, *([{"target"}] if one else [])]),
-        *(
-            (TITLES[kind].lower(), [{"terrain"}, {"grid"}, {"picture"}, {TITLES[kind].split()[-1].lower()}])
-            for kind in deciding(task)
-        ),
-    ]
-    return [words for words, ways in needed if not any(way <= prompt.names for way in ways)]

@@ -116,8 +116,6 @@ class RunFolder:
         begun = is_begun(path, CONFIG, "a run")
         if begun and not resume:
             raise InvalidValueError(f"{path} holds a run already: add --resume to go on with it, or name a new folder")
-        if resume and not begun:
-            raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
         with ExitStack() as opened:
             opened.enter_context(locked(path / "lock", f"another process is working on the run in {path}"))

@@ -69,7 +69,6 @@ def test_the_key_of_openai_alone_is_for_openai(tmp_path: Path, monkeypatch: pyte
     for wrong, why in (
         ({"OPENAI_API_KEY": "sk-b", "API_BASE_URL": HF}, r"needs HF_TOKEN: set it in the environment or in \.env$"),
         ({"HF_TOKEN": "hf_a", "API_BASE_URL": OTHER}, "api.openai.com needs OPENAI_API_KEY"),
-        ({}, "needs HF_TOKEN: .* or OPENAI_API_KEY alone to ask OpenAI"),
     ):
         with pytest.raises(InvalidValueError, match=why):
             asked(**wrong)
@@ -81,8 +80,6 @@ def test_the_key_of_openai_alone_is_for_openai(tmp_path: Path, monkeypatch: pyte
 
 def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / ".env").write_text("DRONE_TASK=\nNOT_OURS=1\nno equals sign\n")
-    assert load_settings().drone_task == "easy_delivery"
     (tmp_path / ".env").write_bytes(b"DRONE_TASK=\xff\xfe")
     with pytest.raises(InvalidValueError, match=r"\.env is not UTF-8 text"):
         load_settings()
@@ -92,7 +89,6 @@ def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.M
     ("change", "why"),
     [
         ({"model": "two words"}, "no spaces"),
-        ({"model": "line\u2028break"}, "no spaces"),
         ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
         ({"base_url": "https://x/a\tb"}, "without anything unprintable"),
         ({"prompt": "plan", "history": 1}, "tells no last steps"),
@@ -105,16 +101,13 @@ def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) ->
         run_config(**change)
 
 
-def test_all_that_decides_the_calls_is_a_difference() -> None:
+def test_what_differs_between_runs_is_named() -> None:
     config = run_config()
-    changes: dict[str, object] = {
-        "model": "n", "base_url": "https://y/v1", "task": "medium_delivery", "split": "test", "seeds": (14, 16),
-        "repeats": 2, "reward_profile": "aligned", "prompt_digest": "0" * 16, "history": 1, "answers": "json",
-        "stream": True, "sampling": Sampling(temperature=1.0),
-    }  # fmt: skip
+    changes: dict[str, object] = {"model": "n", "seeds": (14, 16), "sampling": Sampling(temperature=1.0)}
     for name, value in changes.items():
-        (told,) = config.differences(run_config(**{name: value}))
-        assert told == f"{name}: {getattr(config, name)!r} is now {value!r}"
+        assert config.differences(run_config(**{name: value})) == [
+            f"{name}: {getattr(config, name)!r} is now {value!r}"
+        ]
     with pytest.raises(ValueError, match=r"prompt minimal-2 is now .*; the run was made with 0000"):
         run_config(prompt_digest="0" * 16).load_prompt()
 
