@@ -36,7 +36,6 @@ def infer(
     prompts: PromptNames = (),
     history: int = 0,
     answers: Literal["text", "json", "tool"] = "text",
-    stream: bool = False,
     temperature: Number = 0.0,
     no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     top_p: Number = None,
@@ -78,7 +77,6 @@ def infer(
             folder of its prompt's id in --out; limits hold for each.
         history: How many of the last steps the prompt names.
         answers: Ask for plain text, for structured output (JSON schema), or for a tool call.
-        stream: Have answers streamed.
         temperature: Sampling temperature.
         no_temperature: Send no temperature, for models that take none.
         top_p: Nucleus sampling; not sent if nothing is said.
@@ -157,7 +155,6 @@ def infer(
                 prompt_text=one.own,
                 history=history,
                 answers=answers,
-                stream=stream,
                 sampling=sampling,
             )
             for one in chosen

@@ -57,7 +57,7 @@ class Answer(Message):
     @field_validator("text", "reasoning", "tool_arguments", "refusal", "finish_reason", "model")
     @classmethod
     def _writable(cls, text: str | None) -> str | None:
-        # JSON may hold half a character, which no file can; a stream may bring its halves one after the other.
+        # JSON may hold half a character, which no file can.
         return text and text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 

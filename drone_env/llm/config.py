@@ -55,7 +55,7 @@ class RunConfig(Message):
     prompt_text: str | None = Field(default=None, description="The file itself, where it is none of the package's.")
     history: Count = Field(description="How many of the last steps the prompt names.")
     answers: Literal["text", "json", "tool"]
-    stream: bool
+    stream: Literal[False] = Field(default=False, description="Answers come whole.")
     sampling: Sampling
 
     @field_validator("model")

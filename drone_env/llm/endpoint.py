@@ -1,11 +1,10 @@
 """An OpenAI-compatible endpoint: sends one request, reads what comes back, and classifies the failures."""
 
 import asyncio
-import contextlib
 import json
 import re
 import ssl
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from functools import lru_cache
@@ -28,9 +27,6 @@ MOST_TOKENS = 10**12
 """Larger counts of tokens are ignored."""
 MOST_BYTES = 1 << 22
 """Longer answers are rejected: a million tokens take less, and an endpoint must not fill the memory."""
-SILENCE_SECONDS = 1.0
-"""How long to wait for the end of a response after the end of its stream."""
-STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
 PARTS = {
     **dict.fromkeys(("text", "output_text"), "text"),
     **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
@@ -97,9 +93,7 @@ class Endpoint:
         self._url = f"{config.base_url}/chat/completions"
         self._token = token
         self._timeout = timeout
-        self._stream = config.stream
-        streamed = {"stream": True, "stream_options": {"include_usage": True}} if config.stream else {}
-        self._bodies = [body | streamed for body in request_bodies(config)]
+        self._bodies = request_bodies(config)
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
@@ -147,11 +141,9 @@ class Endpoint:
         if not data.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
         try:
-            fields = _streamed(data) if self._stream else _answer([_json(data)], "message")
+            fields = _answer(_json(data))
         except _SentError as sent:
             raise self._error_inside(sent.value, response.headers) from None
-        if fields["finish_reason"] is None and self._stream:
-            raise TryFailedError(0, "the stream ended before the answer did", retried=True)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
@@ -183,80 +175,51 @@ class Endpoint:
 
 
 async def _read(response: httpx.Response) -> bytes:
-    """The body up to a limit; of a stream up to its end mark, after which a server may stay silent."""
-    data, chunks = bytearray(), response.aiter_bytes()
-    async for chunk in chunks:
+    """The body up to a limit."""
+    data = bytearray()
+    async for chunk in response.aiter_bytes():
         data += chunk
         if len(data) > MOST_BYTES:
             # Not worth a retry, whatever its status.
             raise ValueError(f"it takes more than {MOST_BYTES:,} bytes")
-        if STREAM_END.search(data, max(0, len(data) - len(chunk) - len("data: [DONE]"))):
-            # httpx reuses a connection if its response was read to the end.
-            with contextlib.suppress(asyncio.TimeoutError, httpx.HTTPError):
-                await asyncio.wait_for(_pass_over(chunks), SILENCE_SECONDS)
-            break
     return bytes(data)
 
 
-async def _pass_over(chunks: AsyncIterator[bytes]) -> None:
-    async for _ in chunks:
-        pass
-
-
-def _streamed(data: bytes) -> dict[str, Any]:
-    """The answer in the events of a stream."""
-    # What follows the last line end was cut off.
-    lines = data[: data.rfind(b"\n") + 1].splitlines()
-    events = [line.removeprefix(b"data:").strip() for line in lines if line.startswith(b"data:")]
-    return _answer([_json(event) for event in events if event not in (b"", b"[DONE]")], "delta")
-
-
-def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
-    """The fields of the answer in a completion, or in the pieces of one; foreign servers omit many fields.
-
-    Args:
-        completions: Objects of the protocol.
-        part: The name of a choice's content: `message`, or `delta` in a stream.
-    """
-    texts: dict[str, list[str]] = {"text": [], "reasoning": [], "refusal": [], "tool_arguments": []}
-    last: dict[str, str | None] = {"finish_reason": None, "model": None}
-    usage: Any = {}
-    for completion in completions:
-        if not hasattr(completion, "get"):
-            raise ValueError(f"an object was expected, got {completion!r}")
-        choices: list[Any] = completion.get("choices") or []
-        if completion.get("error") or completion.get("object") == "error" or (part == "message" and not choices):
-            raise _SentError(completion.get("error") or completion)
-        last["model"] = _text(completion.get("model")) or last["model"]
-        usage = completion.get("usage") or usage
-        for choice in choices[:1]:
-            if choice is None or (part == "message" and choice.get(part) is None):
-                raise _SentError({"message": "there is no message"})
-            last["finish_reason"] = _text(choice.get("finish_reason")) or last["finish_reason"]
-            if choice.get("error") or last["finish_reason"] == "error":
-                raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
-            message: Any = choice.get(part) or {}
-            for name, piece in _pieces(message.get("content")):
-                texts[name].append(piece)
-            thoughts = message.get("reasoning_content") or message.get("reasoning")
-            texts["reasoning"] += [piece for _, piece in _pieces(thoughts)]
-            texts["refusal"].append(_text(message.get("refusal")) or "")
-            # The arguments of several calls are joined, which is not an action.
-            calls: list[Any] = message.get("tool_calls") or []
-            for call in calls:
-                texts["tool_arguments"].append(_text((call.get("function") or {}).get("arguments")) or "")
+def _answer(completion: Any) -> dict[str, Any]:
+    """The fields of the answer in a completion; foreign servers omit many fields."""
+    choices = completion.get("choices")
+    if completion.get("error") or completion.get("object") == "error" or not choices:
+        raise _SentError(completion.get("error") or completion)
+    choice = choices[0] or {}
+    message, reason = choice.get("message"), choice.get("finish_reason")
+    if message is None:
+        raise _SentError({"message": "there is no message"})
+    if choice.get("error") or reason == "error":
+        raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
+    calls: list[Any] = message.get("tool_calls") or []
+    texts: dict[str, list[str]] = {
+        "text": [],
+        "reasoning": [text for _, text in _pieces(message.get("reasoning_content") or message.get("reasoning"))],
+        "refusal": [message.get("refusal") or ""],
+        # The arguments of several calls are joined, which is not an action.
+        "tool_arguments": [(call.get("function") or {}).get("arguments") or "" for call in calls],
+    }
+    for name, piece in _pieces(message.get("content")):
+        texts[name].append(piece)
     joined = {name: "".join(found) or None for name, found in texts.items()}
-    if part == "message" and not any(joined.values()) and last["finish_reason"] is None:
+    if not any(joined.values()) and reason is None:
         raise _SentError({"message": "the message is empty"})
+    usage = completion.get("usage") or {}
     counts = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
     counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
+    last = {"finish_reason": reason, "model": completion.get("model")}
     return {**joined, "text": joined["text"] or "", **last, **counted}
 
 
 def _pieces(content: Any) -> Iterator[tuple[str, str]]:
     """(field of the answer, text) for each piece of a content: a text, or a list of parts."""
     if not isinstance(content, list):
-        yield "text", _text(content) or ""
+        yield "text", content or ""
         return
     for part in cast(list[Any], content):
         if isinstance(part, str):
@@ -271,12 +234,6 @@ def _json(data: bytes) -> Any:
         return json.loads(data)
     except ValueError:
         raise ValueError(f"JSON was expected, got {data.decode(errors='replace')}") from None
-
-
-def _text(value: Any) -> str | None:
-    if value is None or isinstance(value, str):
-        return value
-    raise ValueError(f"text was expected, got {value!r}")
 
 
 def _fields(value: Any) -> Mapping[str, Any]:

@@ -77,7 +77,6 @@ def run_config(
         "prompt_digest": chosen.digest,
         "history": 0,
         "answers": "text",
-        "stream": False,
         "sampling": Sampling(),
     }
     return RunConfig.model_validate(fields | change)

@@ -146,45 +146,11 @@ class Server:
         reason = script.get("finish_reason", "stop")
         usage = None if script.get("no_usage") else {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
         common = {"id": "x", "created": 0, "model": body["model"]}
-        if body.get("stream"):
-            await self.stream(writer, common, message, reason, usage, fault)
-            if fault == "cut_stream":
-                return False
-        else:
-            choice = {"index": 0, "message": message, "finish_reason": reason}
-            sent = {**common, "object": "chat.completion", "choices": [choice], "usage": usage}
-            self.send(writer, 200, json.dumps(sent))
+        choice = {"index": 0, "message": message, "finish_reason": reason}
+        sent = {**common, "object": "chat.completion", "choices": [choice], "usage": usage}
+        self.send(writer, 200, json.dumps(sent))
         await writer.drain()
         return True
-
-    async def stream(self, writer, common, message, reason, usage, fault) -> None:
-        writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nTransfer-Encoding: chunked\r\n\r\n")
-
-        def event(text: str) -> None:
-            data = f"data: {text}\n\n".encode()
-            writer.write(b"%x\r\n%s\r\n" % (len(data), data))
-
-        def chunk(delta: dict, finish: str | None) -> str:
-            choice = {"index": 0, "delta": delta, "finish_reason": finish}
-            return json.dumps({**common, "object": "chat.completion.chunk", "choices": [choice]})
-
-        for name in ("reasoning_content", "refusal", "content"):
-            text = message.get(name) or ""
-            step = max(1, len(text) // 3)
-            for start in range(0, len(text), step):
-                event(chunk({name: text[start : start + step]}, None))
-        for call in message.get("tool_calls", []):
-            event(chunk({"tool_calls": [{"index": 0, **call}]}, None))
-        if fault == "cut_stream":
-            await writer.drain()
-            return
-        event(chunk({}, reason))
-        event(json.dumps({**common, "object": "chat.completion.chunk", "choices": [], "usage": usage}))
-        event("[DONE]")
-        if fault == "open_stream":
-            await writer.drain()
-            await asyncio.sleep(3600)
-        writer.write(b"0\r\n\r\n")
 
     def send(self, writer, status: int, text: str, headers: dict | None = None) -> None:
         data = text.encode()

@@ -24,12 +24,10 @@ Send = Callable[..., Answer | TryFailedError]
 
 @pytest.fixture
 def send(monkeypatch: pytest.MonkeyPatch) -> Send:
-    """Send one request, to which a response is given: `send(content, status=200, headers={}, stream=False)`."""
+    """Send one request, to which a response is given: `send(content, status=200, headers={})`."""
     client = httpx.AsyncClient
 
-    def sent(
-        content: Any, status: int = 200, headers: Any = None, pieces: Any = (), stream: bool = False
-    ) -> Answer | TryFailedError:
+    def sent(content: Any, status: int = 200, headers: Any = None, pieces: Any = ()) -> Answer | TryFailedError:
         async def body() -> AsyncIterator[bytes]:
             data = content if isinstance(content, str) else json.dumps(content)
             for piece in pieces or [data.encode()]:
@@ -39,7 +37,7 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
         monkeypatch.setattr(endpoint.httpx, "AsyncClient", functools.partial(client, transport=transport))
 
         async def ask() -> Answer:
-            opened = Endpoint(run_config(stream=stream), TOKEN, 60)
+            opened = Endpoint(run_config(), TOKEN, 60)
             try:
                 return await opened.send([{"role": "user", "content": "?"}], "0-1-1", 0)
             finally:
@@ -71,11 +69,9 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
         ),
     ],
 )
-def test_the_parts_of_an_answer_whole_and_streamed(send: Send, message: Any, answer: dict[str, Any]) -> None:
-    whole, streamed = ({"choices": [{name: message, "finish_reason": "stop"}]} for name in ("message", "delta"))
-    expected = Answer(**answer, finish_reason="stop")
-    assert send(whole) == expected
-    assert send(f"data: {json.dumps(streamed)}\n\ndata: [DONE]\n\n", stream=True) == expected
+def test_the_parts_of_an_answer(send: Send, message: Any, answer: dict[str, Any]) -> None:
+    whole = {"choices": [{"message": message, "finish_reason": "stop"}]}
+    assert send(whole) == Answer(**answer, finish_reason="stop")
 
 
 def test_tokens_beyond_counting_are_not_counted(send: Send) -> None:
@@ -85,50 +81,39 @@ def test_tokens_beyond_counting_are_not_counted(send: Send) -> None:
     assert (answer.prompt_tokens, answer.completion_tokens) == (None, None)
 
 
-BROKEN_OFF = (
-    'data: {"choices": [{"delta": {"content": "UP"}}]}\n\n'
-    'data: {"choices": [{"delta": {}, "finish_reason": "error"}]}\n\ndata: [DONE]\n\n'
-)
-"""A stream whose first piece looks like an answer."""
-
-
 @pytest.mark.parametrize(
-    ("content", "status", "stream"),
+    ("content", "status"),
     [
-        *(("", status, False) for status in (408, 409, 429, 500)),
-        ("", 200, False),
-        ({"error": {"code": 503}}, 200, False),
-        ({"error": "overloaded"}, 200, False),
-        ({"object": "error", "message": "busy", "code": 500}, 200, False),
-        ({"choices": []}, 200, False),
-        ({"choices": [{"message": None, "finish_reason": "stop"}]}, 200, False),
-        ({"choices": [{"message": {"content": None}, "finish_reason": None}]}, 200, False),
-        ('data: {"error": {"code": 503}}\n\n', 200, True),
-        (BROKEN_OFF, 200, True),
-        ('data: {"choices": [{"delta": {"content": "UP"}}]}\n\ndata: [DONE]\n\n', 200, True),
+        *(("", status) for status in (408, 409, 429, 500, 200)),
+        ({"error": {"code": 503}}, 200),
+        ({"error": "overloaded"}, 200),
+        ({"object": "error", "message": "busy", "code": 500}, 200),
+        ({"choices": []}, 200),
+        ({"choices": [{"message": None, "finish_reason": "stop"}]}, 200),
+        ({"choices": [{"message": {"content": None}, "finish_reason": None}]}, 200),
+        ({"choices": [{"message": {"content": "UP"}, "finish_reason": "error"}]}, 200),
     ],
 )
-def test_failures_that_pass_are_retried(send: Send, content: Any, status: int, stream: bool) -> None:
-    failed = send(content, status, stream=stream)
+def test_failures_that_pass_are_retried(send: Send, content: Any, status: int) -> None:
+    failed = send(content, status)
     assert isinstance(failed, TryFailedError)
     assert (failed.retried, failed.fatal) == (True, False)
 
 
-@pytest.mark.parametrize("stream", [False, True])
 @pytest.mark.parametrize(
     "value",
     [
         *([], "UP", None, {"choices": "UP"}, {"choices": ["UP"]}, {"choices": [None]}, {"choices": {"0": 1}}),
-        {"choices": [{"message": "UP", "delta": "UP", "finish_reason": "stop"}]},
-        {"choices": [{"message": {"tool_calls": ["UP"]}, "delta": {"tool_calls": ["UP"]}, "finish_reason": "stop"}]},
-        "data: {\x00\xff not json",
+        *({"choices": [{"message": message}]} for message in ("UP", {"content": 5}, {"tool_calls": ["UP"]})),
+        {"choices": [{"message": {"content": "UP"}, "finish_reason": 5}]},
+        "\x00\xff not json",
         '{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}",
     ],
     ids=lambda value: str(value)[:20],
 )
-def test_what_has_not_the_form_of_an_answer_is_a_failure(send: Send, value: Any, stream: bool) -> None:
+def test_what_has_not_the_form_of_an_answer_is_a_failure(send: Send, value: Any) -> None:
     text = value if isinstance(value, str) and len(value) > 2 else json.dumps(value)
-    assert isinstance(send(f"data: {text}\n\n" if stream else text, stream=stream), TryFailedError)
+    assert isinstance(send(text), TryFailedError)
 
 
 def test_an_endless_answer_is_not_read_on(send: Send) -> None:

@@ -79,23 +79,15 @@ def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start) -> None:
     assert [f["steps"] for f in done.flights] == greedy.steps.tolist()
 
 
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
-def test_connections_are_used_again(endpoint: Start, stream: str) -> None:
+def test_connections_are_used_again(endpoint: Start) -> None:
     scripted = endpoint(pilot="WAIT")
-    assert scripted.infer("--seeds", "14:15", stream).turns == {"ok": 60}
+    assert scripted.infer("--seeds", "14:15").turns == {"ok": 60}
     assert len({request["port"] for request in scripted.requests()}) == 1
 
 
-def test_a_stream_is_over_with_its_mark_of_the_end(endpoint: Start) -> None:
-    done = endpoint(pilot="greedy", faults=[[0, 0, "open_stream"]]).infer("--seeds", "14:15", "--stream")
-    assert (done.turns, [len(call["failures"]) for call in done.calls]) == ({"ok": 3}, [0] * 3)
-
-
-@pytest.mark.parametrize(("form", "stream"), [("json", "--stream"), ("tool", "--stream"), ("tool", "--no-stream")])
-def test_structured_output_and_tool_calls(endpoint: Start, form: str, stream: str) -> None:
-    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer(
-        "--seeds", "14:15", "--answers", form, stream
-    )
+@pytest.mark.parametrize("form", ["json", "tool"])
+def test_structured_output_and_tool_calls(endpoint: Start, form: str) -> None:
+    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer("--seeds", "14:15", "--answers", form)
     assert (done.turns, done.flights[0]["score"]) == ({"ok": 3}, 0.99), done.err
     assert {call["answer"]["reasoning"] for call in done.calls} == {"UP"}
 
