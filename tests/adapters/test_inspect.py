@@ -71,9 +71,8 @@ def test_drawn_names_and_pictures_are_what_a_model_is_asked_by(endpoint: Start, 
     assert (result["turns"]["ok"], len(result["names"])) == (result["steps"], 11)
     scripted = endpoint(pilot="WAIT")
     evaluated(scripted, tmp_path, {"prompt": "vision", "episodes": 1}, token_limit=500)
-    picture, text = scripted.requests()[0]["body"]["messages"][1]["content"]
+    picture, _ = scripted.requests()[0]["body"]["messages"][1]["content"]
     assert picture["image_url"]["url"].startswith("data:image/png;base64,iVBOR")
-    assert text["text"].startswith("Position: ")
 
 
 @pytest.mark.parametrize("limit", [{"token_limit": 500}, {"time_limit": 2}])

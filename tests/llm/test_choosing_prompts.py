@@ -1,7 +1,6 @@
 """Which prompt a run asks by: one that lets think, one of your own, several beside each other, that of an old run."""
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
@@ -9,7 +8,6 @@ from statistics import fmean
 import pytest
 
 from drone_env.core.seeds import SPLITS
-from drone_env.llm.prompt import FOLDER
 from drone_env.planning.optimal import solve
 from drone_env.results.statistics import DIFFERENCES, ci95
 
@@ -86,13 +84,11 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start) -> None:
 
 def test_prompts_that_cannot_be_compared_are_refused(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
-    copy = shutil.copy(FOLDER / "grid-2.toml", tmp_path)
     for arguments, why in (
         (("--prompts", "grid", "grid-2"), "--prompts takes different prompts, got grid-2, grid-2"),
         (("--prompts", "grid", "plan", "--prompt", "grid"), "give it without --prompt"),
         (("--prompts", "grid", "plan", "--resume"), "there is no run in "),
         (("--prompt", str(tmp_path / "none.toml")), "none.toml"),
-        (("--prompt", str(copy)), "the package has a prompt of this name"),
     ):
         done = scripted.infer("--seeds", "14:15", *arguments)
         assert (done.status, why in done.err) == (2, True), done.err

@@ -164,7 +164,6 @@ def test_limits_of_tokens_and_money(endpoint: Start, limit: tuple[str, str], cal
 def test_what_an_endpoint_does_not_meter_cannot_be_limited(endpoint: Start) -> None:
     done = endpoint(pilot="greedy", no_usage=True).infer("--seeds", "14:15", "--max-tokens", "100000")
     assert (done.status, done.turns) == (3, {"ok": 1, "budget_stop": 1})
-    assert "does not say how many tokens it used" in done.err
 
 
 @pytest.mark.parametrize(
