@@ -18,7 +18,7 @@ from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
-PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
+PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
 PromptNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()

@@ -113,16 +113,13 @@ class Reading(NamedTuple):
     """What was read: the arguments of the tool call, where there is one."""
 
 
-def read_answer(
-    answer: Answer, plan: bool, marks: Sequence[str] = (), actions: Mapping[str, Action] = Action.__members__
-) -> Reading:
+def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
     """Understand an answer.
 
     Args:
         answer: What was sent.
         plan: Whether a whole route was asked for; else exactly one action.
         marks: What the line of the answer may be marked with.
-        actions: What each action is called, in capitals; nothing else names one.
     """
     said = answer.text if answer.tool_arguments is None else answer.tool_arguments
 
@@ -138,7 +135,7 @@ def read_answer(
     if text is None:
         return unusable("truncated", "the answer ends inside its <think> block")
     marked = _last_marked(text, marks)
-    words = _words(text if marked is None else marked, plan, actions)
+    words = _words(text if marked is None else marked, plan)
     if words is None and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
     if words is None:
@@ -148,10 +145,10 @@ def read_answer(
         empty = "there is only reasoning and no answer" if answer.reasoning else "the answer is empty"
         reason = f"{where} is not {asked}{missing}" if text.strip() else empty
         return unusable("parse_error", reason)
-    unknown = [word for word in words if word.upper() not in actions]
+    unknown = [word for word in words if word.upper() not in Action.__members__]
     if unknown:
         return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
-    return Reading("ok", tuple(actions[word.upper()] for word in words), "", said)
+    return Reading("ok", tuple(Action[word.upper()] for word in words), "", said)
 
 
 def _without_thoughts(text: str) -> str | None:
@@ -176,27 +173,27 @@ def _last_marked(text: str, marks: Sequence[str]) -> str | None:
     return None
 
 
-def _words(text: str, plan: bool, actions: Mapping[str, Action]) -> list[str] | None:
+def _words(text: str, plan: bool) -> list[str] | None:
     """The words that stand where actions should; None where there is something else."""
-    text = _unfenced(text.strip(), actions)
+    text = _unfenced(text.strip())
     if text[:1] in ("{", "["):
         return _json_words(text, plan)
     text = text.strip(" \t\r\n*_`'\".")
     words = [word.strip("*_`'\".") for word in SEPARATOR.split(text) if word] if plan else [text]
     if not words or not all(WORD.match(word) for word in words):
         return None
-    if plan and len(words) > 1 and not any(word.upper() in actions for word in words):
+    if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
         return None  # prose
     return words
 
 
-def _unfenced(text: str, actions: Mapping[str, Action]) -> str:
+def _unfenced(text: str) -> str:
     """What stands inside of a code fence, without the name of a language; the text itself where there is no fence."""
     if len(text) < 2 * len(FENCE) or not text.startswith(FENCE) or not text.endswith(FENCE):
         return text
     text = text[len(FENCE) : -len(FENCE)]
     language = LANGUAGE.match(text)
-    if language and language[0].upper() not in actions:
+    if language and language[0].upper() not in Action.__members__:
         text = text[language.end() :]
     return text.strip()
 

@@ -141,9 +141,8 @@ def request_bodies(config: RunConfig) -> list[dict[str, Any]]:
 def _answer_form(config: RunConfig) -> dict[str, Any]:
     """The fields of the body that ask for answers in the form of the run."""
     prompt = config.load_prompt()
-    # If names are drawn for each map, the prompt lists them.
-    one: dict[str, Any] = {"type": "string"} if prompt.symbols else {"type": "string", "enum": DIRECTIONS}
-    properties = {"actions": {"type": "array", "items": one}} if prompt.plan else {"direction": one}
+    one = {"type": "string", "enum": DIRECTIONS}
+    properties: dict[str, Any] = {"actions": {"type": "array", "items": one}} if prompt.plan else {"direction": one}
     schema = {
         "type": "object",
         "properties": properties,

@@ -111,7 +111,6 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         model = get_model()
         stopped: BaseException | None = None
-        seed = state.metadata["seed"]
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
@@ -123,9 +122,9 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
             state.messages, state.output = [*asked, output.message], output
-            return chosen.read(_answer(output), config, seed)
+            return chosen.read(_answer(output))
 
-        flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, seed))
+        flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
         await fly(flown, chosen, history, ask)
         state.store.set("flight", _stored(flown, str(state.model)))
         # Where a limit was reached, Inspect notes it and scores what was flown so far.

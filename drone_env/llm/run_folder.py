@@ -39,10 +39,6 @@ class PilotedRecord(Message):
     score: Score = Field(description="Of an unfinished flight what waiting to its end would earn.")
     turns: dict[TurnKind, Count] = Field(description="How the requests for actions came out.")
     waits: Count = Field(description="Steps that are a WAIT because no answer could be used.")
-    names: dict[str, str] = Field(
-        default_factory=dict[str, str],
-        description="What the prompt called actions and kinds of cells, where it drew names for the map.",
-    )
 
     @classmethod
     def of(cls, flown: PilotedEpisode) -> Self:
@@ -60,7 +56,6 @@ class PilotedRecord(Message):
             score=episode.counted_score(),
             turns={name: flown.turns.count(name) for name in TURN_KINDS},
             waits=sum(error is not None for error in flown.step_errors),
-            names=flown.names,
         )
 
 

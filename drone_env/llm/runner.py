@@ -108,7 +108,6 @@ class Calls:
         self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, observer: Observer
     ) -> None:
         self._url = config.base_url
-        self._task = config.task_config
         self._prompt = config.load_prompt()
         self._bodies = request_bodies(config)
         self._endpoint = endpoint
@@ -131,7 +130,7 @@ class Calls:
         known = self._transcript.answered.get(key)
         if known is not None and known.answer is not None:
             known.require_same(messages, request, body.get("seed"))
-            return self._prompt.read(known.answer, self._task, seed)
+            return self._prompt.read(known.answer)
         self._limiter.check_going_on()
         # Repeats and repairs draw again from the model: only equal ones share an answer.
         cache_key = digest([self._url, request, repeat, key.attempt])
@@ -172,7 +171,7 @@ class Calls:
             except TryFailedError as failed:
                 record(None, "api_error")
                 self._give_up(failed)
-        reading = self._prompt.read(answer, self._task, seed)
+        reading = self._prompt.read(answer)
         record(answer, reading.kind)
         if self._cache and not cached:
             self._cache.put(cache_key, answer)

@@ -61,14 +61,14 @@ def verified_run(path: Path) -> VerifiedRun:
 
     async def replayed(ended: PilotedRecord) -> PilotedEpisode:
         flown = PilotedEpisode.begin(config, ended.flight)
-        body, task = bodies[flown.repeat], flown.episode.task
+        body = bodies[flown.repeat]
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             call = answers.get(key)
             if call is not None and call.answer is not None:
                 call.require_same(messages, digest({"body": body, "messages": messages}), body.get("seed"))
                 used.add(key)
-                return prompt.read(call.answer, task, ended.seed)
+                return prompt.read(call.answer)
             # After the last answer the flight ended as its result says, which is compared with the rest of it.
             if ended.status == "errored" and key in failed:
                 raise CallFailedError(ended.error or "")

@@ -1,10 +1,10 @@
 """An OpenAI-compatible server that does as it is told: `python scripted_server.py PORT`.
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
-for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, all in the words that the prompt has
-drawn, or a text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, and `faults`: a list of
-[first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request is a line
-in the log before it is answered, and a second line when that is over, however it was answered.
+for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, or a text to answer with), `repair`
+(the same, for repair prompts), `latency` in seconds, and `faults`: a list of [first, last, fault] by the number of the
+request from 0, where the first that covers it holds. Each request is a line in the log before it is answered, and a
+second line when that is over, however it was answered.
 """
 
 import asyncio
@@ -46,13 +46,6 @@ def reply(pilot: str, prompt: str) -> str:
     if pilot == "greedy":
         return next(iter(route(points(prompt, "Position:")[0], points(prompt, "Target:")[0])), Action.WAIT).name
     return pilot
-
-
-def in_words(said: str, rules: str) -> str:
-    """The same in the words for actions that are drawn for a map, if any are."""
-    drawn = re.findall(r"\b([A-Z]+) is [xy] [+-] 1", rules)
-    words = dict(zip(Action.__members__, drawn, strict=False))
-    return re.sub("[A-Z]+", lambda found: words.get(found[0], found[0]), said)
 
 
 def text_of(content: str | list) -> str:
@@ -131,9 +124,7 @@ class Server:
         texts = [text_of(message["content"]) for message in body["messages"]]
         prompt = next(text for text in reversed(texts) if "Position:" in text)
         pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
-        said = reply(pilot, prompt)
-        said = said if said == pilot else in_words(said, texts[0])
-        message = {"role": "assistant", "content": said, **script.get("message", {})}
+        message = {"role": "assistant", "content": reply(pilot, prompt), **script.get("message", {})}
         if body.get("tools"):
             function = body["tools"][0]["function"]["name"]
             arguments = json.dumps({"direction": message["content"]})

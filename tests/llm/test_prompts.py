@@ -32,9 +32,7 @@ SHOWN = [
 GOLDEN = {
     "coordinates-2": "cb3bd9e2aa7ac77f",
     "grid-2": "33af35bacadc98fc",
-    "grid-drawn-1": "6d8b38302578b0d4",
     "minimal-2": "3eda9b3d51c7f993",
-    "minimal-drawn-1": "a192268898a1bece",
     "original-1": "af72656c437e9611",
     "plan-2": "64eb6be394325b81",
     "think-1": "e27f2caaaba530af",
@@ -77,8 +75,6 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
         ("format = 1" + rest, "user: unknown 'weather'; there are battery_percent, battery_steps, "),
         ("format = 1" + rest.replace("}}", ""), "user: unexpected end of template"),
         ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
-        ('format = 1\nsymbols = "drawn"\npicture = 512' + rest.replace("weather", "x"), "give symbols without picture"),
-        ('format = 1\nsymbols = "drawn"' + rest.replace("weather", "grid"), r"\{\{ legend \}\} says what they are"),
         ("format = 1" + rest.replace('system = ""', "system = '{% include \"more.j2\" %}'"), r"unknown 'more\.j2'"),
         ("format = 1" + rest.replace("weather", "x").replace('""', '"{{ x }}"'), "repair: unknown 'x'; there are"),
     ]:
