@@ -116,8 +116,6 @@ def infer(
     from pydantic import ValidationError
 
     chosen_split, maps = chosen_maps(seeds, split, episodes, 1)
-    if resume and out is None:
-        raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
     if prompt is not None and prompts:
         raise InvalidValueError("--prompts names all prompts: give it without --prompt")
     settings = load_settings(base_url)
@@ -127,8 +125,6 @@ def infer(
         chosen = [run_folder.load_config(out).load_prompt()]
     else:
         chosen = [get_prompt(name) for name in prompts or (prompt or "minimal",)]
-    if len({one.id for one in chosen}) < len(chosen):
-        raise InvalidValueError(f"--prompts takes different prompts, got {', '.join(one.id for one in chosen)}")
     try:
         more = json_format.loads(extra)
         sampling = Sampling(

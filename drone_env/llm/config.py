@@ -9,7 +9,6 @@ from typing_extensions import Self
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, get_task, own_rules
-from drone_env.files import differences
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.settings import check_url
 from drone_env.models import DIRECTIONS, Count, Message
@@ -102,11 +101,6 @@ class RunConfig(Message):
         """How many flights the run has."""
         return (self.seeds[1] - self.seeds[0]) * self.repeats
 
-    def flight(self, index: int) -> tuple[int, int]:
-        """(seed, repeat) of a flight by its number from 0: all maps once, then all again."""
-        repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
-        return self.seeds[0] + offset, repeat
-
     def load_prompt(self) -> Prompt:
         """The prompt.
 
@@ -123,10 +117,6 @@ class RunConfig(Message):
         if self.prompt_text is None:
             return get_prompt(self.prompt)
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
-
-    def differences(self, other: "RunConfig") -> list[str]:
-        """The fields that differ, one line each."""
-        return differences(dict(self), dict(other))
 
 
 def request_bodies(config: RunConfig) -> list[dict[str, Any]]:

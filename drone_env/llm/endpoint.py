@@ -3,11 +3,9 @@
 import asyncio
 import json
 import re
-import ssl
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
-from functools import lru_cache
 from time import time
 from typing import Any, cast
 from urllib.parse import quote, urlsplit
@@ -72,14 +70,6 @@ class _SentError(Exception):
         self.value = value
 
 
-@lru_cache(maxsize=1)
-def trusted() -> ssl.SSLContext:
-    """The certificates of the machine and of httpx, read once per process."""
-    certificates = httpx.create_ssl_context()
-    certificates.load_default_certs()
-    return certificates
-
-
 class Endpoint:
     """Sends requests. Close it after use.
 
@@ -102,7 +92,6 @@ class Endpoint:
         self._client = httpx.AsyncClient(
             headers=headers,
             trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
-            verify=trusted(),
             follow_redirects=False,
             timeout=None,
             limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
@@ -149,8 +138,9 @@ class Endpoint:
 
     def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
         """Treat an error in a 200 response like one with the status that it carries."""
-        reason = f"{self._clean(_message_of(error) or json.dumps(error))} (in a 200 response)"
-        named = (str(_fields(error).get(name)) for name in ("code", "status"))
+        reason = f"{self._clean(_message_of(error))} (in a 200 response)"
+        fields: Mapping[str, Any] = error if isinstance(error, Mapping) else {}
+        named = (str(fields.get(name)) for name in ("code", "status"))
         status = next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
         if status is not None:
             return self._refusal(status, reason, headers)
@@ -236,26 +226,23 @@ def _json(data: bytes) -> Any:
         raise ValueError(f"JSON was expected, got {data.decode(errors='replace')}") from None
 
 
-def _fields(value: Any) -> Mapping[str, Any]:
-    return cast(Mapping[str, Any], value) if isinstance(value, Mapping) else {}
-
-
 def _error_text(data: bytes) -> str:
     """The message of an error, or the whole text."""
-    text = data.decode(errors="replace")
     try:
-        message = _message_of(json.loads(data))
+        return _message_of(json.loads(data))
     except (ValueError, RecursionError):
-        message = None
-    return text if message is None else message
+        return data.decode(errors="replace")
 
 
-def _message_of(error: Any) -> str | None:
-    """Find the message of an error; None if it has none in a usual place."""
-    if isinstance(error, str):
-        return error
-    named = (_fields(error)[name] for name in ("error", "message", "detail") if name in _fields(error))
-    return next((message for message in map(_message_of, named) if message is not None), None)
+def _message_of(error: Any) -> str:
+    """The message of an error, wherever it is in it; all of the error if it has none."""
+    while isinstance(error, dict):
+        fields = cast(dict[str, Any], error)
+        inner = next((fields[name] for name in ("error", "message", "detail") if fields.get(name)), None)
+        if inner is None:
+            break
+        error = inner
+    return error if isinstance(error, str) else json.dumps(error)
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:

@@ -53,9 +53,9 @@ class PilotedEpisode:
 
     @classmethod
     def begin(cls, config: "RunConfig", index: int) -> Self:
-        """The flight of this number in a run, after its reset."""
-        seed, repeat = config.flight(index)
-        return cls(index, repeat, Episode(config.task_config, config.profile, seed))
+        """The flight of this number in a run, after its reset: all maps once, then all again."""
+        repeat, offset = divmod(index, config.seeds[1] - config.seeds[0])
+        return cls(index, repeat, Episode(config.task_config, config.profile, config.seeds[0] + offset))
 
 
 async def fly(

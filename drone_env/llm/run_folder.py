@@ -10,7 +10,7 @@ from pydantic import Field
 from typing_extensions import Self
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import is_begun, locked, read_file, read_lines, write_text
+from drone_env.files import differences, is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.flight import PilotedEpisode, Status
@@ -115,8 +115,7 @@ class RunFolder:
         with ExitStack() as opened:
             opened.enter_context(locked(path / "lock", f"another process is working on the run in {path}"))
             if config_path.exists():
-                before = load_config(path)
-                changed = before.differences(config)
+                changed = differences(dict(load_config(path)), dict(config))
                 if changed:
                     raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
             else:

@@ -9,7 +9,6 @@ import urllib.error
 import urllib.request
 from collections import Counter
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,12 +111,11 @@ def tell(url: str, script: dict[str, Any]) -> None:
     urllib.request.urlopen(f"{url}/script", json.dumps(script).encode(), timeout=60).close()
 
 
-@contextmanager
-def serving_scripts(errors: Any = None) -> Generator[str, None, None]:
-    """The address of a process that scripted endpoints are in; `errors` is the file for its standard error."""
-    port = reserved_port()
+@pytest.fixture(scope="session")
+def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
+    """The address of the process that all scripted endpoints are in."""
+    log, port = tmp_path_factory.mktemp("scripted") / "errors.log", reserved_port()
     command = [sys.executable, str(Path(__file__).with_name("scripted_server.py")), str(port)]
-    process = subprocess.Popen(command, env=environment(), stderr=errors)
 
     def answers() -> bool:
         try:
@@ -126,20 +124,14 @@ def serving_scripts(errors: Any = None) -> Generator[str, None, None]:
             return False
         return True
 
-    try:
-        wait_until(answers, process)
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.fixture(scope="session")
-def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
-    """The address of the process that all scripted endpoints are in."""
-    log = tmp_path_factory.mktemp("scripted") / "errors.log"
-    with log.open("wb") as errors, serving_scripts(errors) as address:
-        yield address
+    with log.open("wb") as errors:
+        process = subprocess.Popen(command, env=environment(), stderr=errors)
+        try:
+            wait_until(answers, process)
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            process.kill()
+            process.wait()
     assert log.read_text() == ""
 
 

@@ -85,7 +85,6 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start) -> None:
 def test_prompts_that_cannot_be_compared_are_refused(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
     for arguments, why in (
-        (("--prompts", "grid", "grid-2"), "--prompts takes different prompts, got grid-2, grid-2"),
         (("--prompts", "grid", "plan", "--prompt", "grid"), "give it without --prompt"),
         (("--prompts", "grid", "plan", "--resume"), "there is no run in "),
         (("--prompt", str(tmp_path / "none.toml")), "none.toml"),

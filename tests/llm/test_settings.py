@@ -7,6 +7,7 @@ import pytest
 from pydantic import SecretStr
 
 from drone_env.errors import InvalidValueError
+from drone_env.files import differences
 from drone_env.llm.config import Sampling
 from drone_env.llm.settings import InferenceSettings, load_settings, models_table, token_for
 from tests.environment import SETTINGS
@@ -99,9 +100,8 @@ def test_what_differs_between_runs_is_named() -> None:
     config = run_config()
     changes: dict[str, object] = {"model": "n", "seeds": (14, 16), "sampling": Sampling(temperature=1.0)}
     for name, value in changes.items():
-        assert config.differences(run_config(**{name: value})) == [
-            f"{name}: {getattr(config, name)!r} is now {value!r}"
-        ]
+        changed = differences(dict(config), dict(run_config(**{name: value})))
+        assert changed == [f"{name}: {getattr(config, name)!r} is now {value!r}"]
     with pytest.raises(ValueError, match=r"prompt minimal-2 is now .*; the run was made with 0000"):
         run_config(prompt_digest="0" * 16).load_prompt()
 
