@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -20,6 +21,11 @@ from tests.tools import reserved_port
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "sk-test-0123456789"
+LINE = re.compile(
+    r"\[START\] task=\S+ env=drone_env_v1 model=scripted"
+    r"|\[STEP\] step=\d+ action=(?:UP|DOWN|LEFT|RIGHT|WAIT) reward=\d\.\d\d done=(?:true|false) error=\w+"
+    r"|\[END\] success=(?:true|false) steps=\d+ score=0\.\d{3} rewards=(?:\d\.\d\d(?:,\d\.\d\d)*)?"
+)
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -150,3 +156,25 @@ def endpoint(
         return opened[-1]
 
     return start
+
+
+def blocks(out: str) -> list[list[str]]:
+    """The lines of each flight; fails where anything else is printed or flights are mixed."""
+    flights: list[list[str]] = []
+    for line in out.splitlines():
+        assert LINE.fullmatch(line), line
+        if line.startswith("[START]"):
+            assert not flights or flights[-1][-1].startswith("[END]")
+            flights.append([])
+        flights[-1].append(line)
+    for lines in flights:
+        assert lines[-1].startswith("[END]")
+        assert [int(line.split()[1][5:]) for line in lines[1:-1]] == list(range(1, len(lines) - 1))
+    return flights
+
+
+def verified(done: Infer) -> None:
+    """Every flight replays, and nothing holds the token."""
+    assert main(["replay", str(done.folder / "episodes.jsonl"), "--verify"]) == 0
+    assert not any(TOKEN in path.read_text() for path in done.folder.iterdir())
+    assert TOKEN not in done.out + done.err

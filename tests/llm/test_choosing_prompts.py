@@ -11,8 +11,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.planning.optimal import solve
 from drone_env.results.statistics import DIFFERENCES, ci95
 
-from .conftest import Endpoint
-from .log_lines import verified
+from .conftest import Endpoint, verified
 
 Start = Callable[..., Endpoint]
 OWN = """

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from .conftest import TOKEN, Endpoint
-from .log_lines import blocks, verified
+from .conftest import TOKEN, Endpoint, blocks, verified
 
 Start = Callable[..., Endpoint]
 ALWAYS = 10**9

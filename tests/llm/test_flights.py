@@ -18,9 +18,8 @@ from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
 
-from .conftest import ROOT, TOKEN, Endpoint, environment
+from .conftest import ROOT, TOKEN, Endpoint, blocks, environment, verified
 from .kept_run import Scripted, fly
-from .log_lines import blocks, verified
 
 Start = Callable[..., Endpoint]
 MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "3"))

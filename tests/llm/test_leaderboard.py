@@ -39,20 +39,6 @@ def test_only_the_same_maps_stand_on_one_board_and_a_folder_stands_for_all_in_it
     assert [len(board["rows"]) for board in ranked(capsys, tmp_path, model.parent)["boards"]] == [3, 1]
 
 
-def test_folders_are_compared_map_by_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    agents = str(evaluated(tmp_path / "agents", "--agents", "random", "greedy"))
-    model = str(put_run(tmp_path, "model", "greedy", range(14, 18), repeats=2))
-    capsys.readouterr()
-    assert main(["compare", "greedy", model, agents, "--json", "-"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert (report["split"], report["seeds"]) == ("custom", [14, 18])
-    names = [f"scripted ({model})", f"random ({agents})", f"greedy ({agents})"]
-    others = report["tasks"]["easy_delivery"]["others"]
-    assert list(others) == names
-    assert [others[name]["difference"]["mean"] == 0 for name in names] == [True, False, True]
-    assert report["unusable"] == {names[0]: {"answers": 0, "of": 50, "share": 0.0, "marked": False}}
-
-
 def test_folders_of_other_maps_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     agents = str(evaluated(tmp_path / "agents", "--agents", "random"))
     other = str(put_run(tmp_path, "model", "greedy", range(14, 17)))

@@ -14,9 +14,8 @@ from drone_env.llm.options import Options, Prices
 from drone_env.llm.runner import LONGEST_BACKOFF, LONGEST_WAIT
 from drone_env.llm.verify import verified_run
 
-from .conftest import Endpoint
+from .conftest import Endpoint, blocks, verified
 from .kept_run import VirtualClock, fly
-from .log_lines import blocks, verified
 
 Start = Callable[..., Endpoint]
 

@@ -17,9 +17,8 @@ from drone_env.llm.report import report
 from drone_env.llm.transcript import Transcript, read_calls
 from drone_env.llm.verify import verified_run
 
-from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, wait_until
+from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, verified, wait_until
 from .kept_run import Scripted, fly
-from .log_lines import verified
 
 Start = Callable[..., Endpoint]
 KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))

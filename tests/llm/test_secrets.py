@@ -9,8 +9,7 @@ import pytest
 
 from drone_env.llm.endpoint import without_secret
 
-from .conftest import TOKEN, Endpoint
-from .log_lines import verified
+from .conftest import TOKEN, Endpoint, verified
 
 Start = Callable[..., Endpoint]
 
