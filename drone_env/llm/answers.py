@@ -24,8 +24,10 @@ MOST_UNUSABLE = 0.05
 """A run is marked if a larger share of its answers was unusable."""
 
 KEYS = {"action", "direction", "actions", "directions"}
-FENCE = "```"
-LANGUAGE = re.compile(r"[a-zA-Z]+(?=[\s\[{])")
+FENCED = re.compile(
+    rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```", re.DOTALL | re.IGNORECASE
+)
+"""A code fence, perhaps with the name of a language, which no action is."""
 # Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
 THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
 OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
@@ -131,8 +133,8 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
     # Also where the piece that arrived looks whole: nobody knows what would have followed.
     if answer.finish_reason == "length":
         return unusable("truncated", "the answer was cut at the limit of tokens")
-    text = _without_thoughts(said)
-    if text is None:
+    text = THOUGHT.sub("", said, count=1)
+    if text == said and OPEN_THOUGHT.match(said):
         return unusable("truncated", "the answer ends inside its <think> block")
     marked = _last_marked(text, marks)
     words = _words(text if marked is None else marked, plan)
@@ -142,19 +144,11 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
         asked = "a list of actions" if plan else "one action"
         where = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
-        empty = "there is only reasoning and no answer" if answer.reasoning else "the answer is empty"
-        reason = f"{where} is not {asked}{missing}" if text.strip() else empty
-        return unusable("parse_error", reason)
+        return unusable("parse_error", f"{where} is not {asked}{missing}" if text.strip() else "the answer is empty")
     unknown = [word for word in words if word.upper() not in Action.__members__]
     if unknown:
         return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
     return Reading("ok", tuple(Action[word.upper()] for word in words), "", said)
-
-
-def _without_thoughts(text: str) -> str | None:
-    """The text behind its thoughts; None where they do not end."""
-    rest = THOUGHT.sub("", text, count=1)
-    return None if rest == text and OPEN_THOUGHT.match(text) else rest
 
 
 def _last_marked(text: str, marks: Sequence[str]) -> str | None:
@@ -175,7 +169,8 @@ def _last_marked(text: str, marks: Sequence[str]) -> str | None:
 
 def _words(text: str, plan: bool) -> list[str] | None:
     """The words that stand where actions should; None where there is something else."""
-    text = _unfenced(text.strip())
+    fenced = FENCED.fullmatch(text.strip())
+    text = (fenced[1] if fenced else text).strip()
     if text[:1] in ("{", "["):
         return _json_words(text, plan)
     text = text.strip(" \t\r\n*_`'\".")
@@ -185,17 +180,6 @@ def _words(text: str, plan: bool) -> list[str] | None:
     if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
         return None  # prose
     return words
-
-
-def _unfenced(text: str) -> str:
-    """What stands inside of a code fence, without the name of a language; the text itself where there is no fence."""
-    if len(text) < 2 * len(FENCE) or not text.startswith(FENCE) or not text.endswith(FENCE):
-        return text
-    text = text[len(FENCE) : -len(FENCE)]
-    language = LANGUAGE.match(text)
-    if language and language[0].upper() not in Action.__members__:
-        text = text[language.end() :]
-    return text.strip()
 
 
 def _json_words(text: str, plan: bool) -> list[str] | None:

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 from drone_env.core.actions import Action
 from drone_env.errors import EndpointError
+from drone_env.files import write_text
 from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable
 from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.content import ChatMessage, with_pictures
@@ -20,7 +21,7 @@ from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
 from drone_env.llm.image import following
 from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
 from drone_env.llm.run_folder import TRANSCRIPT, PilotedRecord, RunFolder, results_of
-from drone_env.llm.transcript import AnswerCache, Call, CallKey, Failure, Transcript, digest
+from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, cached_answer, digest
 from drone_env.results.log_lines import end_line, start_line, step_line
 from drone_env.results.statistics import Summary
 
@@ -114,7 +115,9 @@ class Calls:
         self._transcript = transcript
         self._limiter = limiter
         self._observer = observer
-        self._cache = None if limiter.options.cache is None else AnswerCache(limiter.options.cache)
+        self._cache = limiter.options.cache
+        if self._cache is not None:
+            self._cache.mkdir(parents=True, exist_ok=True)
 
     async def ask(self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage]) -> Reading:
         """The answer to a call of the flight over this map, as it is understood.
@@ -133,8 +136,9 @@ class Calls:
             return self._prompt.read(known.answer)
         self._limiter.check_going_on()
         # Repeats and repairs draw again from the model: only equal ones share an answer.
-        cache_key = digest([self._url, request, repeat, key.attempt])
-        answer = self._cache.get(cache_key) if self._cache else None
+        name = digest([self._url, request, repeat, key.attempt])
+        cache = None if self._cache is None else self._cache / f"{name}.json"
+        answer = None if cache is None else cached_answer(cache)
         cached, picture, began = answer is not None, None, self._limiter.clock.now()
         failures: list[Failure] = []
 
@@ -173,8 +177,8 @@ class Calls:
                 self._give_up(failed)
         reading = self._prompt.read(answer)
         record(answer, reading.kind)
-        if self._cache and not cached:
-            self._cache.put(cache_key, answer)
+        if cache is not None and not cached:
+            write_text(cache, answer.model_dump_json())
         return reading
 
     async def _send(

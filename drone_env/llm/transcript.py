@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import read_file, read_lines, write_text
+from drone_env.files import read_file, read_lines
 from drone_env.llm.answers import Answer
 from drone_env.llm.content import ChatMessage
 from drone_env.models import Count, Message
@@ -152,38 +152,12 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
         yield len(line), call
 
 
-class AnswerCache:
-    """A folder of paid answers that runs share, one file each.
-
-    Args:
-        folder: Created if it is missing.
+def cached_answer(path: Path) -> Answer | None:
+    """The answer in a file of the cache of paid answers, if it is there.
 
     Raises:
-        OSError: if it cannot be created.
+        InvalidValueError: if the file is not an answer.
     """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def get(self, key: str) -> Answer | None:
-        """The answer under a key, if there is one.
-
-        Raises:
-            InvalidValueError: if the file is not an answer.
-        """
-        path = self._path(key)
-        if not path.exists():
-            return None
-        return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")
-
-    def put(self, key: str, answer: Answer) -> None:
-        """Store an answer.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        write_text(self._path(key), answer.model_dump_json())
-
-    def _path(self, key: str) -> Path:
-        return self._folder / f"{key}.json"
+    if not path.exists():
+        return None
+    return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")
