@@ -183,8 +183,6 @@ def _settings() -> Iterator[Finding]:
 
     for name, meant in server.misspelt_variables().items():
         yield Finding("settings", name, "attention", f"is not a setting and is ignored; is {meant} meant?")
-    for name, hint in llm.ignored_variables().items():
-        yield Finding("settings", name, "attention", hint)
     yield _checked("settings", "server", lambda: f"valid: {sorted(server.load_settings().model_fields_set)}")
     try:
         settings = llm.load_settings()

@@ -2,13 +2,11 @@
 
 import contextlib
 import dataclasses
-import functools
 import json as json_format
 import sys
-from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -16,18 +14,11 @@ from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
-from drone_env.errors import InvalidValueError, StoreError, needs, text_of
+from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
-if TYPE_CHECKING:
-    from drone_env.llm.config import RunConfig
-    from drone_env.llm.flight import PilotedEpisode
-    from drone_env.llm.run_folder import RunFolder
-    from drone_env.llm.runner import Sender
-    from drone_env.results.store import Store
-
-PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
+PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
 PromptNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()
@@ -45,7 +36,6 @@ def infer(
     prompts: PromptNames = (),
     history: int = 0,
     answers: Literal["text", "json", "tool"] = "text",
-    stream: bool = False,
     temperature: Number = 0.0,
     no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     top_p: Number = None,
@@ -87,7 +77,6 @@ def infer(
             folder of its prompt's id in --out; limits hold for each.
         history: How many of the last steps the prompt names.
         answers: Ask for plain text, for structured output (JSON schema), or for a tool call.
-        stream: Have answers streamed.
         temperature: Sampling temperature.
         no_temperature: Send no temperature, for models that take none.
         top_p: Nucleus sampling; not sent if nothing is said.
@@ -122,13 +111,11 @@ def infer(
         from drone_env.llm.image import running_image
         from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import ConsoleObserver
-        from drone_env.llm.prompt import get_prompt, untold
+        from drone_env.llm.prompt import get_prompt
         from drone_env.llm.settings import check_url, load_settings, token_for
     from pydantic import ValidationError
 
     chosen_split, maps = chosen_maps(seeds, split, episodes, 1)
-    if resume and out is None:
-        raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
     if prompt is not None and prompts:
         raise InvalidValueError("--prompts names all prompts: give it without --prompt")
     settings = load_settings(base_url)
@@ -138,8 +125,6 @@ def infer(
         chosen = [run_folder.load_config(out).load_prompt()]
     else:
         chosen = [get_prompt(name) for name in prompts or (prompt or "minimal",)]
-    if len({one.id for one in chosen}) < len(chosen):
-        raise InvalidValueError(f"--prompts takes different prompts, got {', '.join(one.id for one in chosen)}")
     try:
         more = json_format.loads(extra)
         sampling = Sampling(
@@ -166,7 +151,6 @@ def infer(
                 prompt_text=one.own,
                 history=history,
                 answers=answers,
-                stream=stream,
                 sampling=sampling,
             )
             for one in chosen
@@ -180,10 +164,6 @@ def infer(
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    for one in chosen:
-        missing = untold(one, config_task)
-        if missing:
-            print(f"prompt {one.id} does not tell, on {config_task.short_name}: {', '.join(missing)}", file=sys.stderr)
     data = data_folder() if data is None else data
     root = out or _new_folder(data / RUNS, configs[0].model, config_task.short_name)
 
@@ -198,22 +178,23 @@ def infer(
         if use_image:
             options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
         store = None if options.server is not None else stack.enter_context(Store(data))
-        open_endpoint: Callable[[RunConfig, str | None], Sender]
-        open_endpoint = functools.partial(Endpoint, timeout=options.timeout)
         if engine == "ray":
-            open_endpoint = _cluster_endpoint(stack, address, options)
+            from drone_env.cluster.connect import connect
+
+            stack.enter_context(connect(address))
         for config in configs:
-            with contextlib.closing(
-                run_folder.RunFolder(paths[config.prompt], config, resume and config.prompt in begun)
-            ) as folder:
-                problems: list[str] = []
+            folder = run_folder.RunFolder(paths[config.prompt], config, resume and config.prompt in begun)
+            with contextlib.closing(folder):
+                if engine == "ray":
+                    from drone_env.cluster.senders import ClusterEndpoint
+
+                    sender = ClusterEndpoint(config, token, options)
+                else:
+                    sender = Endpoint(config, token, options.timeout)
                 limiter = RateLimiter(options)
-                keep = functools.partial(_keep, folder, store, problems)
-                observer = ConsoleObserver(config, limiter, keep)
+                observer = ConsoleObserver(config, limiter, folder, store)
                 try:
-                    with observer.progress:
-                        run = runner.run(config, folder, open_endpoint(config, token), limiter, observer)
-                        result = asyncio.run(run)
+                    result = asyncio.run(runner.run(config, folder, sender, limiter, observer))
                     if report:
                         from drone_env.llm.report import report as figures_of
                         from drone_env.llm.report import write_report
@@ -226,9 +207,9 @@ def infer(
                     print(f"interrupted; to go on, {go_on}", file=sys.stderr)
                     raise
                 finally:
-                    if problems:
-                        lost = f"{len(problems)} flights are not in the store: {problems[0]}"
-                        print(f"{lost}; to add them, {go_on}", file=sys.stderr)
+                    if lost := observer.not_stored:
+                        told = f"{len(lost)} flights are not in the store: {lost[0]}; to add them, {go_on}"
+                        print(told, file=sys.stderr)
             for line in [*runner.summary_lines(result), f"run: {folder.path}"]:
                 print(line, file=sys.stderr)
             status = max(status, runner.EXIT_STATUS[result.verdict])
@@ -240,26 +221,6 @@ def infer(
         for line in write_paired_report(root, found):
             print(line, file=sys.stderr)
     return status
-
-
-def _keep(folder: "RunFolder", store: "Store | None", problems: list[str], flown: "PilotedEpisode") -> None:
-    try:
-        if store is not None:
-            folder.keep(flown, store)
-    except StoreError as error:
-        # The flight is paid: the run continues without the store.
-        problems.append(str(error))
-
-
-def _cluster_endpoint(
-    stack: contextlib.ExitStack, address: str | None, options: Options
-) -> "Callable[[RunConfig, str | None], Sender]":
-    from drone_env.cluster.connect import connect
-
-    stack.enter_context(connect(address))
-    from drone_env.cluster.senders import ClusterEndpoint
-
-    return functools.partial(ClusterEndpoint, options=options)
 
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:

@@ -24,8 +24,10 @@ MOST_UNUSABLE = 0.05
 """A run is marked if a larger share of its answers was unusable."""
 
 KEYS = {"action", "direction", "actions", "directions"}
-FENCE = "```"
-LANGUAGE = re.compile(r"[a-zA-Z]+(?=[\s\[{])")
+FENCED = re.compile(
+    rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```", re.DOTALL | re.IGNORECASE
+)
+"""A code fence, perhaps with the name of a language, which no action is."""
 # Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
 THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
 OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
@@ -57,7 +59,7 @@ class Answer(Message):
     @field_validator("text", "reasoning", "tool_arguments", "refusal", "finish_reason", "model")
     @classmethod
     def _writable(cls, text: str | None) -> str | None:
-        # JSON may hold half a character, which no file can; a stream may bring its halves one after the other.
+        # JSON may hold half a character, which no file can.
         return text and text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
@@ -113,16 +115,13 @@ class Reading(NamedTuple):
     """What was read: the arguments of the tool call, where there is one."""
 
 
-def read_answer(
-    answer: Answer, plan: bool, marks: Sequence[str] = (), actions: Mapping[str, Action] = Action.__members__
-) -> Reading:
+def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
     """Understand an answer.
 
     Args:
         answer: What was sent.
         plan: Whether a whole route was asked for; else exactly one action.
         marks: What the line of the answer may be marked with.
-        actions: What each action is called, in capitals; nothing else names one.
     """
     said = answer.text if answer.tool_arguments is None else answer.tool_arguments
 
@@ -134,30 +133,22 @@ def read_answer(
     # Also where the piece that arrived looks whole: nobody knows what would have followed.
     if answer.finish_reason == "length":
         return unusable("truncated", "the answer was cut at the limit of tokens")
-    text = _without_thoughts(said)
-    if text is None:
+    text = THOUGHT.sub("", said, count=1)
+    if text == said and OPEN_THOUGHT.match(said):
         return unusable("truncated", "the answer ends inside its <think> block")
     marked = _last_marked(text, marks)
-    words = _words(text if marked is None else marked, plan, actions)
+    words = _words(text if marked is None else marked, plan)
     if words is None and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
     if words is None:
         asked = "a list of actions" if plan else "one action"
         where = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
-        empty = "there is only reasoning and no answer" if answer.reasoning else "the answer is empty"
-        reason = f"{where} is not {asked}{missing}" if text.strip() else empty
-        return unusable("parse_error", reason)
-    unknown = [word for word in words if word.upper() not in actions]
+        return unusable("parse_error", f"{where} is not {asked}{missing}" if text.strip() else "the answer is empty")
+    unknown = [word for word in words if word.upper() not in Action.__members__]
     if unknown:
         return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
-    return Reading("ok", tuple(actions[word.upper()] for word in words), "", said)
-
-
-def _without_thoughts(text: str) -> str | None:
-    """The text behind its thoughts; None where they do not end."""
-    rest = THOUGHT.sub("", text, count=1)
-    return None if rest == text and OPEN_THOUGHT.match(text) else rest
+    return Reading("ok", tuple(Action[word.upper()] for word in words), "", said)
 
 
 def _last_marked(text: str, marks: Sequence[str]) -> str | None:
@@ -176,29 +167,19 @@ def _last_marked(text: str, marks: Sequence[str]) -> str | None:
     return None
 
 
-def _words(text: str, plan: bool, actions: Mapping[str, Action]) -> list[str] | None:
+def _words(text: str, plan: bool) -> list[str] | None:
     """The words that stand where actions should; None where there is something else."""
-    text = _unfenced(text.strip(), actions)
+    fenced = FENCED.fullmatch(text.strip())
+    text = (fenced[1] if fenced else text).strip()
     if text[:1] in ("{", "["):
         return _json_words(text, plan)
     text = text.strip(" \t\r\n*_`'\".")
     words = [word.strip("*_`'\".") for word in SEPARATOR.split(text) if word] if plan else [text]
     if not words or not all(WORD.match(word) for word in words):
         return None
-    if plan and len(words) > 1 and not any(word.upper() in actions for word in words):
+    if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
         return None  # prose
     return words
-
-
-def _unfenced(text: str, actions: Mapping[str, Action]) -> str:
-    """What stands inside of a code fence, without the name of a language; the text itself where there is no fence."""
-    if len(text) < 2 * len(FENCE) or not text.startswith(FENCE) or not text.endswith(FENCE):
-        return text
-    text = text[len(FENCE) : -len(FENCE)]
-    language = LANGUAGE.match(text)
-    if language and language[0].upper() not in actions:
-        text = text[language.end() :]
-    return text.strip()
 
 
 def _json_words(text: str, plan: bool) -> list[str] | None:

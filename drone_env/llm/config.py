@@ -9,7 +9,6 @@ from typing_extensions import Self
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, get_task, own_rules
-from drone_env.files import differences
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.settings import check_url
 from drone_env.models import DIRECTIONS, Count, Message
@@ -55,7 +54,7 @@ class RunConfig(Message):
     prompt_text: str | None = Field(default=None, description="The file itself, where it is none of the package's.")
     history: Count = Field(description="How many of the last steps the prompt names.")
     answers: Literal["text", "json", "tool"]
-    stream: bool
+    stream: Literal[False] = Field(default=False, description="Answers come whole.")
     sampling: Sampling
 
     @field_validator("model")
@@ -102,11 +101,6 @@ class RunConfig(Message):
         """How many flights the run has."""
         return (self.seeds[1] - self.seeds[0]) * self.repeats
 
-    def flight(self, index: int) -> tuple[int, int]:
-        """(seed, repeat) of a flight by its number from 0: all maps once, then all again."""
-        repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
-        return self.seeds[0] + offset, repeat
-
     def load_prompt(self) -> Prompt:
         """The prompt.
 
@@ -124,10 +118,6 @@ class RunConfig(Message):
             return get_prompt(self.prompt)
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
-    def differences(self, other: "RunConfig") -> list[str]:
-        """The fields that differ, one line each."""
-        return differences(dict(self), dict(other))
-
 
 def request_bodies(config: RunConfig) -> list[dict[str, Any]]:
     """The body of the requests of each repeat, without the messages."""
@@ -141,9 +131,8 @@ def request_bodies(config: RunConfig) -> list[dict[str, Any]]:
 def _answer_form(config: RunConfig) -> dict[str, Any]:
     """The fields of the body that ask for answers in the form of the run."""
     prompt = config.load_prompt()
-    # If names are drawn for each map, the prompt lists them.
-    one: dict[str, Any] = {"type": "string"} if prompt.symbols else {"type": "string", "enum": DIRECTIONS}
-    properties = {"actions": {"type": "array", "items": one}} if prompt.plan else {"direction": one}
+    one = {"type": "string", "enum": DIRECTIONS}
+    properties: dict[str, Any] = {"actions": {"type": "array", "items": one}} if prompt.plan else {"direction": one}
     schema = {
         "type": "object",
         "properties": properties,

@@ -1,7 +1,4 @@
-"""What prompts show of an episode: values as text, the words for actions and cells, and the map as a picture.
-
-The words are plain, or drawn for each map. Drawn words are of no use to a model that knows UP and buildings by heart:
-it has to read what the prompt says about them.
+"""What prompts show of an episode: values as text, and the map as a picture.
 
 A picture is named by its contents until it is sent, also in transcripts: a PNG takes 200 KB, and a flight has one for
 each step. The pixels depend on the version of Pillow; the contents do not.
@@ -10,18 +7,15 @@ each step. The pixels depend on the version of Pillow; the contents do not.
 import base64
 import hashlib
 import io
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Literal
 from urllib.parse import parse_qsl, urlencode
 
 from typing_extensions import TypedDict
 
-from drone_env.core.actions import ACTION_OFFSETS, Action
+from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.models import NAMES, DroneObservation
 
@@ -33,16 +27,10 @@ DRAWN = "data:image/png;base64,"
 LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel", Cell.PAD: "charging pad"}
 """Prompts call these kinds of cells otherwise than by their names."""
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
-FIRST = "BLO BRI CRA DRU FLU FRE GLA GRU KLE KRI PLE PRU SKO SNU STU TRU VLA ZWE"
-SECOND = "BA DO FI GU LU MI NA PU SA TI VO ZA"
-"""Syllables: a word is one of each, and no two words of a map start alike. None of them means anything."""
-KINDS = ("parcel", "road", "building", "tree", "obstacle", "pad")
-"""What can be renamed on a map; the drone always keeps its name."""
-PLAIN_LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
-DRAWN_LETTERS = "AEFGHJKLMNQRSUVWYZ"
-"""No letter of a plain grid."""
-WORDS = re.compile(
-    r"\b(UP|DOWN|LEFT|RIGHT|WAIT)\b|(?i:\b(an? )?(parcel|road|building|tree|obstacle|(?:charging )?pad)(s?)\b)"
+LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
+"""The letter of each kind of cell in the grid as text."""
+LEGEND = (
+    "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
 )
 PLACES = {"parcels": "delivery", "buildings": "building", "trees": "tree", "obstacles": "obstacle", "pads": "pad"}
 """The kind of cell whose places each value lists."""
@@ -97,84 +85,8 @@ class ChatMessage(TypedDict):
     content: str | list[Part]
 
 
-class Symbols(NamedTuple):
-    """The words for actions and cells on a map.
-
-    Attributes:
-        names: The drawn name of each renamed action and kind of cell.
-        letters: The letter of each kind of cell in the grid as text.
-        actions: The words that an answer may contain, in capitals.
-    """
-
-    names: Mapping[str, str]
-    letters: Mapping[str, str]
-    actions: Mapping[str, Action]
-
-    @property
-    def legend(self) -> str:
-        """The meaning of the letters of the grid."""
-        of = self.letters
-        return (
-            f"{of['drone']} is the drone, {of['delivery']} a parcel to deliver, {of['delivered']} a delivered one, "
-            f"{of['road']} road, {of['building']} building, {of['tree']} tree, {of['obstacle']} obstacle, "
-            f"{of['pad']} charging pad."
-        )
-
-    @property
-    def meaning(self) -> str:
-        """The meaning of the drawn words that no rule explains; empty if none are drawn."""
-        if not self.names:
-            return ""
-        moves = [f"{self.names[action.name]} {_move(action)}" for action in Action]
-        return (
-            f"The words for actions and cells are drawn for this map alone: {', '.join(moves)}; "
-            f"a cell on which nothing stands is {self.names['road']}."
-        )
-
-    def rename(self, text: str) -> str:
-        """Replace the plain words of a text by these."""
-        return WORDS.sub(self._renamed, text) if self.names else text
-
-    def _renamed(self, found: re.Match[str]) -> str:
-        action, article, kind, plural = found.groups()
-        if action:
-            return self.names[action]
-        name = self.names[kind.lower().removeprefix("charging ")]
-        # All names start with a consonant.
-        before = f"{article[0]} " if article else ""
-        return f"{before}{name.capitalize() if kind[0].isupper() else name}{plural}"
-
-
-PLAIN = Symbols({}, PLAIN_LETTERS, Action.__members__)
-
-
-@lru_cache(maxsize=256)
-def draw_symbols(task: TaskConfig, seed: int) -> Symbols:
-    """Draw the names for a map: always the same ones, from other random numbers than those of the map."""
-    key = map_key(task_key(f"{task.id}/symbols", task.version), seed)
-
-    def draw(n: int) -> int:
-        nonlocal key
-        key = next_key(key)
-        return uniform_below(key, n)
-
-    first, second, letters = FIRST.split(), SECOND.split(), list(DRAWN_LETTERS)
-    words = {name: first.pop(draw(len(first))) + second[draw(len(second))] for name in (*Action.__members__, *KINDS)}
-    return Symbols(
-        names={name: word if name in Action.__members__ else word.lower() for name, word in words.items()},
-        letters={name: "?" if name == "unknown" else letters.pop(draw(len(letters))) for name in NAMES},
-        actions={words[name]: action for name, action in Action.__members__.items()},
-    )
-
-
-def _move(action: Action) -> str:
-    dx, dy = ACTION_OFFSETS[action]
-    axis, way = ("x", dx) if dx else ("y", dy)
-    return "waits" if action is Action.WAIT else f"is {axis} {'+' if way > 0 else '-'} 1"
-
-
 def values_of(
-    task: TaskConfig, obs: DroneObservation, last_steps: Sequence[str], symbols: Symbols, names: Collection[str]
+    task: TaskConfig, obs: DroneObservation, last_steps: Sequence[str], names: Collection[str]
 ) -> dict[str, object]:
     """The values that a template can use.
 
@@ -182,7 +94,6 @@ def values_of(
         task: The task.
         obs: What the drone sees.
         last_steps: The last steps, one line each.
-        symbols: The letters of the grid.
         names: What the template uses.
     """
     deciding_kinds = set(deciding(task))
@@ -194,8 +105,8 @@ def values_of(
     listed = {name: " ".join(found) or "none" for name, found in places.items()}
     values = {name: of(obs) for name, of in OBSERVED.items()} | {name: listed[kind] for name, kind in PLACES.items()}
     values |= {
-        "grid": "\n".join(" ".join(symbols.letters[name] for name in row) for row in obs.cell_types),
-        "legend": symbols.legend,
+        "grid": "\n".join(" ".join(LETTERS[name] for name in row) for row in obs.cell_types),
+        "legend": LEGEND,
         "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
         "task": task,
         "drains": [(_label(kind), units) for kind, units in task.drain if units != 1],

@@ -1,19 +1,14 @@
 """An OpenAI-compatible endpoint: sends one request, reads what comes back, and classifies the failures."""
 
 import asyncio
-import base64
-import contextlib
-import itertools
 import json
 import re
-import ssl
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
-from functools import lru_cache
 from time import time
 from typing import Any, cast
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import httpx
 
@@ -30,15 +25,8 @@ MOST_TOKENS = 10**12
 """Larger counts of tokens are ignored."""
 MOST_BYTES = 1 << 22
 """Longer answers are rejected: a million tokens take less, and an endpoint must not fill the memory."""
-PACKED = 64
-"""A compressed answer may be this much shorter: nobody asks for one, and one can grow a thousandfold."""
-POOLS = 8
-"""Pools of connections. A pool scans all its connections for each request, which is slow with hundreds in one."""
-SILENCE_SECONDS = 1.0
-"""How long to wait for the end of a response after the end of its stream."""
-STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
 PARTS = {
-    **dict.fromkeys(("text", "output_text", "summary_text"), "text"),
+    **dict.fromkeys(("text", "output_text"), "text"),
     **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
     "refusal": "refusal",
 }
@@ -48,23 +36,6 @@ HINTS = {
     403: "the token may not use this model or endpoint",
     404: "there is no such model or address: check MODEL_NAME and API_BASE_URL",
 }
-OPTIONS = (
-    (
-        "max_tokens",
-        "max_completion_tokens",
-        "--max-answer-tokens 0 --extra '{\"max_completion_tokens\": %(max_tokens)d}'",
-    ),
-    ("max_tokens", "max_tokens|context (length|window)", "another --max-answer-tokens, or with 0 to send none"),
-    ("temperature", "temperature", "--no-temperature"),
-    ("top_p", "top_p", "no --top-p"),
-    ("seed", r"\bseed\b", "no --sampling-seed"),
-    ("stream", "stream", "--no-stream"),
-    ("response_format", "response_format|json_schema", "--answers text"),
-    ("tools", r"tool_choice|\btools?\b|function", "--answers text"),
-)
-"""A field that was sent, how an endpoint rejects it, and the option that fixes it; the first match counts."""
-NO_PICTURE = re.compile(r"image|vision|multi-?modal|content\b.*\bstring|string\b.*\bcontent", re.IGNORECASE)
-"""How an endpoint rejects pictures."""
 SHORTEST_SECRET = 8
 """Shorter tokens, such as the `x` that local servers accept, are not secret: they are parts of words."""
 
@@ -99,14 +70,6 @@ class _SentError(Exception):
         self.value = value
 
 
-@lru_cache(maxsize=1)
-def trusted() -> ssl.SSLContext:
-    """The certificates of the machine and of httpx, read once per process."""
-    certificates = httpx.create_ssl_context()
-    certificates.load_default_certs()
-    return certificates
-
-
 class Endpoint:
     """Sends requests. Close it after use.
 
@@ -120,27 +83,19 @@ class Endpoint:
         self._url = f"{config.base_url}/chat/completions"
         self._token = token
         self._timeout = timeout
-        self._stream = config.stream
-        self._picture = config.load_prompt().picture
-        streamed = {"stream": True, "stream_options": {"include_usage": True}} if config.stream else {}
-        self._bodies = [body | streamed for body in request_bodies(config)]
+        self._bodies = request_bodies(config)
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
         # A redirect could take the token elsewhere, and so could a proxy for this machine. The rate limiter limits the
         # connections.
-        self._clients = [
-            httpx.AsyncClient(
-                headers=headers,
-                trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
-                verify=trusted(),
-                follow_redirects=False,
-                timeout=None,
-                limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
-            )
-            for _ in range(POOLS)
-        ]
-        self._next_client = itertools.cycle(self._clients)
+        self._client = httpx.AsyncClient(
+            headers=headers,
+            trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
+            follow_redirects=False,
+            timeout=None,
+            limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
+        )
 
     async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
         """Send one request. The answer does not contain the token, even if the endpoint quotes it.
@@ -163,55 +118,41 @@ class Endpoint:
 
     async def close(self) -> None:
         """Close all connections."""
-        for client in self._clients:
-            await client.aclose()
+        await self._client.aclose()
 
     async def _send(self, messages: Sequence[ChatMessage], call_id: str, body: dict[str, Any]) -> Answer:
         body = {"messages": list(messages), **body}
         headers = {"x-client-request-id": call_id}
-        async with next(self._next_client).stream("POST", self._url, json=body, headers=headers) as response:
+        async with self._client.stream("POST", self._url, json=body, headers=headers) as response:
             data = await _read(response)
         if not response.is_success:
             raise self._refusal(response.status_code, _error_text(data), response.headers)
+        if not data.strip():
+            raise TryFailedError(200, "the response is empty", retried=True)
         try:
-            if not data.strip():
-                raise _SentError({"message": "the response is empty"})
-            fields = _streamed(data) if self._stream else _answer([_json(data)], "message")
+            fields = _answer(_json(data))
         except _SentError as sent:
             raise self._error_inside(sent.value, response.headers) from None
-        if fields["finish_reason"] is None and self._stream:
-            raise TryFailedError(0, "the stream ended before the answer did", retried=True)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
     def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
         """Treat an error in a 200 response like one with the status that it carries."""
-        reason = f"{self._clean(_message_of(error) or json.dumps(error))} (in a 200 response)"
-        named = (str(_fields(error).get(name)) for name in ("code", "status"))
+        reason = f"{self._clean(_message_of(error))} (in a 200 response)"
+        fields: Mapping[str, Any] = error if isinstance(error, Mapping) else {}
+        named = (str(fields.get(name)) for name in ("code", "status"))
         status = next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
-        headers = httpx.Headers({**headers, **_wait_in(error)})
         if status is not None:
             return self._refusal(status, reason, headers)
-        return TryFailedError(200, reason, retried=True, retry_after=_retry_after(headers))
+        return TryFailedError(200, reason, retried=True)
 
     def _refusal(self, status: int, reason: str, headers: httpx.Headers) -> TryFailedError:
-        reason = self._clean(reason)
-        if not reason:
-            reason = f"{httpx.codes.get_reason_phrase(status)}, without a reason".removeprefix(", ")
+        reason = self._clean(reason) or httpx.codes.get_reason_phrase(status)
         if 300 <= status < 400:
             where = self._clean(headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
-        if self._picture and _takes_no_picture(status, reason):
-            reason += " (each call shows a picture: try it with one that does not, such as --prompt grid)"
-            return TryFailedError(status, reason, fatal=True)
         if status in HINTS:
             return TryFailedError(status, f"{HINTS[status]} ({reason})", fatal=True)
-        if status in (400, 422):
-            sent = self._bodies[0]
-            for name, told, option in OPTIONS:
-                if name in sent and re.search(told, reason, re.IGNORECASE):
-                    reason += f" (try it with {option % sent})"
-                    break
         retried = status in RETRIED or status >= 500
         return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
 
@@ -223,90 +164,52 @@ class Endpoint:
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
-def _takes_no_picture(status: int, reason: str) -> bool:
-    """Whether an endpoint rejects the picture; some call that an error of their own (500), or no such model (404)."""
-    if status == 500 and "support" not in reason:
-        return False
-    return status == 413 or (status in (400, 404, 415, 422, 500) and NO_PICTURE.search(reason) is not None)
-
-
 async def _read(response: httpx.Response) -> bytes:
-    """The body up to a limit; of a stream up to its end mark, after which a server may stay silent."""
-    packed = "content-encoding" in response.headers
-    most = MOST_BYTES // PACKED if packed else MOST_BYTES
-    data, chunks = bytearray(), response.aiter_raw()
-    async for chunk in chunks:
+    """The body up to a limit."""
+    data = bytearray()
+    async for chunk in response.aiter_bytes():
         data += chunk
-        if len(data) > most:
+        if len(data) > MOST_BYTES:
             # Not worth a retry, whatever its status.
-            raise ValueError(f"it takes more than {most:,} bytes")
-        if STREAM_END.search(data, max(0, len(data) - len(chunk) - len("data: [DONE]"))):
-            # httpx reuses a connection if its response was read to the end.
-            with contextlib.suppress(asyncio.TimeoutError, httpx.HTTPError):
-                await asyncio.wait_for(_pass_over(chunks), SILENCE_SECONDS)
-            break
-    return httpx.Response(200, headers=response.headers, content=bytes(data)).content if packed else bytes(data)
+            raise ValueError(f"it takes more than {MOST_BYTES:,} bytes")
+    return bytes(data)
 
 
-async def _pass_over(chunks: AsyncIterator[bytes]) -> None:
-    async for _ in chunks:
-        pass
-
-
-def _streamed(data: bytes) -> dict[str, Any]:
-    """The answer in the events of a stream."""
-    # What follows the last line end was cut off.
-    lines = data[: data.rfind(b"\n") + 1].splitlines()
-    events = [line.removeprefix(b"data:").strip() for line in lines if line.startswith(b"data:")]
-    return _answer([_json(event) for event in events if event not in (b"", b"[DONE]")], "delta")
-
-
-def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
-    """The fields of the answer in a completion, or in the pieces of one; foreign servers omit many fields.
-
-    Args:
-        completions: Objects of the protocol.
-        part: The name of a choice's content: `message`, or `delta` in a stream.
-    """
-    texts: dict[str, list[str]] = {"text": [], "reasoning": [], "refusal": [], "tool_arguments": []}
-    last: dict[str, str | None] = {"finish_reason": None, "model": None}
-    usage: Any = {}
-    for completion in completions:
-        if not hasattr(completion, "get"):
-            raise ValueError(f"an object was expected, got {completion!r}")
-        choices: list[Any] = completion.get("choices") or []
-        if completion.get("error") or completion.get("object") == "error" or (part == "message" and not choices):
-            raise _SentError(completion.get("error") or completion)
-        last["model"] = _text(completion.get("model")) or last["model"]
-        usage = completion.get("usage") or usage
-        for choice in choices[:1]:
-            if choice is None or (part == "message" and choice.get(part) is None):
-                raise _SentError({"message": "there is no message"})
-            last["finish_reason"] = _text(choice.get("finish_reason")) or last["finish_reason"]
-            if choice.get("error") or last["finish_reason"] == "error":
-                raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
-            message: Any = choice.get(part) or {}
-            for name, piece in _pieces(message.get("content")):
-                texts[name].append(piece)
-            thoughts = message.get("reasoning_content") or message.get("reasoning")
-            texts["reasoning"] += [piece for _, piece in _pieces(thoughts)]
-            texts["refusal"].append(_text(message.get("refusal")) or "")
-            # The arguments of several calls are joined, which is not an action.
-            calls: list[Any] = message.get("tool_calls") or []
-            for call in calls:
-                texts["tool_arguments"].append(_text((call.get("function") or {}).get("arguments")) or "")
+def _answer(completion: Any) -> dict[str, Any]:
+    """The fields of the answer in a completion; foreign servers omit many fields."""
+    choices = completion.get("choices")
+    if completion.get("error") or completion.get("object") == "error" or not choices:
+        raise _SentError(completion.get("error") or completion)
+    choice = choices[0] or {}
+    message, reason = choice.get("message"), choice.get("finish_reason")
+    if message is None:
+        raise _SentError({"message": "there is no message"})
+    if choice.get("error") or reason == "error":
+        raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
+    calls: list[Any] = message.get("tool_calls") or []
+    texts: dict[str, list[str]] = {
+        "text": [],
+        "reasoning": [text for _, text in _pieces(message.get("reasoning_content") or message.get("reasoning"))],
+        "refusal": [message.get("refusal") or ""],
+        # The arguments of several calls are joined, which is not an action.
+        "tool_arguments": [(call.get("function") or {}).get("arguments") or "" for call in calls],
+    }
+    for name, piece in _pieces(message.get("content")):
+        texts[name].append(piece)
     joined = {name: "".join(found) or None for name, found in texts.items()}
-    if part == "message" and not any(joined.values()) and last["finish_reason"] is None:
+    if not any(joined.values()) and reason is None:
         raise _SentError({"message": "the message is empty"})
+    usage = completion.get("usage") or {}
     counts = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
     counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
+    last = {"finish_reason": reason, "model": completion.get("model")}
     return {**joined, "text": joined["text"] or "", **last, **counted}
 
 
 def _pieces(content: Any) -> Iterator[tuple[str, str]]:
     """(field of the answer, text) for each piece of a content: a text, or a list of parts."""
     if not isinstance(content, list):
-        yield "text", _text(content) or ""
+        yield "text", content or ""
         return
     for part in cast(list[Any], content):
         if isinstance(part, str):
@@ -323,101 +226,37 @@ def _json(data: bytes) -> Any:
         raise ValueError(f"JSON was expected, got {data.decode(errors='replace')}") from None
 
 
-def _text(value: Any) -> str | None:
-    if value is None or isinstance(value, str):
-        return value
-    raise ValueError(f"text was expected, got {value!r}")
-
-
-def _fields(value: Any) -> Mapping[str, Any]:
-    return cast(Mapping[str, Any], value) if isinstance(value, Mapping) else {}
-
-
 def _error_text(data: bytes) -> str:
     """The message of an error, or the whole text."""
-    text = data.decode(errors="replace")
     try:
-        message = _message_of(json.loads(data))
+        return _message_of(json.loads(data))
     except (ValueError, RecursionError):
-        message = None
-    return text if message is None else message
+        return data.decode(errors="replace")
 
 
-def _message_of(error: Any) -> str | None:
-    """Find the message of an error; None if it has none in a usual place."""
-    if isinstance(error, str):
-        return error
-    named = (_fields(error)[name] for name in ("error", "message", "detail") if name in _fields(error))
-    return next((message for message in map(_message_of, named) if message is not None), None)
-
-
-def _wait_in(error: Any) -> dict[str, str]:
-    """The headers about waiting in an error: in itself, in its `metadata`, or in the `headers` of these.
-
-    OpenRouter names the millisecond since 1970 at which its limit ends.
-    """
-    found: dict[str, str] = {}
-    parts = [error]
-    for part in parts:
-        named = {name.lower().replace("_", "-"): str(value) for name, value in _fields(part).items()}
-        found |= {name: named[name] for name in ("retry-after", "retry-after-ms") if name in named}
-        if not found and re.fullmatch("[0-9]{13}", named.get("x-ratelimit-reset", "")):
-            found["retry-after-ms"] = str(int(named["x-ratelimit-reset"]) - 1000 * time())
-        parts += [_fields(part)[name] for name in ("metadata", "headers") if name in _fields(part)]
-    return found
+def _message_of(error: Any) -> str:
+    """The message of an error, wherever it is in it; all of the error if it has none."""
+    while isinstance(error, dict):
+        fields = cast(dict[str, Any], error)
+        inner = next((fields[name] for name in ("error", "message", "detail") if fields.get(name)), None)
+        if inner is None:
+            break
+        error = inner
+    return error if isinstance(error, str) else json.dumps(error)
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:
-    """Seconds that the endpoint asks to wait, from its headers; None if they do not say."""
-    milliseconds, after = headers.get("retry-after-ms"), headers.get("retry-after")
+    """Seconds that the endpoint asks to wait; None if it names none."""
+    after = headers.get("retry-after", "")
     try:
-        if milliseconds is not None:
-            return max(0.0, float(milliseconds) / 1000)
-        if after is None:
-            return None
-        if after.strip().replace(".", "", 1).isdecimal():
-            return float(after)
-        return max(0.0, parsedate_to_datetime(after).timestamp() - time())
+        return max(0.0, float(after) if after[:1].isdecimal() else parsedate_to_datetime(after).timestamp() - time())
     except (TypeError, ValueError):
         return None
 
 
 def without_secret(text: str, secret: str | None) -> str:
-    """The text with `***` in place of the secret.
-
-    It finds the secret in any case, backwards, with escaped characters (as in URLs, HTML, JSON and mail), in base64 at
-    any offset, and in hexadecimal.
-    """
+    """The text with `***` in place of the secret, also in another case, or escaped as in URLs."""
     if secret is None or len(secret) < SHORTEST_SECRET:
         return text
-    return _spellings(secret).sub("***", text)
-
-
-@lru_cache(maxsize=8)
-def _spellings(secret: str) -> re.Pattern[str]:
-    forward = r"\s?".join(map(_character, secret))
-    backwards = r"\s?".join(map(_character, reversed(secret)))
-    hexadecimal = r"[\W_]{0,3}".join(f"{ord(letter):02x}" for letter in secret)
-    coded = [_base64(spelling, offset) for spelling in (secret, secret.lower(), secret.upper()) for offset in range(3)]
-    # Looking at one character first is several times faster than trying all spellings everywhere.
-    begins = "".join(form[1:3] if form[0] == "[" else form[0] for form in coded)
-    firsts = re.escape(secret[0] + secret[-1] + hexadecimal[0] + "%=\\&" + begins)
-    return re.compile(f"(?=[{firsts}])(?:{'|'.join([forward, backwards, hexadecimal, *coded])})", re.IGNORECASE)
-
-
-def _character(letter: str) -> str:
-    """One character, plain or escaped."""
-    code = ord(letter)
-    escapes = rf"(?:%(?:25)*|=|\\{{1,4}}(?:x|u00|u\{{0*)|&#x0*){code:02x}[;}}]?|&#0*{code};?"
-    return f"(?:{re.escape(letter)}|{escapes})"
-
-
-def _base64(secret: str, offset: int) -> str:
-    """The base64 of the secret after this many other bytes, in either alphabet, perhaps on several lines.
-
-    Without the digits at its ends that also depend on its neighbours: they show less than a character.
-    """
-    coded = base64.b64encode(b"\0" * offset + secret.encode()).decode().rstrip("=")
-    first, last = -(-8 * offset // 6), 8 * (offset + len(secret)) // 6
-    digits = ["[+-]" if digit == "+" else "[/_]" if digit == "/" else digit for digit in coded[first:last]]
-    return r"\s*".join(digits)
+    spellings = "|".join(re.escape(spelling) for spelling in {secret, quote(secret, safe="")})
+    return re.sub(spellings, "***", text, flags=re.IGNORECASE)

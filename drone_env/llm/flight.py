@@ -40,7 +40,6 @@ class PilotedEpisode:
         status: `finished` also if a route that was planned at once ended before the episode did.
         error: Why it is not finished.
         begun: Whether any answer came.
-        names: The drawn names of actions and kinds of cells.
     """
 
     index: int
@@ -51,13 +50,12 @@ class PilotedEpisode:
     status: Status = "finished"
     error: str | None = None
     begun: bool = False
-    names: dict[str, str] = field(default_factory=dict[str, str])
 
     @classmethod
     def begin(cls, config: "RunConfig", index: int) -> Self:
-        """The flight of this number in a run, after its reset."""
-        seed, repeat = config.flight(index)
-        return cls(index, repeat, Episode(config.task_config, config.profile, seed))
+        """The flight of this number in a run, after its reset: all maps once, then all again."""
+        repeat, offset = divmod(index, config.seeds[1] - config.seeds[0])
+        return cls(index, repeat, Episode(config.task_config, config.profile, config.seeds[0] + offset))
 
 
 async def fly(
@@ -73,8 +71,6 @@ async def fly(
         on_step: Called after the reset and after each step.
     """
     episode = flown.episode
-    symbols = prompt.symbols_of(episode.task, episode.seed)
-    flown.names = dict(symbols.names)
     if on_step is not None:
         await on_step(episode)
     steps: list[str] = []
@@ -86,7 +82,7 @@ async def fly(
             flown.begun = True
             outcome: TurnKind = reading.kind
             if reading.kind != "ok":
-                again = repair_messages(prompt, asked, reading.text, reading.reason, symbols)
+                again = repair_messages(prompt, asked, reading.text, reading.reason)
                 reading = await ask(CallKey(flown.index, turn, 2), again)
                 outcome = "repaired" if reading.kind == "ok" else reading.kind
         except CallFailedError as error:

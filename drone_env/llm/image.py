@@ -21,54 +21,39 @@ START_SECONDS = 120.0
 PORT = 8000
 
 
-class ServerSession:
-    """Flies on a server, step by step, what an episode here flies. Close it after use.
-
-    Args:
-        url: The address of the server.
-        agent: The agent in its records.
-    """
-
-    def __init__(self, url: str, agent: str) -> None:
-        self._url = url
-        self._agent = agent
-        self._client = DroneEnvClient(url)
-
-    async def follow(self, episode: Episode) -> None:
-        """Repeat the last step of an episode, or its reset if it has no steps.
-
-        Raises:
-            InvalidValueError: if the server shows something else than the episode, or does not answer.
-        """
-        try:
-            if episode.steps:
-                shown = await asyncio.to_thread(self._client.step, Action(episode.actions[-1]).name)
-            else:
-                names = (episode.task.id, episode.seed, episode.reward_profile.id, self._agent)
-                shown = await asyncio.to_thread(self._client.reset, *names)
-        except (ServerError, httpx.HTTPError) as error:
-            raise InvalidValueError(f"the server at {self._url} did not fly: {error}") from None
-        expected = json.loads(DroneObservation.of(episode).model_dump_json())
-        differing = sorted(name for name in expected if shown.get(name) != expected[name])
-        if differing:
-            raise InvalidValueError(
-                f"the server at {self._url} flies by other rules: map {episode.seed}, step {episode.steps}: "
-                f"{differing[0]} {shown.get(differing[0])!r} where it is {expected[differing[0]]!r} here"
-            )
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._client.close()
-
-
 @contextmanager
 def following(server: str | None, agent: str) -> Generator[OnStep | None, None, None]:
-    """What a flight calls after each step so that a server flies along; None without a server."""
+    """A function that repeats each step of an episode on a server; None without a server.
+
+    Args:
+        server: The address of the server.
+        agent: The agent in its records.
+
+    The function raises `InvalidValueError` if the server shows something else than the episode, or does not answer.
+    """
     if server is None:
         yield None
         return
-    with closing(ServerSession(server, agent)) as session:
-        yield session.follow
+    with closing(DroneEnvClient(server)) as client:
+
+        async def follow(episode: Episode) -> None:
+            names = (episode.task.id, episode.seed, episode.reward_profile.id, agent)
+            try:
+                if episode.steps:
+                    shown = await asyncio.to_thread(client.step, Action(episode.actions[-1]).name)
+                else:
+                    shown = await asyncio.to_thread(client.reset, *names)
+            except (ServerError, httpx.HTTPError) as error:
+                raise InvalidValueError(f"the server at {server} did not fly: {error}") from None
+            expected = json.loads(DroneObservation.of(episode).model_dump_json())
+            differing = sorted(name for name in expected if shown.get(name) != expected[name])
+            if differing:
+                raise InvalidValueError(
+                    f"the server at {server} flies by other rules: map {episode.seed}, step {episode.steps}: "
+                    f"{differing[0]} {shown.get(differing[0])!r} where it is {expected[differing[0]]!r} here"
+                )
+
+        yield follow
 
 
 @contextmanager

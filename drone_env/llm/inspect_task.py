@@ -16,7 +16,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
-from drone_env.llm.answers import Answer, Reading, Unusable, read_answer
+from drone_env.llm.answers import Answer, Reading, Unusable
 from drone_env.llm.content import ChatMessage, with_pictures
 from drone_env.llm.flight import PilotedEpisode, fly
 from drone_env.llm.limiter import LimitReachedError
@@ -111,7 +111,6 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         model = get_model()
         stopped: BaseException | None = None
-        words = chosen.symbols_of(config, state.metadata["seed"]).actions
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
@@ -123,7 +122,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
             state.messages, state.output = [*asked, output.message], output
-            return read_answer(_answer(output), chosen.plan, chosen.marks, words)
+            return chosen.read(_answer(output))
 
         flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
         await fly(flown, chosen, history, ask)

@@ -8,6 +8,7 @@ import tyro
 
 from drone_env.errors import InvalidValueError
 
+MOST_CONCURRENCY = 10_000
 OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
 Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
@@ -31,7 +32,7 @@ class Prices:
 
 @dataclass(frozen=True)
 class Options:
-    """How a run is made. Limits hold for the whole run, its earlier parts counted in; only seconds start again.
+    """How a run is made. Limits hold for the whole run, its earlier parts counted in.
 
     Requests are counted one by one. Tokens and money are known only when an answer has come: requests under way when
     a limit is reached are still finished and paid.
@@ -41,13 +42,9 @@ class Options:
         timeout: Seconds that an answer may take.
         tries: How often a call is tried that meets 408, 409, 429, 5xx or a network failure.
         backoff: Seconds below which the first wait is drawn; the bound doubles each time, up to 30 s.
-        longest_wait: A call whose endpoint asks for a longer wait in seconds (Retry-After) has failed.
         requests_per_minute: The most requests a minute, retries counted in, evenly spaced.
-        tokens_per_minute: The most tokens a minute. What an answer takes is known when it is there; until then it
-            counts as the average so far.
         max_calls: Stop after this many requests, retries counted in.
         max_tokens: Stop when this many tokens have been used.
-        max_seconds: Stop after this many seconds.
         max_cost: Stop when this many US dollars have been spent.
         price_prompt: US dollars per million prompt tokens.
         price_completion: US dollars per million completion tokens.
@@ -59,12 +56,9 @@ class Options:
     timeout: float = 120.0
     tries: int = 6
     backoff: float = 1.0
-    longest_wait: float = 120.0
     requests_per_minute: Number = None
-    tokens_per_minute: Number = None
     max_calls: Whole = None
     max_tokens: Whole = None
-    max_seconds: Number = None
     max_cost: Number = None
     price_prompt: Number = None
     price_completion: Number = None
@@ -72,20 +66,12 @@ class Options:
     server: Annotated[str | None, OPTIONAL] = None
 
     def __post_init__(self) -> None:
-        for name in ("max_calls", "max_tokens", "max_seconds", "max_cost"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InvalidValueError(f"--{name.replace('_', '-')} must be above 0, got {value}")
-        for name in ("requests_per_minute", "tokens_per_minute"):
+        for name in ("concurrency", "timeout", "tries", "requests_per_minute", "max_calls", "max_tokens", "max_cost"):
             value = getattr(self, name)
             if value is not None and not 0 < value < float("inf"):
                 raise InvalidValueError(f"--{name.replace('_', '-')} must be above 0, got {value}")
-        if not 1 <= self.tries <= 100 or not self.backoff >= 0 or not self.longest_wait >= 0:
-            raise InvalidValueError("tries must be 1 to 100; backoff and the longest wait 0 s or more")
-        if not 1 <= self.concurrency <= 10_000:
-            raise InvalidValueError(f"--concurrency must be 1 to 10000, got {self.concurrency}")
-        if not 0 < self.timeout < float("inf"):
-            raise InvalidValueError(f"--timeout must be above 0 s, got {self.timeout}")
+        if self.concurrency > MOST_CONCURRENCY or not self.backoff >= 0:
+            raise InvalidValueError(f"--concurrency must be at most {MOST_CONCURRENCY}, --backoff 0 s or more")
         if (self.price_prompt is None) != (self.price_completion is None):
             raise InvalidValueError("--price-prompt and --price-completion belong together")
         if self.prices is None and self.max_cost is not None:

@@ -75,8 +75,7 @@ def write_paired_report(folder: Path, runs: Sequence[dict[str, Any]]) -> list[st
     page = render("prompts.md", title=title, maps=maps_line(config), table=table)
     write_pages(folder, figures, {"report.md": page})
     lines = [
-        f"{name}: score {score}, unusable answers {unusable}, {more} against {first}, {tokens} tokens a point"
-        + ("" if dollars == "-" else f", ${dollars} a point")
-        for name, score, more, _, _, unusable, _, tokens, _, dollars in rows
+        f"{name}: score {score}, unusable answers {unusable}, {more} against {first}"
+        for name, score, more, _, _, unusable, *_ in rows
     ]
     return [*lines, f"report: {folder / 'report.md'}"]

@@ -17,18 +17,14 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
-from drone_env.llm.answers import MARK
+from drone_env.llm.answers import MARK, Answer, Reading, read_answer
 from drone_env.llm.content import (
     LARGEST,
-    PLAIN,
     SMALLEST,
-    TITLES,
     VALUES,
     ChatMessage,
     Part,
-    Symbols,
     deciding,
-    draw_symbols,
     picture_part,
     values_of,
 )
@@ -49,7 +45,6 @@ class PromptFile(Message):
     marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(
         default=(), strict=False, description="What can start the line with the answer; empty if there is only that."
     )
-    symbols: Literal["drawn"] | None = Field(default=None, description="Words for actions and cells.")
     picture: int | None = Field(default=None, ge=SMALLEST, le=LARGEST, description="Height in pixels.")
     system: str = Field(description="A template.")
     user: str = Field(description="A template.")
@@ -64,9 +59,9 @@ class Prompt(PromptFile):
     digest: str = Field(description="SHA-256 of the file and its parts, with LF line ends, 16 hex digits.")
     own: str | None = Field(description="The text of a file that is not part of the package.")
 
-    def symbols_of(self, task: TaskConfig, seed: int) -> Symbols:
-        """Its words for actions and cells on a map."""
-        return draw_symbols(task, seed) if self.symbols else PLAIN
+    def read(self, answer: Answer) -> Reading:
+        """Understand an answer."""
+        return read_answer(answer, self.plan, self.marks)
 
 
 def prompt_ids() -> list[str]:
@@ -137,10 +132,6 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
             allowed = ", ".join(sorted(known | parts.keys()))
             raise InvalidValueError(f"{path}: {part}: unknown {unknown[0]!r}; there are {allowed}")
         names |= used - {"reason"}
-    if data.symbols and data.picture:
-        raise InvalidValueError(f"{path}: pictures name their figures plainly: give symbols without picture")
-    if data.symbols and "grid" in names and "legend" not in names:
-        raise InvalidValueError(f"{path}: the letters of the grid are drawn, too: {{{{ legend }}}} says what they are")
     names |= {"picture"} if data.picture else set()
     whole = "".join([text, *(parts[name] for name in sorted(names & parts.keys()))])
     digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
@@ -208,13 +199,10 @@ def first_messages(prompt: Prompt, episode: Episode, last_steps: Sequence[str] =
 
 def first_texts(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> tuple[str, str]:
     """The texts of the system and of the user in `first_messages`."""
-    task, symbols = episode.task, prompt.symbols_of(episode.task, episode.seed)
-    obs = DroneObservation.of(episode)
-    values = values_of(task, obs, last_steps, symbols, prompt.names)
-    system = [symbols.meaning, symbols.rename(_render(prompt, prompt.system, values))]
-    below = below_text(task, obs.cell_below)
-    user = [symbols.rename(text) for text in (_render(prompt, prompt.user, values), below)]
-    return "\n".join(filter(None, system)), "\n".join(filter(None, user))
+    task, obs = episode.task, DroneObservation.of(episode)
+    values = values_of(task, obs, last_steps, prompt.names)
+    user = [_render(prompt, prompt.user, values), below_text(task, obs.cell_below)]
+    return _render(prompt, prompt.system, values), "\n".join(filter(None, user))
 
 
 def below_text(task: TaskConfig, kind: str) -> str:
@@ -224,22 +212,18 @@ def below_text(task: TaskConfig, kind: str) -> str:
     return f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
 
 
-def repair_messages(
-    prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str, symbols: Symbols = PLAIN
-) -> list[ChatMessage]:
+def repair_messages(prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str) -> list[ChatMessage]:
     """The messages that ask once more, after an unusable answer."""
     return [
         *asked,
         {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
-        {"role": "user", "content": repair_text(prompt, reason, symbols)},
+        {"role": "user", "content": repair_text(prompt, reason)},
     ]
 
 
-def repair_text(prompt: Prompt, reason: str, symbols: Symbols = PLAIN) -> str:
+def repair_text(prompt: Prompt, reason: str) -> str:
     """What the model reads about its unusable answer."""
-    # The reason quotes the model, so its words stay.
-    text = _render(prompt, prompt.repair, {"reason": reason})
-    return reason.join(symbols.rename(around) for around in text.split(reason))
+    return _render(prompt, prompt.repair, {"reason": reason})
 
 
 def _render(prompt: Prompt, template: str, values: Mapping[str, object]) -> str:
@@ -248,23 +232,3 @@ def _render(prompt: Prompt, template: str, values: Mapping[str, object]) -> str:
     except Exception as error:
         # Your own template can fail in as many ways as a program.
         raise InvalidValueError(f"prompt {prompt.id} cannot be filled in: {error}") from error
-
-
-def untold(prompt: Prompt, task: TaskConfig) -> list[str]:
-    """What a prompt omits that affects the best flight over maps of a task, in words.
-
-    Your own prompt tells the rules if it includes the part with them. Every prompt tells the cell below.
-    """
-    one, alone = task.deliveries == 1, task.uniform and task.battery_capacity == task.max_steps
-    needed: list[tuple[str, list[set[str]]]] = [
-        ("the score and what ends a flight", [{name} for name in _parts() if name.startswith("rules-")]),
-        ("where the drone is", [{"x", "y"}, {"grid"}, {"picture"}]),
-        ("the units of battery", [{"battery_steps"}]),
-        ("the steps taken", [{"step"}, {"steps_left"}, *([{"battery_steps"}] if alone else [])]),
-        ("all parcels", [{"parcels"}, {"grid"}, {"picture"}, *([{"target"}] if one else [])]),
-        *(
-            (TITLES[kind].lower(), [{"terrain"}, {"grid"}, {"picture"}, {TITLES[kind].split()[-1].lower()}])
-            for kind in deciding(task)
-        ),
-    ]
-    return [words for words, ways in needed if not any(way <= prompt.names for way in ways)]

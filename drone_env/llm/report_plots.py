@@ -7,17 +7,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 INK, GRID, MODEL, OTHER, GOOD, BAD = "#1f2733", "#dfe4ea", "#d9480f", "#a9b4c2", "#2b8a3e", "#c92a2a"
-STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "report",
-    "font.family": "sans-serif",
-    "font.size": 11,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": GRID,
-    "xtick.color": INK,
-    "ytick.color": INK,
-}
+STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "report", "font.size": 11, "axes.edgecolor": GRID}
 LEAST_BARS = 5
 GOOD_OUTCOMES = ("ok", "repaired")
 MOVE_COLOURS = {"best": GOOD, "good": "#74b816", "inaccuracy": "#f59f00", "mistake": "#e8590c", "blunder": BAD}
@@ -45,7 +35,6 @@ def _svg(draw: Any, figures: dict[str, Any]) -> str:
         for side in ("top", "right", "left"):
             axes.spines[side].set_visible(False)
         axes.tick_params(length=0)
-        axes.set_axisbelow(True)
         draw(axes, figures)
         text = io.StringIO()
         nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -62,7 +51,6 @@ def _bars(axes: "Axes", values: dict[str, float], colours: list[str], form: str)
     axes.set_ylim(max(len(values), LEAST_BARS) - 0.5, -0.5)
     axes.margins(x=0.16)
     axes.set_xticks([])
-    axes.spines["bottom"].set_visible(False)
 
 
 def _agents(axes: "Axes", figures: dict[str, Any]) -> None:

@@ -98,7 +98,7 @@ def _configuration(config: dict[str, Any], models: dict[str, int]) -> list[tuple
         ("endpoint", config["base_url"]),
         ("task", f"{config['task']} version {config['task_version']}, rewards {config['reward_profile']}"),
         ("prompt", f"{config['prompt']} ({config['prompt_digest']}), last steps shown: {config['history']}"),
-        ("answers asked for as", config["answers"] + (", streamed" if config["stream"] else "")),
+        ("answers asked for as", config["answers"]),
         ("sampling", sampling or "the endpoint's own"),
     ]
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from typing_extensions import Self
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import is_begun, locked, read_file, read_lines, write_text
+from drone_env.files import differences, is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.flight import PilotedEpisode, Status
@@ -39,10 +39,6 @@ class PilotedRecord(Message):
     score: Score = Field(description="Of an unfinished flight what waiting to its end would earn.")
     turns: dict[TurnKind, Count] = Field(description="How the requests for actions came out.")
     waits: Count = Field(description="Steps that are a WAIT because no answer could be used.")
-    names: dict[str, str] = Field(
-        default_factory=dict[str, str],
-        description="What the prompt called actions and kinds of cells, where it drew names for the map.",
-    )
 
     @classmethod
     def of(cls, flown: PilotedEpisode) -> Self:
@@ -60,7 +56,6 @@ class PilotedRecord(Message):
             score=episode.counted_score(),
             turns={name: flown.turns.count(name) for name in TURN_KINDS},
             waits=sum(error is not None for error in flown.step_errors),
-            names=flown.names,
         )
 
 
@@ -116,14 +111,11 @@ class RunFolder:
         begun = is_begun(path, CONFIG, "a run")
         if begun and not resume:
             raise InvalidValueError(f"{path} holds a run already: add --resume to go on with it, or name a new folder")
-        if resume and not begun:
-            raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
         with ExitStack() as opened:
             opened.enter_context(locked(path / "lock", f"another process is working on the run in {path}"))
             if config_path.exists():
-                before = load_config(path)
-                changed = before.differences(config)
+                changed = differences(dict(load_config(path)), dict(config))
                 if changed:
                     raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
             else:

@@ -5,7 +5,6 @@ import contextlib
 import functools
 import random
 import time
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NoReturn, Protocol
@@ -13,7 +12,8 @@ from urllib.parse import urlsplit
 
 from drone_env.core.actions import Action
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable, read_answer
+from drone_env.files import write_text
+from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable
 from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.content import ChatMessage, with_pictures
 from drone_env.llm.endpoint import TryFailedError
@@ -21,7 +21,7 @@ from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
 from drone_env.llm.image import following
 from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
 from drone_env.llm.run_folder import TRANSCRIPT, PilotedRecord, RunFolder, results_of
-from drone_env.llm.transcript import AnswerCache, Call, CallKey, Failure, Transcript, digest
+from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, cached_answer, digest
 from drone_env.results.log_lines import end_line, start_line, step_line
 from drone_env.results.statistics import Summary
 
@@ -29,6 +29,8 @@ Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MOST_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
 LONGEST_BACKOFF = 30.0
+LONGEST_WAIT = 120.0
+"""A call whose endpoint asks for a longer wait in seconds (`Retry-After`) has failed."""
 
 
 class Sender(Protocol):
@@ -107,14 +109,15 @@ class Calls:
         self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, observer: Observer
     ) -> None:
         self._url = config.base_url
-        self._task = config.task_config
         self._prompt = config.load_prompt()
         self._bodies = request_bodies(config)
         self._endpoint = endpoint
         self._transcript = transcript
         self._limiter = limiter
         self._observer = observer
-        self._cache = None if limiter.options.cache is None else AnswerCache(limiter.options.cache)
+        self._cache = limiter.options.cache
+        if self._cache is not None:
+            self._cache.mkdir(parents=True, exist_ok=True)
 
     async def ask(self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage]) -> Reading:
         """The answer to a call of the flight over this map, as it is understood.
@@ -130,11 +133,12 @@ class Calls:
         known = self._transcript.answered.get(key)
         if known is not None and known.answer is not None:
             known.require_same(messages, request, body.get("seed"))
-            return self._read(known.answer, seed)
+            return self._prompt.read(known.answer)
         self._limiter.check_going_on()
         # Repeats and repairs draw again from the model: only equal ones share an answer.
-        cache_key = digest([self._url, request, repeat, key.attempt])
-        answer = self._cache.get(cache_key) if self._cache else None
+        name = digest([self._url, request, repeat, key.attempt])
+        cache = None if self._cache is None else self._cache / f"{name}.json"
+        answer = None if cache is None else cached_answer(cache)
         cached, picture, began = answer is not None, None, self._limiter.clock.now()
         failures: list[Failure] = []
 
@@ -171,15 +175,11 @@ class Calls:
             except TryFailedError as failed:
                 record(None, "api_error")
                 self._give_up(failed)
-        reading = self._read(answer, seed)
+        reading = self._prompt.read(answer)
         record(answer, reading.kind)
-        if self._cache and not cached:
-            self._cache.put(cache_key, answer)
+        if cache is not None and not cached:
+            write_text(cache, answer.model_dump_json())
         return reading
-
-    def _read(self, answer: Answer, seed: int) -> Reading:
-        prompt = self._prompt
-        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols_of(self._task, seed).actions)
 
     async def _send(
         self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage], failures: list[Failure]
@@ -187,20 +187,19 @@ class Calls:
         """The answer and when its request was sent; it appends every failed try to `failures`."""
         limiter, options = self._limiter, self._limiter.options
         while True:
-            async with limiter.slot() as slot:
+            async with limiter.slot() as sent_at:
                 try:
                     answer = await self._endpoint.send(messages, str(key), repeat)
                 except TryFailedError as error:
                     failed, asked = error, error.retry_after
-                    slot.overloaded, slot.pause = failed.retried, min(asked or 0.0, options.longest_wait)
+                    if failed.retried:
+                        limiter.overloaded(sent_at, min(asked or 0.0, LONGEST_WAIT))
                 else:
-                    slot.tokens = (answer.prompt_tokens or 0) + (answer.completion_tokens or 0)
-                    return answer, slot.sent_at
-            again = failed.retried and len(failures) + 1 < options.tries and (asked or 0.0) <= options.longest_wait
+                    limiter.answered()
+                    return answer, sent_at
+            again = failed.retried and len(failures) + 1 < options.tries and (asked or 0.0) <= LONGEST_WAIT
             bound = min(LONGEST_BACKOFF, options.backoff * 2 ** len(failures))
-            wait = random.uniform(0, bound) if asked is None else asked
-            # After the end of the run's time there is nothing to wait for.
-            wait = min(wait, limiter.seconds_left) if again else 0.0
+            wait = (random.uniform(0, bound) if asked is None else asked) if again else 0.0
             failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait))
             if not again:
                 raise failed
@@ -287,24 +286,21 @@ def log_text(flown: PilotedEpisode, model: str) -> str:
 
 def summary_lines(result: RunResult) -> list[str]:
     """The result of a run, for people: the score of the flights that count, the outcomes of answers, the verdict."""
-    counted = [flight for flight in result.flights if flight.status != "errored"]
-    found = Counter(turn for flight in result.flights for turn in flight.turns)
-    outcomes: dict[TurnKind, int] = {name: found[name] for name in TURN_KINDS}
-    waits = sum(error is not None for flight in result.flights for error in flight.step_errors)
-    errored = len(result.flights) - len(counted)
-    unfinished = sum(not flight.episode.ended for flight in counted)
-    lines, unusable = list[str](), Unusable.among(outcomes)
-    mean = Summary.of(results_of(result.config, [PilotedRecord.of(flight) for flight in result.flights], {})).score
+    records = [PilotedRecord.of(flight) for flight in result.flights]
+    counted = [record for record in records if record.status != "errored"]
+    turns: dict[TurnKind, int] = {name: sum(record.turns[name] for record in records) for name in TURN_KINDS}
+    unusable, lines = Unusable.among(turns), list[str]()
+    mean = Summary.of(results_of(result.config, records, {})).score
     if mean is not None:
-        success = sum(flight.episode.success for flight in counted)
+        success = sum(record.success for record in counted)
         flights = f"{len(counted)} flights, {success} delivered everything"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
-    lines.append(f"errored and left out: {errored}; unfinished, counted as waiting to the end: {unfinished}")
-    lines.append(f"answers: {', '.join(f'{name} {count}' for name, count in outcomes.items())}; WAIT in place: {waits}")
-    if outcomes["truncated"]:
-        lines.append("truncated answers: a larger --max-answer-tokens leaves room for thoughts")
+    unfinished = sum(not record.ended for record in counted)
+    waits = sum(record.waits for record in records)
+    lines += [
+        f"errored and left out: {len(records) - len(counted)}; unfinished, counted as waiting to the end: {unfinished}",
+        f"answers: {', '.join(f'{name} {count}' for name, count in turns.items())}; WAIT in place: {waits}",
+    ]
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
-    lines.append(
-        f"verdict: {': '.join(filter(None, (verdict, result.reason)))}{unusable.mark and f'; {unusable.mark}'}"
-    )
-    return lines
+    said = ": ".join(filter(None, (verdict, result.reason)))
+    return [*lines, "; ".join(filter(None, (f"verdict: {said}", unusable.mark)))]

@@ -1,12 +1,9 @@
 """Which model is asked, where, and with which token: from the environment or `.env`, the environment first."""
 
-import os
-from difflib import get_close_matches
-from pathlib import Path
+import re
 from typing import Any
 from urllib.parse import urlsplit
 
-from dotenv import dotenv_values
 from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
@@ -84,27 +81,6 @@ def load_settings(api_base_url: str | None = None) -> InferenceSettings:
         raise InvalidValueError(text_of(error, str.upper)) from None
 
 
-def ignored_variables() -> dict[str, str]:
-    """Variables of the environment and of `.env` that look like settings and are none, and what may be meant.
-
-    Raises:
-        InvalidValueError: if `.env` is no text.
-    """
-    known = [name.upper() for name in InferenceSettings.model_fields]
-    load_settings()  # raises the errors of the file
-    written = dotenv_values(".env") if Path(".env").is_file() else {}
-    hints = {
-        name: "the server reads the environment alone, not .env"
-        for name in written
-        if name.startswith("DRONE_ENV_") and name not in os.environ
-    }
-    for name in {*written, *os.environ}:
-        match = get_close_matches(name.upper(), known, 1, 0.9)
-        if match and name.upper() not in known:
-            hints[name] = f"is not a setting and is ignored; is {match[0]} meant?"
-    return dict(sorted(hints.items()))
-
-
 def check_url(url: str) -> str:
     """An endpoint's address without a slash at its end.
 
@@ -114,12 +90,11 @@ def check_url(url: str) -> str:
     """
     try:
         parts = urlsplit(url)
-        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0 and "@" not in parts.netloc
     except ValueError:
-        # Not quoted: it may hold a password.
-        raise InvalidValueError("API_BASE_URL is no address of the form http(s)://HOST[:PORT][/PATH]") from None
-    # A password in the address would end up in the run folder.
-    if not usable or not url.isprintable() or "@" in parts.netloc or parts.query or parts.fragment:
+        usable = False
+    # Not quoted: it may hold a password, which would end up in the run folder.
+    if not usable or not url.isprintable() or "?" in url or "#" in url:
         raise InvalidValueError(
             "API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password, query or fragment, and "
             "without anything unprintable"
@@ -142,10 +117,9 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
     if secret is None:
         if host in LOOPBACK:
             return None
-        other = ", or OPENAI_API_KEY alone to ask OpenAI" if "api_base_url" not in settings.model_fields_set else ""
-        raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env{other}")
+        raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
     token = secret.get_secret_value().strip()
-    if not token or not token.isascii() or not token.isprintable() or any(letter in " \"'\\" for letter in token):
+    if not re.fullmatch(r"[!#-&(-[\]-~]+", token):
         # Quoted in JSON, quotes and backslashes look different, and would not be found and taken out.
         raise InvalidValueError(
             f"{name} must be printable ASCII without spaces, quotes and backslashes, as a header has to carry it"

@@ -8,14 +8,13 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import locked, read_file, read_lines, write_text
+from drone_env.files import read_file, read_lines
 from drone_env.llm.answers import Answer
 from drone_env.llm.content import ChatMessage
 from drone_env.models import Count, Message
@@ -90,28 +89,26 @@ def digest(value: object) -> str:
 
 
 class Transcript:
-    """A transcript to read from and append to. Not thread-safe.
+    """A transcript to read from and append to, in a locked run folder. Not thread-safe.
 
     Args:
         path: The file; it is created if it is missing, and a cut last line is removed.
 
     Raises:
         OSError: if it cannot be opened.
-        InvalidValueError: if a line is not a call, or another process writes to the file.
+        InvalidValueError: if a line is not a call.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.calls: list[Call] = []
-        with ExitStack() as opened:
-            opened.enter_context(locked(path.with_suffix(".lock"), f"another process writes to {path}"))
-            self._file = opened.enter_context(path.open("ab+", buffering=0))
-            end = 0
-            for size, call in read_calls(path):
-                end += size
-                self.calls.append(call)
-            self._file.truncate(end)
-            self._opened = opened.pop_all()
+        path.touch()
+        end = 0
+        for size, call in read_calls(path):
+            end += size
+            self.calls.append(call)
+        self._file = path.open("ab", buffering=0)
+        self._file.truncate(end)
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
     def append(self, call: Call) -> None:
@@ -132,9 +129,8 @@ class Transcript:
 
     def close(self) -> None:
         """Sync and close the file."""
-        if not self._file.closed:
-            os.fsync(self._file.fileno())
-            self._opened.close()
+        os.fsync(self._file.fileno())
+        self._file.close()
 
 
 def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
@@ -156,40 +152,12 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
         yield len(line), call
 
 
-class AnswerCache:
-    """A folder of paid answers that runs share, one file each.
-
-    Args:
-        folder: Created if it is missing.
+def cached_answer(path: Path) -> Answer | None:
+    """The answer in a file of the cache of paid answers, if it is there.
 
     Raises:
-        OSError: if it cannot be created.
+        InvalidValueError: if the file is not an answer.
     """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def get(self, key: str) -> Answer | None:
-        """The answer under a key, if there is one.
-
-        Raises:
-            InvalidValueError: if the file is not an answer.
-        """
-        path = self._path(key)
-        if not path.exists():
-            return None
-        return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")
-
-    def put(self, key: str, answer: Answer) -> None:
-        """Store an answer.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        path = self._path(key)
-        path.parent.mkdir(exist_ok=True)
-        write_text(path, answer.model_dump_json())
-
-    def _path(self, key: str) -> Path:
-        return self._folder / key[:2] / f"{key}.json"
+    if not path.exists():
+        return None
+    return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")

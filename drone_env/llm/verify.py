@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.llm.answers import Reading, read_answer
+from drone_env.llm.answers import Reading
 from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.content import ChatMessage
 from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
@@ -61,14 +61,14 @@ def verified_run(path: Path) -> VerifiedRun:
 
     async def replayed(ended: PilotedRecord) -> PilotedEpisode:
         flown = PilotedEpisode.begin(config, ended.flight)
-        body, words = bodies[flown.repeat], prompt.symbols_of(flown.episode.task, flown.episode.seed).actions
+        body = bodies[flown.repeat]
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             call = answers.get(key)
             if call is not None and call.answer is not None:
                 call.require_same(messages, digest({"body": body, "messages": messages}), body.get("seed"))
                 used.add(key)
-                return read_answer(call.answer, prompt.plan, prompt.marks, words)
+                return prompt.read(call.answer)
             # After the last answer the flight ended as its result says, which is compared with the rest of it.
             if ended.status == "errored" and key in failed:
                 raise CallFailedError(ended.error or "")

@@ -65,15 +65,11 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, tmp_path: Path
     assert turns["repaired"] == sum(turns.values())
 
 
-def test_drawn_names_and_pictures_are_what_a_model_is_asked_by(endpoint: Start, tmp_path: Path) -> None:
-    log = evaluated(endpoint(pilot="greedy"), tmp_path, {"prompt": "minimal-drawn", "episodes": 1})
-    result = log.samples[0].scores["graded"].metadata["result"]
-    assert (result["turns"]["ok"], len(result["names"])) == (result["steps"], 11)
+def test_pictures_are_what_a_model_is_asked_by(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="WAIT")
     evaluated(scripted, tmp_path, {"prompt": "vision", "episodes": 1}, token_limit=500)
-    picture, text = scripted.requests()[0]["body"]["messages"][1]["content"]
+    picture, _ = scripted.requests()[0]["body"]["messages"][1]["content"]
     assert picture["image_url"]["url"].startswith("data:image/png;base64,iVBOR")
-    assert text["text"].startswith("Position: ")
 
 
 @pytest.mark.parametrize("limit", [{"token_limit": 500}, {"time_limit": 2}])

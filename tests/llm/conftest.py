@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -9,7 +10,6 @@ import urllib.error
 import urllib.request
 from collections import Counter
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,11 @@ from tests.tools import reserved_port
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "sk-test-0123456789"
+LINE = re.compile(
+    r"\[START\] task=\S+ env=drone_env_v1 model=scripted"
+    r"|\[STEP\] step=\d+ action=(?:UP|DOWN|LEFT|RIGHT|WAIT) reward=\d\.\d\d done=(?:true|false) error=\w+"
+    r"|\[END\] success=(?:true|false) steps=\d+ score=0\.\d{3} rewards=(?:\d\.\d\d(?:,\d\.\d\d)*)?"
+)
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -112,12 +117,11 @@ def tell(url: str, script: dict[str, Any]) -> None:
     urllib.request.urlopen(f"{url}/script", json.dumps(script).encode(), timeout=60).close()
 
 
-@contextmanager
-def serving_scripts(errors: Any = None) -> Generator[str, None, None]:
-    """The address of a process that scripted endpoints are in; `errors` is the file for its standard error."""
-    port = reserved_port()
+@pytest.fixture(scope="session")
+def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
+    """The address of the process that all scripted endpoints are in."""
+    log, port = tmp_path_factory.mktemp("scripted") / "errors.log", reserved_port()
     command = [sys.executable, str(Path(__file__).with_name("scripted_server.py")), str(port)]
-    process = subprocess.Popen(command, env=environment(), stderr=errors)
 
     def answers() -> bool:
         try:
@@ -126,20 +130,14 @@ def serving_scripts(errors: Any = None) -> Generator[str, None, None]:
             return False
         return True
 
-    try:
-        wait_until(answers, process)
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.fixture(scope="session")
-def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
-    """The address of the process that all scripted endpoints are in."""
-    log = tmp_path_factory.mktemp("scripted") / "errors.log"
-    with log.open("wb") as errors, serving_scripts(errors) as address:
-        yield address
+    with log.open("wb") as errors:
+        process = subprocess.Popen(command, env=environment(), stderr=errors)
+        try:
+            wait_until(answers, process)
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            process.kill()
+            process.wait()
     assert log.read_text() == ""
 
 
@@ -158,3 +156,25 @@ def endpoint(
         return opened[-1]
 
     return start
+
+
+def blocks(out: str) -> list[list[str]]:
+    """The lines of each flight; fails where anything else is printed or flights are mixed."""
+    flights: list[list[str]] = []
+    for line in out.splitlines():
+        assert LINE.fullmatch(line), line
+        if line.startswith("[START]"):
+            assert not flights or flights[-1][-1].startswith("[END]")
+            flights.append([])
+        flights[-1].append(line)
+    for lines in flights:
+        assert lines[-1].startswith("[END]")
+        assert [int(line.split()[1][5:]) for line in lines[1:-1]] == list(range(1, len(lines) - 1))
+    return flights
+
+
+def verified(done: Infer) -> None:
+    """Every flight replays, and nothing holds the token."""
+    assert main(["replay", str(done.folder / "episodes.jsonl"), "--verify"]) == 0
+    assert not any(TOKEN in path.read_text() for path in done.folder.iterdir())
+    assert TOKEN not in done.out + done.err

@@ -77,7 +77,6 @@ def run_config(
         "prompt_digest": chosen.digest,
         "history": 0,
         "answers": "text",
-        "stream": False,
         "sampling": Sampling(),
     }
     return RunConfig.model_validate(fields | change)
@@ -97,34 +96,24 @@ class Flown:
         return [turn for flight in self.result.flights for turn in flight.turns]
 
 
-def fly(url: str, folder: Path, options: Options, **change: Any) -> Flown:
-    """Fly a run against an endpoint, one request at a time, whose waits take no time."""
-    config, clock = run_config(base_url=url, **change), VirtualClock()
-    limiter = RateLimiter(dataclasses.replace(options, concurrency=1), clock)
+def fly(at: str | Scripted, folder: Path, options: Options | None = None, **change: Any) -> Flown:
+    """Fly a run whose waits take no time: against an endpoint or a scripted model, one request at a time by default."""
+    options = options or Options(concurrency=1)
+    config = run_config(**change, **({"base_url": at} if isinstance(at, str) else {}))
+    clock = VirtualClock()
+    sender = Endpoint(config, None, options.timeout) if isinstance(at, str) else at
     with closing(RunFolder(folder, config, resume=False)) as opened:
-        result = asyncio.run(run(config, opened, Endpoint(config, None, options.timeout), limiter, Observer()))
+        result = asyncio.run(run(config, opened, sender, RateLimiter(options, clock), Observer()))
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
 
 
-def put_run(data: Path, name: str, pilot: str, seeds: range, task: str = "easy", **change: Any) -> Path:
-    """Fly a run and keep it as `drone-env infer` does: its folder, and its flights in the store.
-
-    Args:
-        data: The data folder.
-        name: Of the run's folder.
-        pilot: See `Scripted`.
-        seeds: The maps.
-        task: The task.
-        change: Further fields of the configuration.
-    """
-    config, limiter = run_config(task=task, seeds=seeds, **change), RateLimiter(Options(concurrency=1))
+def put_run(data: Path, name: str, pilot: str, seeds: range, **change: Any) -> Path:
+    """Fly a run by a pilot of `Scripted`, and store its flights as `drone-env infer` does; its folder."""
+    folder = data / RUNS / name
     # In a thread of its own, since the event loop of a browser's test runs in this one.
-    with (
-        closing(RunFolder(data / RUNS / name, config, resume=False)) as folder,
-        ThreadPoolExecutor(1) as thread,
-        Store(data) as store,
-    ):
-        flown = thread.submit(asyncio.run, run(config, folder, Scripted(pilot), limiter, Observer())).result()
-        for flight in flown.flights:
-            folder.keep(flight, store)
-    return folder.path
+    with ThreadPoolExecutor(1) as thread, Store(data) as store:
+        flown = thread.submit(fly, Scripted(pilot), folder, seeds=seeds, **change).result()
+        with closing(RunFolder(folder, flown.result.config, resume=True)) as opened:
+            for flight in flown.result.flights:
+                opened.keep(flight, store)
+    return folder

@@ -1,10 +1,10 @@
 """An OpenAI-compatible server that does as it is told: `python scripted_server.py PORT`.
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
-for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, all in the words that the prompt has
-drawn, or a text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, and `faults`: a list of
-[first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request is a line
-in the log before it is answered, and a second line when that is over, however it was answered.
+for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, or a text to answer with), `repair`
+(the same, for repair prompts), `latency` in seconds, and `faults`: a list of [first, last, fault] by the number of the
+request from 0, where the first that covers it holds. Each request is a line in the log before it is answered, and a
+second line when that is over, however it was answered.
 """
 
 import asyncio
@@ -48,154 +48,90 @@ def reply(pilot: str, prompt: str) -> str:
     return pilot
 
 
-def in_words(said: str, rules: str) -> str:
-    """The same in the words for actions that are drawn for a map, if any are."""
-    drawn = re.findall(r"\b([A-Z]+) is [xy] [+-] 1", rules)
-    words = dict(zip(Action.__members__, drawn, strict=False))
-    return re.sub("[A-Z]+", lambda found: words.get(found[0], found[0]), said)
-
-
 def text_of(content: str | list) -> str:
     """The text of a message, which may have a picture beside it."""
     return content if isinstance(content, str) else "".join(part.get("text", "") for part in content)
 
 
-class Channel:
-    """One scripted endpoint."""
-
-    def __init__(self, script: dict) -> None:
-        self._path = Path(script["log"])
-        self.script = script
-        self.count = 0
-
-    def log(self, line: dict) -> None:
-        with self._path.open("a") as file:
-            file.write(json.dumps(line) + "\n")
+channels: dict[str, dict] = {}
+"""The script of each endpoint, and how many requests it got (`count`)."""
 
 
-class Server:
-    def __init__(self) -> None:
-        self.channels: dict[str, Channel] = {}
+def log(script: dict, line: dict) -> None:
+    with Path(script["log"]).open("a") as file:
+        file.write(json.dumps(line) + "\n")
 
-    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            while await self.answer(reader, writer):
-                pass
-        except (ConnectionError, asyncio.IncompleteReadError):
-            pass
-        finally:
-            writer.close()
 
-    async def answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
-        head = (await reader.readuntil(b"\r\n\r\n")).decode()
-        headers = {
-            name.lower(): value.strip()
-            for name, _, value in (line.partition(":") for line in head.splitlines()[1:] if line)
-        }
-        body = json.loads(await reader.readexactly(int(headers.get("content-length", 0))) or b"{}")
-        _, name, what = head.split()[1].split("/", 2)
-        if what == "script":
-            self.channels[name] = Channel(body)
-            self.send(writer, 200, "{}")
-            return True
-        assert what == "v1/chat/completions", what
-        channel = self.channels[name]
-        script = channel.script
-        index, channel.count = channel.count, channel.count + 1
-        call = headers.get("x-client-request-id", "")
-        fault = next((f for first, last, f in script.get("faults", []) if first <= index <= last), None)
-        port = writer.get_extra_info("peername")[1]
-        line = {"call": call, "fault": fault, "headers": headers, "body": body, "port": port}
-        channel.log(line)
-        try:
-            await asyncio.sleep(script.get("latency", 0))
-            return await self.respond(writer, script, body, fault)
-        finally:
-            channel.log({"over": call})
+async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    try:
+        while await answer(reader, writer):
+            await writer.drain()
+    except (ConnectionError, asyncio.IncompleteReadError):
+        pass
+    finally:
+        writer.close()
 
-    async def respond(self, writer: asyncio.StreamWriter, script: dict, body: dict, fault: object) -> bool:
-        """Answer as the script says, and whether the connection stays open."""
-        if fault == "hang":
-            await asyncio.sleep(3600)
-        if fault == "cut":
-            return False
+
+async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
+    """Answer a request as the script says, and whether the connection stays open."""
+    start, *lines = (await reader.readuntil(b"\r\n\r\n")).decode().splitlines()
+    headers = {name.lower(): value.strip() for name, _, value in (line.partition(":") for line in lines if line)}
+    body = json.loads(await reader.readexactly(int(headers.get("content-length", 0))) or b"{}")
+    _, name, what = start.split()[1].split("/", 2)
+    if what == "script":
+        channels[name] = {**body, "count": 0}
+        send(writer, {"sends": "{}"})
+        return True
+    assert what == "v1/chat/completions", what
+    script = channels[name]
+    index, script["count"] = script["count"], script["count"] + 1
+    call = headers.get("x-client-request-id", "")
+    fault = next((f for first, last, f in script.get("faults", []) if first <= index <= last), None)
+    port = writer.get_extra_info("peername")[1]
+    log(script, {"call": call, "fault": fault, "headers": headers, "body": body, "port": port})
+    try:
+        await asyncio.sleep(3600 if fault == "hang" else script.get("latency", 0))
         if fault == "cut_body":
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
             await writer.drain()
+        if isinstance(fault, str):
             return False
-        if isinstance(fault, dict):
-            error = {"error": {"message": fault.get("message", f"scripted {fault.get('status')}"), "type": "scripted"}}
-            sent = fault.get("sends") or json.dumps(error)
-            self.send(writer, fault.get("status", 200), sent, fault.get("headers", {}))
-            return True
-        texts = [text_of(message["content"]) for message in body["messages"]]
-        prompt = next(text for text in reversed(texts) if "Position:" in text)
-        pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
-        said = reply(pilot, prompt)
-        said = said if said == pilot else in_words(said, texts[0])
-        message = {"role": "assistant", "content": said, **script.get("message", {})}
-        if body.get("tools"):
-            function = body["tools"][0]["function"]["name"]
-            arguments = json.dumps({"direction": message["content"]})
-            message["tool_calls"] = [
-                {"id": "1", "type": "function", "function": {"name": function, "arguments": arguments}}
-            ]
-            message["content"] = None
-        elif body.get("response_format"):
-            message["content"] = json.dumps({"direction": message["content"]})
-        reason = script.get("finish_reason", "stop")
-        usage = None if script.get("no_usage") else {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
-        common = {"id": "x", "created": 0, "model": body["model"]}
-        if body.get("stream"):
-            await self.stream(writer, common, message, reason, usage, fault)
-            if fault == "cut_stream":
-                return False
-        else:
-            choice = {"index": 0, "message": message, "finish_reason": reason}
-            sent = {**common, "object": "chat.completion", "choices": [choice], "usage": usage}
-            self.send(writer, 200, json.dumps(sent))
-        await writer.drain()
+        send(writer, fault or {"sends": json.dumps(completion(script, body))})
         return True
+    finally:
+        log(script, {"over": call})
 
-    async def stream(self, writer, common, message, reason, usage, fault) -> None:
-        writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nTransfer-Encoding: chunked\r\n\r\n")
 
-        def event(text: str) -> None:
-            data = f"data: {text}\n\n".encode()
-            writer.write(b"%x\r\n%s\r\n" % (len(data), data))
+def completion(script: dict, body: dict) -> dict:
+    """What the pilot of the script says to a request."""
+    texts = [text_of(message["content"]) for message in body["messages"]]
+    prompt = next(text for text in reversed(texts) if "Position:" in text)
+    pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
+    message = {"role": "assistant", "content": reply(pilot, prompt), **script.get("message", {})}
+    in_json = json.dumps({"direction": message["content"]})
+    if body.get("tools"):
+        function = {"name": body["tools"][0]["function"]["name"], "arguments": in_json}
+        message |= {"content": None, "tool_calls": [{"id": "1", "type": "function", "function": function}]}
+    elif body.get("response_format"):
+        message["content"] = in_json
+    usage = None if script.get("no_usage") else {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
+    choice = {"index": 0, "message": message, "finish_reason": script.get("finish_reason", "stop")}
+    common = {"id": "x", "object": "chat.completion", "created": 0, "model": body["model"]}
+    return {**common, "choices": [choice], "usage": usage}
 
-        def chunk(delta: dict, finish: str | None) -> str:
-            choice = {"index": 0, "delta": delta, "finish_reason": finish}
-            return json.dumps({**common, "object": "chat.completion.chunk", "choices": [choice]})
 
-        for name in ("reasoning_content", "refusal", "content"):
-            text = message.get(name) or ""
-            step = max(1, len(text) // 3)
-            for start in range(0, len(text), step):
-                event(chunk({name: text[start : start + step]}, None))
-        for call in message.get("tool_calls", []):
-            event(chunk({"tool_calls": [{"index": 0, **call}]}, None))
-        if fault == "cut_stream":
-            await writer.drain()
-            return
-        event(chunk({}, reason))
-        event(json.dumps({**common, "object": "chat.completion.chunk", "choices": [], "usage": usage}))
-        event("[DONE]")
-        if fault == "open_stream":
-            await writer.drain()
-            await asyncio.sleep(3600)
-        writer.write(b"0\r\n\r\n")
-
-    def send(self, writer, status: int, text: str, headers: dict | None = None) -> None:
-        data = text.encode()
-        more = "".join(f"{name}: {value}\r\n" for name, value in (headers or {}).items())
-        start = f"HTTP/1.1 {status} Scripted\r\nContent-Type: application/json\r\nContent-Length: {len(data)}\r\n{more}"
-        writer.write(f"{start}\r\n".encode() + data)
+def send(writer: asyncio.StreamWriter, response: dict) -> None:
+    """Send a response of `status`, `headers`, and either `sends`, its text, or the `message` of an error."""
+    status = response.get("status", 200)
+    error = {"error": {"message": response.get("message", f"scripted {status}"), "type": "scripted"}}
+    data = (response.get("sends") or json.dumps(error)).encode()
+    headers = {"Content-Type": "application/json", "Content-Length": len(data), **response.get("headers", {})}
+    lines = [f"HTTP/1.1 {status} Scripted", *(f"{name}: {value}" for name, value in headers.items()), "", ""]
+    writer.write("\r\n".join(lines).encode() + data)
 
 
 async def main(port: str) -> None:
-    server = Server()
-    async with await asyncio.start_server(server.serve, "127.0.0.1", int(port), limit=1 << 26, backlog=4096) as running:
+    async with await asyncio.start_server(serve, "127.0.0.1", int(port), limit=1 << 26, backlog=4096) as running:
         await running.serve_forever()
 
 

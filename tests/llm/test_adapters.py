@@ -6,7 +6,6 @@ import sys
 
 import pytest
 
-from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError
@@ -19,8 +18,7 @@ def test_a_flight_by_tool_calls() -> None:
     # Map 14 of easy by hand, as in the tests of `fly`.
     drone = DroneEnvironment("score")
     told = drone.reset(prompt=[], task="easy", seed=14)
-    episode = Episode("easy")
-    episode.reset(14)
+    episode = Episode("easy", seed=14)
     x, y = episode.position
     assert f"Position: ({x}, {y})" in told
     assert drone.fly("LEFT") == (
@@ -40,18 +38,15 @@ def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
     assert " Below the drone: " in drone.fly("WAIT")
 
 
-def test_the_reward_is_what_the_profile_pays() -> None:
-    for profile in ("score", "tiered", "aligned"):
-        undiscounted = profile_for_discount(get_reward_profile(profile), 1)
-        drone, episode = DroneEnvironment(profile), Episode("hard", undiscounted)
-        drone.reset(task="hard", seed=3)
-        episode.reset(3)
-        for action in solve("hard", 3).actions[:5]:
-            drone.fly(action.name)
-            episode.step(action)
-        while not episode.ended:
-            episode.step(Action.WAIT)
-        assert drone.get_reward() == episode.reward_total
+@pytest.mark.parametrize("profile", ["tiered", "aligned"])
+def test_the_reward_is_what_the_profile_pays_to_the_end(profile: str) -> None:
+    drone = DroneEnvironment(profile)
+    drone.reset(task="hard", seed=3)
+    actions = solve("hard", 3).actions[:5]
+    for action in actions:
+        drone.fly(action.name)
+    episode = Episode("hard", profile_for_discount(get_reward_profile(profile), 1), 3).fly(actions)
+    assert drone.get_reward() == episode.waited_out().reward_total
 
 
 def test_the_only_tool_is_fly_and_bad_calls_are_told() -> None:

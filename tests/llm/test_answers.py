@@ -11,30 +11,22 @@ from drone_env.llm.answers import Answer, Unusable, read_answer
     [
         ("UP", "ok"),
         (" up \n", "ok"),
-        ("`LEFT`", "ok"),
         ('"WAIT".', "ok"),
         ('{"direction": "DOWN"}', "ok"),
-        ("```\nRIGHT\n```", "ok"),
         ("```text\nRIGHT\n```", "ok"),
         ('```json{"action": "UP"}```', "ok"),
         ("```RIGHT```", "ok"),
         ("```", "parse_error"),
         ("```json" + " \n" * 10_000 + "x", "parse_error"),
         ("reasoned in the prompt's own block</think>\n\nRIGHT", "ok"),
-        ("UP UP", "parse_error"),
         ("UP or DOWN", "parse_error"),
         ("Not UP, but DOWN.", "parse_error"),
         ('{"action": "UP", "then": "DOWN"}', "parse_error"),
-        ('{"action": ["UP"]}', "parse_error"),
         ('{"flight": "UP"}', "parse_error"),
-        ('{"then": "DOWN", "action": "UP"}', "parse_error"),
         ('{"action": "UP"', "parse_error"),
         ("[" * 100_000, "parse_error"),
-        ("0", "parse_error"),
         ("<think>UP", "truncated"),
-        ("<think></think>", "parse_error"),
         ("Upwards", "illegal"),
-        ("I can't do that.", "refusal"),
         ("I cannot do that.", "refusal"),
     ],
 )
@@ -52,10 +44,6 @@ def test_one_action(text: str, kind: str) -> None:
 )
 def test_answers_that_the_endpoint_marks(marks: dict[str, str], kind: str) -> None:
     assert read_answer(Answer(text="RIGHT", **marks), plan=False).kind == kind
-
-
-def test_an_answer_of_thoughts_alone_is_told() -> None:
-    assert read_answer(Answer(text="", reasoning="Up?"), False).reason == "there is only reasoning and no answer"
 
 
 @pytest.mark.parametrize(
@@ -80,17 +68,13 @@ def test_half_a_character_can_be_kept() -> None:
     ("text", "expected"),
     [
         ('{"actions": ["RIGHT", "up"]}', [Action.RIGHT, Action.UP]),
-        ('["RIGHT", "UP"]', [Action.RIGHT, Action.UP]),
         ("RIGHT, UP", [Action.RIGHT, Action.UP]),
         ("right -> up\nDOWN", [Action.RIGHT, Action.UP, Action.DOWN]),
         ("RIGHT", [Action.RIGHT]),
         ("```RIGHT UP```", [Action.RIGHT, Action.UP]),
-        ("```plain RIGHT UP```", [Action.RIGHT, Action.UP]),
         ('{"actions": []}', "parse_error"),
         ('{"actions": ["RIGHT", 3]}', "parse_error"),
         ("First RIGHT, then UP!", "parse_error"),
-        ("Let us go north", "parse_error"),
-        ('{"route": ["RIGHT"]}', "parse_error"),
         ('{"actions": ["RIGHT", "FORWARD"]}', "illegal"),
     ],
 )
@@ -114,15 +98,12 @@ MARKS = ("ACTION:", "Answer:", r"\boxed{}")
         ("```\nACTION: LEFT\n```", [Action.LEFT]),
         ("<think>ACTION: UP</think>ACTION: LEFT", [Action.LEFT]),
         ("RIGHT", [Action.RIGHT]),
-        ('{"direction": "RIGHT"}', [Action.RIGHT]),
         # The last marked line counts, whatever the ones before it say, and nothing is guessed in its place.
         ("ACTION: UP\nACTION: NORTH", "illegal"),
         ("ACTION: UP\nACTION: up or down", "parse_error"),
-        ("ACTION: UP\nANSWER:", "parse_error"),
         (r"\boxed{UP} or \boxed{DOWN}", "parse_error"),
         (r"ACTION: UP, not \boxed{DOWN}", "parse_error"),
         ("<think>ACTION: UP</think>Let us go up.", "parse_error"),
-        ("My ACTION: UP", "parse_error"),
         ("Final move: UP", "parse_error"),
         ("I can't do that.", "refusal"),
         ("ACTION: UP" + " " * 100_000 + "x", "parse_error"),
@@ -140,8 +121,6 @@ def test_marks_count_only_where_the_prompt_allows_them() -> None:
     assert read_answer(Answer(text=r"\boxed{UP}"), False, MARKS[:2]).kind == "parse_error"
     unmarked = read_answer(Answer(text="Let us go up."), False, MARKS)
     assert unmarked.reason == "the answer is not one action, and has no line with ACTION:"
-    marked = read_answer(Answer(text="ACTION: go up"), False, MARKS)
-    assert marked.reason == "the last line with ACTION: is not one action"
 
 
 def test_a_route_behind_thoughts() -> None:

@@ -1,39 +1,27 @@
 """Which prompt a run asks by: one that lets think, one of your own, several beside each other, that of an old run."""
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
 
 import pytest
 
-from drone_env.cli import main
 from drone_env.core.seeds import SPLITS
-from drone_env.llm.prompt import FOLDER
 from drone_env.planning.optimal import solve
 from drone_env.results.statistics import DIFFERENCES, ci95
 
-from .conftest import Endpoint
-from .log_lines import verified
+from .conftest import Endpoint, verified
 
 Start = Callable[..., Endpoint]
-OWN = (
-    """
+OWN = """
 format = 1
 plan = false
 marks = ["MOVE:"]
-system = """
-    + '''"""
-Fly! {% include "rules-2.j2" %}
-"""
-user = """
-{% include "drone-2.j2" %}
-Parcels to deliver: {{ parcels }}
-"""
+system = '{% include "rules-2.j2" %}'
+user = '{% include "drone-2.j2" %}'
 repair = "{{ reason }}"
-'''
-)
+"""
 
 
 def test_a_model_may_think_aloud(endpoint: Start) -> None:
@@ -42,9 +30,6 @@ def test_a_model_may_think_aloud(endpoint: Start) -> None:
     start = SPLITS["test"].start
     assert [flight["score"] for flight in done.flights] == [solve("medium", start + i).score for i in range(2)]
     verified(done)
-    # Who asks for one word gets no thoughts for one.
-    silent = endpoint(pilot="aloud").infer("--seeds", "14:15", "--max-calls", "2")
-    assert silent.turns == {"parse_error": 1, "budget_stop": 1}
 
 
 def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
@@ -55,9 +40,9 @@ def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     assert (first.turns, first.status) == ({"ok": 2, "budget_stop": 1}, 3), first.err
     config = json.loads((first.folder / "run.json").read_text())
     assert (config["prompt"], config["prompt_text"]) == ("mine", OWN)
-    assert scripted.requests()[0]["body"]["messages"][0]["content"].startswith("Fly! The grid is 10 x 10:")
+    assert scripted.requests()[0]["body"]["messages"][0]["content"].startswith("The grid is 10 x 10:")
     # Another file is another run; without one, it goes on with its own.
-    mine.write_text(OWN.replace("Fly!", "Fly on!"))
+    mine.write_text(OWN.replace("{{ reason }}", "Again!"))
     again = ("--seeds", "14:15", "--resume", "--max-calls", "5")
     refused = scripted.infer(*again, "--prompt", str(mine), folder=first.folder)
     assert (refused.status, "prompt_digest: " in refused.err) == (2, True)
@@ -67,15 +52,7 @@ def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     verified(resumed)
 
 
-def test_the_command_says_what_a_prompt_does_not_tell(endpoint: Start) -> None:
-    fly = ("--task", "skyline_easy", "--seeds", "0:1", "--max-calls", "1")
-    done = endpoint(pilot="WAIT").infer(*fly, "--prompt", "original")
-    said = "prompt original-1 does not tell, on skyline_easy: the score and what ends a flight, "
-    assert done.err.startswith(said)
-    assert "does not tell" not in endpoint(pilot="WAIT").infer(*fly).err
-
-
-def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.CaptureFixture[str]) -> None:
+def test_prompts_beside_each_other_in_one_report(endpoint: Start) -> None:
     scripted = endpoint(pilot="able")
     prices = ("--price-prompt", "10", "--price-completion", "50")
     # On two of these maps the nearest parcel is not the best one to begin with.
@@ -95,14 +72,8 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.
     # A call is 100 tokens of prompt and 2 of answer; each map is flown twice.
     calls, points = single[1]["calls"]["answered"], 2 * sum(scores[1])
     assert greedy["tokens_per_point"] == pytest.approx(102 * calls / points)
-    assert greedy["usd_per_point"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6 / points)
     assert f"| {greedy['score']:.4f} ± " in (done.folder / "report.md").read_text()
     assert f"original-1: score {greedy['score']:.4f} ± " in done.err
-    # The folder of several runs stands for all of them.
-    capfd.readouterr()
-    assert main(["leaderboard", str(done.folder), "--json"]) == 0
-    (board,) = json.loads(capfd.readouterr().out)["boards"]
-    assert [row["config"]["prompt"] for row in board["rows"]] == ["coordinates-2", "original-1"]
     # What was flown is not paid again, and a prompt that is new is flown.
     asked = len(scripted.requests())
     more = scripted.infer(*fly, "--prompts", "coordinates", "original", "plan", "--resume", folder=done.folder)
@@ -112,13 +83,10 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.
 
 def test_prompts_that_cannot_be_compared_are_refused(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
-    copy = shutil.copy(FOLDER / "grid-2.toml", tmp_path)
     for arguments, why in (
-        (("--prompts", "grid", "grid-2"), "--prompts takes different prompts, got grid-2, grid-2"),
         (("--prompts", "grid", "plan", "--prompt", "grid"), "give it without --prompt"),
         (("--prompts", "grid", "plan", "--resume"), "there is no run in "),
         (("--prompt", str(tmp_path / "none.toml")), "none.toml"),
-        (("--prompt", str(copy)), "the package has a prompt of this name"),
     ):
         done = scripted.infer("--seeds", "14:15", *arguments)
         assert (done.status, why in done.err) == (2, True), done.err

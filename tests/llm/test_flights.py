@@ -1,33 +1,25 @@
 """`drone-env infer`: pilots that do as they are told score what the same moves score elsewhere."""
 
 import asyncio
-import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from decimal import Decimal
 from pathlib import Path
 
 import pytest
 
-from drone_env.cli import main
 from drone_env.core.seeds import SPLITS
 from drone_env.llm.answers import Answer
 from drone_env.llm.content import ChatMessage
-from drone_env.llm.endpoint import POOLS
-from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.options import Options
-from drone_env.llm.run_folder import RunFolder
-from drone_env.llm.runner import Observer, run
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
 
-from .conftest import ROOT, TOKEN, Endpoint, environment
-from .kept_run import Scripted, run_config
-from .log_lines import blocks, verified
+from .conftest import ROOT, TOKEN, Endpoint, blocks, environment, verified
+from .kept_run import Scripted, fly
 
 Start = Callable[..., Endpoint]
 MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "3"))
@@ -40,9 +32,7 @@ ROUTES = int(os.environ.get("DRONE_ENV_LLM_ROUTES", "30"))
 def test_log_lines_to_the_byte(endpoint: Start) -> None:
     """Of `python inference.py`, with its settings from .env and, before that, from the environment."""
     scripted = endpoint(pilot="greedy")
-    (scripted.folder / ".env").write_text(
-        f"OPENAI_API_KEY={TOKEN}\nAPI_BASE_URL={scripted.url}\nMODEL_NAME=from/dotenv\nDRONE_TASK=hard\n"
-    )
+    (scripted.folder / ".env").write_text(f"OPENAI_API_KEY={TOKEN}\nAPI_BASE_URL={scripted.url}\nDRONE_TASK=hard\n")
     # Map 14 of easy by hand.
     done = subprocess.run(
         [sys.executable, str(ROOT / "inference.py"), "--seeds", "14:15", "--no-report"],
@@ -67,8 +57,8 @@ def test_log_lines_to_the_byte(endpoint: Start) -> None:
     assert waiting.out.endswith("[END] success=false steps=60 score=0.010 rewards=" + ",".join(["0.10"] * 60) + "\n")
 
 
-@pytest.mark.parametrize("task", ["easy", "medium", "hard"])
-def test_a_perfect_pilot_scores_the_optimum(endpoint: Start, task: str) -> None:
+def test_a_perfect_pilot_scores_the_optimum(endpoint: Start) -> None:
+    task = "hard"
     done = endpoint(pilot="plan").infer("--task", task, "--episodes", str(ROUTES), "--prompt", "plan")
     assert done.status == 0, done.err
     assert done.turns == {"ok": ROUTES}
@@ -79,34 +69,24 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start, task: str) -> None:
     verified(done)
 
 
-@pytest.mark.parametrize("task", ["easy", "hard"])
-def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start, task: str) -> None:
-    done = endpoint(pilot="greedy").infer("--task", task, "--episodes", str(MAPS))
+def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy").infer("--task", "hard", "--episodes", str(MAPS))
     assert done.status == 0, done.err
     start = SPLITS["test"].start
-    greedy = run_episodes(episodes_key(task, "greedy", range(start, start + MAPS), "test"))
+    greedy = run_episodes(episodes_key("hard", "greedy", range(start, start + MAPS), "test"))
     assert [f["score"] for f in done.flights] == greedy.scores.tolist()
     assert [f["steps"] for f in done.flights] == greedy.steps.tolist()
 
 
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
-def test_connections_are_used_again(endpoint: Start, stream: str) -> None:
+def test_connections_are_used_again(endpoint: Start) -> None:
     scripted = endpoint(pilot="WAIT")
-    assert scripted.infer("--seeds", "14:15", stream).turns == {"ok": 60}
-    assert len({request["port"] for request in scripted.requests()}) <= POOLS
+    assert scripted.infer("--seeds", "14:15").turns == {"ok": 60}
+    assert len({request["port"] for request in scripted.requests()}) == 1
 
 
-def test_a_stream_is_over_with_its_mark_of_the_end(endpoint: Start) -> None:
-    done = endpoint(pilot="greedy", faults=[[0, 0, "open_stream"]]).infer("--seeds", "14:15", "--stream")
-    assert (done.turns, [len(call["failures"]) for call in done.calls]) == ({"ok": 3}, [0] * 3)
-
-
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
 @pytest.mark.parametrize("form", ["json", "tool"])
-def test_structured_output_and_tool_calls(endpoint: Start, form: str, stream: str) -> None:
-    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer(
-        "--seeds", "14:15", "--answers", form, stream
-    )
+def test_structured_output_and_tool_calls(endpoint: Start, form: str) -> None:
+    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer("--seeds", "14:15", "--answers", form)
     assert (done.turns, done.flights[0]["score"]) == ({"ok": 3}, 0.99), done.err
     assert {call["answer"]["reasoning"] for call in done.calls} == {"UP"}
 
@@ -123,11 +103,9 @@ def test_many_flights_have_their_requests_under_way_at_once(tmp_path: Path) -> N
             self.now -= 1
             return await super().send(messages, call_id, repeat)
 
-    config, sender = run_config(seeds=(0, 100)), Counting("greedy")
-    with closing(RunFolder(tmp_path / "run", config, resume=False)) as folder:
-        limiter = RateLimiter(Options(concurrency=60))
-        result = asyncio.run(run(config, folder, sender, limiter, Observer()))
-    assert (result.verdict, len(result.flights), sender.most) == ("valid", 100, 60)
+    sender = Counting("greedy")
+    flown = fly(sender, tmp_path / "run", Options(concurrency=60), seeds=(0, 100))
+    assert (flown.result.verdict, len(flown.result.flights), sender.most) == ("valid", 100, 60)
 
 
 def test_a_run_keeps_the_rewards_of_a_file_of_ones_own(endpoint: Start) -> None:
@@ -147,9 +125,7 @@ def test_a_run_keeps_the_rewards_of_a_file_of_ones_own(endpoint: Start) -> None:
     assert "another configuration: rewards" in other.err
 
 
-def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(
-    endpoint: Start, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(endpoint: Start) -> None:
     scripted = endpoint(pilot="NORTH")
     done = scripted.infer("--seeds", "14:15", "--report", "--no-moves")
     assert done.status == 0, done.err
@@ -165,15 +141,9 @@ def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(
     told, mark = "100.0% (60 of 60) !", "MARKED: 60 of 60 answers were unusable, more than 5%; the drone waited instead"
     assert f"mean score 0.0100 over 1 flights, 0 delivered everything; unusable answers: {told}\n" in done.err
     assert f"verdict: valid; {mark}\n" in done.err
-    figures = json.loads((done.folder / "report.json").read_text())
-    assert (figures["verdict"], figures["unusable"]["share"], figures["unusable"]["marked"]) == ("valid", 1, True)
     text = (done.folder / "report.md").read_text()
     assert f"**valid**; {mark}\n" in text
     assert f"| score (95 %) | 0.0100 |\n| unusable answers | {told} |\n" in text
-    assert mark in (done.folder / "report.html").read_text()
-    capfd.readouterr()
-    assert main(["leaderboard", str(done.folder)]) == 0
-    assert told in capfd.readouterr().out
 
 
 def test_bad_answers_are_repaired_once_then_wait(endpoint: Start) -> None:
@@ -186,7 +156,6 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start) -> None:
     assert [(call["turn"], call["attempt"]) for call in done.calls] == [(1, 1), (1, 2), (2, 1), (2, 2)]
     (lines,) = blocks(done.out)
     assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", "error=truncated"]] * 2
-    assert "a larger --max-answer-tokens" in done.err
     verified(done)
 
 

@@ -27,8 +27,7 @@ Start = Callable[..., Endpoint]
 def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     done = endpoint(pilot="greedy").infer("--task", "medium", "--episodes", "4", "--repeats", "2")
     assert done.status == 0, done.err
-    run = verified_run(done.folder)
-    figures = report(run, Prices(10, 50))
+    figures = report(verified_run(done.folder), Prices(10, 50))
     start = SPLITS["test"].start
     random, greedy, optimal = (
         summarise(run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")))
@@ -40,15 +39,10 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     assert figures["regret"] == pytest.approx(greedy["mean_regret"], abs=1e-12)
     normalised = (figures["score"] - random["mean_score"]) / (optimal["mean_score"] - random["mean_score"])
     assert figures["normalised"] == pytest.approx(normalised, abs=1e-12)
-    assert figures["pass_hat_k"] == {"1": 1.0, "2": 1.0}
     calls = len(done.calls)
     assert figures["calls"] == {"answered": calls, "cached": 0, "requests": calls, "without_usage": 0}
     assert figures["cost_usd"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6)
     assert (sum(figures["moves"]["labels"].values()), figures["moves"]["labels"]["blunder"]) == (calls, 0)
-    write_report(run, figures)
-    page = (done.folder / "report.html").read_text()
-    assert page.count("<svg") == 4
-    assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
 
 
 def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) -> None:
@@ -58,12 +52,9 @@ def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) ->
     four = ("--seeds", "14:15", "--repeats", "4", "--concurrency", "1", "--sampling-seed", "5")
     done = scripted.infer(*four)
     assert [flight["success"] for flight in done.flights] == [True, False, True, True]
-    # Each flight is another draw from the model, and the same one if the run goes on in its midst.
-    transcript = done.folder / "calls.jsonl"
-    transcript.write_text("".join(transcript.read_text().splitlines(keepends=True)[:-1]))
-    done = scripted.infer(*four, "--resume", folder=done.folder)
+    # Each flight is another draw from the model.
     seeds = [5] * 3 + [6] * 60 + [7] * 3 + [8] * 3
-    assert [request["body"]["seed"] for request in scripted.requests()] == [*seeds, 8]
+    assert [request["body"]["seed"] for request in scripted.requests()] == seeds
     assert [call["sampling_seed"] for call in done.calls] == seeds
     figures = report(verified_run(done.folder), moves=False)
     assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
@@ -102,21 +93,10 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     with pytest.raises(InvalidValueError, match="1 answers belong to no flight"):
         verified_run(folder)
     calls.write_text(whole)
-    assert verified_run(folder).results[0].score == 0.01
     for name in ("run.json", "episodes.jsonl", "calls.jsonl"):
         (folder / name).write_text((folder / name).read_text().replace('"scripted"', '"better"'))
     with pytest.raises(InvalidValueError, match="call 0-1-1 asks something else than this run"):
         verified_run(folder)
-
-
-def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:
-    done = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 500}]]).infer("--seeds", "14:16", "--tries", "1")
-    run = verified_run(done.folder)
-    figures = report(run)
-    write_report(run, figures)
-    assert (figures["score"], figures["regret"], figures["normalised"]) == (None, None, None)
-    assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (done.folder / "report.md").read_text()
-    assert (done.folder / "report.html").read_text().count("<svg") == 1
 
 
 def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) -> None:
@@ -141,27 +121,20 @@ def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_te
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
-    assert figures["turns"]["api_error"] == 1
     write_report(run, figures)
     page, text = (done.folder / "report.html").read_text(), (done.folder / "report.md").read_text()
     assert "<script" not in page + text
+    assert not re.search(r"<link|<img|src=|href=\"(?!#)", page)
     assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x![](http://h)") >= 3
     assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x!&#91;](http://h) |" in text
 
 
-def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
-    endpoint: Start, capfd: pytest.CaptureFixture[str]
+def test_the_leaderboard_ranks_whole_runs_and_names_the_others(
+    endpoint: Start, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     greedy = endpoint(pilot="greedy").infer("--seeds", "14:16").folder
     waiting = endpoint(pilot="WAIT").infer("--seeds", "14:16").folder
     short = endpoint(pilot="greedy").infer("--seeds", "14:16", "--max-calls", "4", "--concurrency", "1").folder
-    forged = endpoint(pilot="WAIT").infer("--seeds", "14:16").folder
-    # The forger writes a perfect flight, whose record replays; but that is not what the model answered.
-    episode = Episode("easy", seed=14).fly((2, 0, 0))
-    records = (forged / "episodes.jsonl").read_text().splitlines()
-    records[0] = record_of(episode, "scripted").to_json()
-    (forged / "episodes.jsonl").write_text("\n".join([*records, ""]))
-    assert main(["replay", str(forged / "episodes.jsonl"), "--verify"]) == 0
     capfd.readouterr()
     twice = str(greedy / ".." / greedy.name)
     assert main(["leaderboard", str(waiting), str(short), str(greedy), twice, "--json"]) == 0
@@ -169,30 +142,15 @@ def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
     (board,) = found["boards"]
     assert [row["path"] for row in board["rows"]] == [str(greedy), str(waiting)]
     assert [run["path"] for run in found["refused"]] == [str(short)]
-    assert main(["leaderboard", str(forged), str(greedy)]) == 1
-    out, err = capfd.readouterr()
-    assert f"not ranked: {forged}: " in err
-    assert "not what the model's answers come to" in err
-    assert "scripted" in out
-
-
-def test_the_leaderboard_says_which_folders_hold_no_flights(
-    endpoint: Start, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    killed = endpoint(pilot="greedy").infer("--seeds", "14:15").folder
     for name in ("episodes.jsonl", "flights.jsonl"):
-        (killed / name).unlink()
-    capfd.readouterr()
+        (short / name).unlink()
     # Such a run is no forged one.
-    assert main(["leaderboard", str(killed)]) == 0
-    assert f"not ranked: {killed}: no flights yet: it is under way, or was killed" in capfd.readouterr().err
+    assert main(["leaderboard", str(short)]) == 0
+    assert f"not ranked: {short}: no flights yet: it is under way, or was killed" in capfd.readouterr().err
     (tmp_path / "empty").mkdir()
-    (tmp_path / "file").touch()
-    for name, why in (("nowhere", "no such folder"), ("empty", "no results in it"), ("file", "no such folder")):
-        folder = tmp_path / name
-        assert main(["leaderboard", str(folder)]) == 1
-        told = f"not ranked: {folder}: {why}; give a folder of evaluate --out or infer --out\n"
-        assert capfd.readouterr().err == told
+    for name, why in (("nowhere", "no such folder"), ("empty", "no results in it")):
+        assert main(["leaderboard", str(tmp_path / name)]) == 1
+        assert f": {why}; give a folder of evaluate --out or infer --out\n" in capfd.readouterr().err
 
 
 def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(tmp_path: Path) -> None:
@@ -200,12 +158,21 @@ def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(tmp_path: Path)
     records, results = ((folder / name).read_text() for name in ("episodes.jsonl", "flights.jsonl"))
     first, second = records.splitlines(keepends=True)
     better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()
+    forged = record_of(Episode("easy", seed=14).fly((2, 0, 0)), "scripted").to_json()
     for changed, told in (
         ((records, results.replace('"waits":0', '"waits":1', 1)), "flight 0 is not what the model's answers come to"),
         ((f"{first}{better}\n", results), "flight 1: the record does not fit its flight: score"),
+        ((f"{forged}\n{second}", results), "flight 0 is not what the model's answers come to"),
         ((first, results.splitlines(keepends=True)[0]), "flight 1 was begun but is not among the results"),
     ):
         for name, text in zip(("episodes.jsonl", "flights.jsonl"), changed, strict=True):
             (folder / name).write_text(text)
         with pytest.raises(InvalidValueError, match=told):
             verified_run(folder)
+
+
+def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 500}]])
+    done = scripted.infer("--seeds", "14:16", "--tries", "1", "--report")
+    assert json.loads((done.folder / "report.json").read_text())["score"] is None
+    assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (done.folder / "report.md").read_text()

@@ -97,12 +97,10 @@ def test_settings_that_are_wrong_or_misspelt(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, empty_folder: Path
 ) -> None:
     monkeypatch.setenv("DRONE_ENV_TOKN", SECRET)
-    (empty_folder / ".env").write_text(f"HF_TOKN={SECRET}\nDRONE_ENV_PORT=9000\n")
     status, found = diagnosis(capsys)
     assert status == 0
-    for name, hint in (("DRONE_ENV_TOKN", "DRONE_ENV_TOKEN"), ("HF_TOKN", "HF_TOKEN"), ("DRONE_ENV_PORT", "not .env")):
-        assert found[name]["status"] == "attention"
-        assert hint in found[name]["detail"]
+    assert found["DRONE_ENV_TOKN"]["status"] == "attention"
+    assert "DRONE_ENV_TOKEN" in found["DRONE_ENV_TOKN"]["detail"]
     assert "HF_TOKEN" in found["llm"]["detail"]
 
     monkeypatch.setenv("DRONE_ENV_WORKERS", "many")

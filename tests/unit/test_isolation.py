@@ -16,13 +16,12 @@ from pathlib import Path
 import pytest
 
 from drone_env.files import data_folder
-from drone_env.llm.settings import ignored_variables, load_settings
+from drone_env.llm.settings import load_settings
 from drone_env.server.settings import Settings
 
 def test_environment():
     assert load_settings().hf_token is None
     assert load_settings().drone_task == "easy_delivery"
-    assert ignored_variables() == {}
     assert Settings() == Settings.model_construct()
     assert not {"PYTHONDONTWRITEBYTECODE", "NO_COLOR", "COLUMNS"} & os.environ.keys()
     data_folder().mkdir()
