@@ -151,7 +151,7 @@ class Trainer:
         while self.episodes < config.episodes:
             if not self.ended:  # a run may stop amid the episodes that one step ended
                 self.fly()
-                if self.steps > config.learning_starts and self.replay.can_sample(config.n_step):
+                if self.steps > config.learning_starts and self.replay.held > config.n_step:
                     self.updates_due += config.num_envs / config.steps_per_update
                 while self.updates_due >= 1:
                     self.learn()

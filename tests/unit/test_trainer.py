@@ -105,15 +105,12 @@ def test_it_flies_by_the_online_network_with_exploration() -> None:
     assert set(explorer.replay.actions[:10].ravel().tolist()) == set(range(5))
 
 
-def test_epsilon_and_learning_rate_decay() -> None:
-    linear = Trainer(SMALL)
-    assert linear.epsilon == 1
-    linear.steps, linear.episodes = 250, 10
-    assert linear.epsilon == pytest.approx(0.75)
-    assert linear.learning_rate == pytest.approx(0.75 * 5e-4 + 0.25 * 1e-5)
-    multiplicative = Trainer(replace(SMALL, exploration="multiplicative"))
-    multiplicative.steps, multiplicative.episodes = 250, 10
-    assert multiplicative.epsilon == pytest.approx(0.995**10)
+@pytest.mark.parametrize(("exploration", "epsilon"), [("linear", 0.75), ("multiplicative", 0.995**10)])
+def test_epsilon_and_learning_rate_decay(exploration: Any, epsilon: float) -> None:
+    trainer = Trainer(replace(SMALL, exploration=exploration))
+    trainer.steps, trainer.episodes = 250, 10
+    assert trainer.epsilon == pytest.approx(epsilon)
+    assert trainer.learning_rate == pytest.approx(0.75 * 5e-4 + 0.25 * 1e-5)
 
 
 # What it learns
@@ -174,12 +171,11 @@ def test_an_update_clips_gradients_and_uses_the_current_learning_rate() -> None:
 
 def test_a_soft_target_follows_a_little_at_every_update() -> None:
     trainer = flown_for(Trainer(replace(SMALL, tau=0.3)), 10)
-    for _ in range(2):
-        before = parameters(trainer.target)
-        trainer.learn()
-        expected = [0.7 * ours + 0.3 * theirs for ours, theirs in zip(before, parameters(trainer.online), strict=True)]
-        assert not all(map(torch.equal, before, expected))
-        assert all(torch.allclose(*pair, atol=1e-7) for pair in zip(parameters(trainer.target), expected, strict=True))
+    before = parameters(trainer.target)
+    trainer.learn()
+    expected = [0.7 * ours + 0.3 * theirs for ours, theirs in zip(before, parameters(trainer.online), strict=True)]
+    assert not all(map(torch.equal, before, expected))
+    assert all(torch.allclose(*pair, atol=1e-7) for pair in zip(parameters(trainer.target), expected, strict=True))
 
 
 def test_a_target_by_episodes_is_copied_every_so_many() -> None:
@@ -187,17 +183,8 @@ def test_a_target_by_episodes_is_copied_every_so_many() -> None:
     first, copies = parameters(trainer.target), {}
     for _ in trainer.train():
         copies[trainer.episodes // 8] = all(map(torch.equal, parameters(trainer.target), first))
-    assert trainer.updates > 0
     assert copies == {0: True, 1: False, 2: False}
     assert_same(parameters(trainer.target), parameters(trainer.online))  # the last step ended with a copy
-
-
-def test_updates_come_at_the_configured_rate() -> None:
-    trainer = Trainer(SMALL)
-    updates = []
-    trainer.learn = lambda: updates.append(trainer.steps)  # type: ignore[method-assign]
-    next(step for step in trainer.train() if trainer.steps == 400)
-    assert updates == list(range(56 + 3 * 8, 401, 32))  # after 50 steps, one per 32 steps
 
 
 def test_training_learns(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,20 +237,6 @@ def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
     lines = [line for line in trainer.history if not np.isnan(line.score)]
     assert len(lines) > 3
     assert all(line.success < 0.7 and line.length > 35 for line in lines), lines
-
-
-def test_the_last_line_is_logged_and_validated_wherever_it_falls() -> None:
-    trainer = finished(Trainer(replace(SMALL, episodes=12)))
-    assert [line.episode for line in trainer.history] == [5, 10, 12]
-    assert trainer.validated_updates == trainer.updates
-    assert (trainer.losses, trainer.unlogged) == ([], 0)
-
-
-def test_losses_are_the_mean_since_the_line_before() -> None:
-    trainer = Trainer(SMALL)
-    assert np.isnan(trainer.log().loss)
-    trainer.losses = [1.0, 3.0]
-    assert [trainer.log().loss for _ in range(2)] == [2.0, 2.0]  # without an update, the line before
 
 
 def test_a_validation_is_what_evaluation_says_of_the_same_maps(whole: Flown, tmp_path: Path) -> None:
@@ -342,18 +315,9 @@ def test_a_run_that_is_extended_later_is_the_same_from_then_on(whole: Flown) -> 
         assert_same(once.get_state()[name], extended.get_state()[name])
 
 
-def test_equal_seeds_make_equal_runs_and_others_do_not() -> None:
-    short = replace(SMALL, episodes=16, final_learning_rate=SMALL.learning_rate)
-    runs = [finished(Trainer(replace(short, seed=seed))) for seed in (0, 0, 1)]
-    assert_same(runs[0].get_state(), runs[1].get_state())
-    assert runs[0].history != runs[2].history
-
-
 def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(whole: Flown) -> None:
     other = Trainer(replace(SMALL, gamma=0.9, n_step=2))
     before, state = parameters(other.online), whole.trainer.get_state()
     with pytest.raises(CheckpointError, match=r"gamma 0\.99 \(now 0\.9\), n_step 1 \(now 2\)"):
         other.set_state(state)
-    with pytest.raises(CheckpointError, match=r"n_step 1 \(now 2\) and 1 more"):
-        other.set_state(state | {"config": state["config"] | {"task_version": 9}})
     assert_same(before, parameters(other.online))
