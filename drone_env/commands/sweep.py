@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from drone_env.commands.arguments import TaskName
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import needs
 from drone_env.files import data_folder
 
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
@@ -25,9 +25,7 @@ def sweep(
     test_maps: int = 1000,
     out: Path | None = None,
     dry_run: bool = False,
-    processes: Whole = None,
-    cpus_per_trial: int = 1,
-    checkpoint_seconds: float = 30.0,
+    processes: int = os.cpu_count() or 1,
 ) -> int:
     """Train a network under each of several settings with several seeds, with Optuna.
 
@@ -49,21 +47,15 @@ def sweep(
         out: The folder of the sweep. The default is sweep/ in DRONE_ENV_DATA, or runs/sweep without that.
         dry_run: List the trials and train nothing.
         processes: Trials at a time on this machine; by default as many as its CPUs allow.
-        cpus_per_trial: Threads of each trial.
-        checkpoint_seconds: Seconds between two checkpoints of a trial.
     """
     with needs("train"):
         from drone_env.rl import sweep as sweeps
-    processes = max(1, (os.cpu_count() or 1) // max(1, cpus_per_trial)) if processes is None else processes
-    if processes < 1:
-        raise InvalidValueError(f"--processes must be 1 or more, got {processes}")
     config = sweeps.make_config(
         task,
         values,
         preset=preset,
         samples=samples,
         seeds=seeds,
-        cpus_per_trial=cpus_per_trial,
         early_stopping=early_stopping,
         test_maps=test_maps,
     )
@@ -77,7 +69,7 @@ def sweep(
         return 0
     sweeps.begin(folder, config)
     try:
-        sweeps.run(folder, processes, checkpoint_seconds)
+        sweeps.run(folder, processes)
     except KeyboardInterrupt:
         print(f"interrupted; to continue, repeat the command with --out {folder}", file=sys.stderr)
         raise

@@ -78,8 +78,6 @@ class TrainConfig:
     reward_scale: PositiveFloat = 10.0
     """Factor on the rewards that the network learns. Q-values differ by some hundredths of a score between actions;
     the factor lifts these differences above the noise of the output at this learning rate."""
-    n_step: PositiveInt = 1
-    """Steps of reward before the target bootstraps."""
     batch_size: PositiveInt = 256
     """Transitions per update."""
     learning_rate: PositiveFloat = 5e-4
@@ -97,8 +95,6 @@ class TrainConfig:
     advantage_learning: ShareBelowOne = 0.9
     """Weight of advantage learning, which widens the gap between the best action and the others: 0.9 makes it
     1 / (1 - 0.9) times as wide and keeps the value of the best action."""
-    loss: Literal["huber", "mse"] = "huber"
-    """Loss of the TD error."""
     max_grad_norm: NonNegativeFloat = 10.0
     """Maximum norm of the gradient; 0 for no clipping."""
     target_update: Literal["soft", "episodes"] = "soft"
@@ -132,10 +128,8 @@ class TrainConfig:
         check_values(self)
         get_task(self.task)
         get_reward_profile(self.reward_profile)
-        if self.replay_size < self.num_envs * (self.n_step + 2):
-            raise InvalidValueError(
-                f"replay_size {self.replay_size} does not hold {self.n_step + 2} steps of {self.num_envs} episodes"
-            )
+        if self.replay_size < self.num_envs * 3:
+            raise InvalidValueError(f"replay_size {self.replay_size} does not hold 3 steps of {self.num_envs} episodes")
 
     @property
     def name(self) -> str:

@@ -19,8 +19,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, fields
 from itertools import count
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any, Generic, TextIO, TypeVar, cast
+from typing import Any, TextIO, cast
 
 import torch
 
@@ -29,11 +28,6 @@ from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import locked, open_file, replacing, stamp
 from drone_env.rl.common import figure
 
-if TYPE_CHECKING:
-    from drone_env.rl.dqn import Trainer
-    from drone_env.rl.tournet import TourTrainer
-
-AnyTrainer = TypeVar("AnyTrainer", "Trainer", "TourTrainer")
 FORMAT, VERSION = "drone_env/checkpoint", 1
 UNREADABLE = (pickle.UnpicklingError, zipfile.BadZipFile, struct.error, RuntimeError, EOFError, MemoryError,
               ValueError, TypeError, LookupError, AttributeError, AssertionError, ArithmeticError)  # fmt: skip
@@ -80,7 +74,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     return cast(dict[str, Any], state)
 
 
-class TrainingRun(Generic[AnyTrainer]):
+class TrainingRun:
     """A training with its files.
 
         data/<name>.pth                    the last checkpoint; it contains the best network too
@@ -95,7 +89,7 @@ class TrainingRun(Generic[AnyTrainer]):
     as `<name>.pth.1`. The earlier network also stays in place until a validated one replaces it.
 
     Args:
-        trainer: The trainer; its settings name the files.
+        trainer: A `Trainer` or `TourTrainer`; its settings name the files.
         data: Folder of checkpoint and log.
         results: Folder of tables and curves.
         fresh: Start from scratch, even if there is a checkpoint.
@@ -107,7 +101,7 @@ class TrainingRun(Generic[AnyTrainer]):
 
     def __init__(
         self,
-        trainer: AnyTrainer,
+        trainer: Any,
         data: Path,
         results: Path,
         fresh: bool = False,
@@ -261,10 +255,9 @@ class TrainingRun(Generic[AnyTrainer]):
     def stopping_on_interrupt(self) -> Generator[None, None, None]:
         """Inside the `with`, Ctrl-C sets `stopped`; a second one ends at once. For the main thread."""
 
-        def stop(signum: int, frame: FrameType | None) -> None:
-            if self.stopped:
-                raise KeyboardInterrupt
+        def stop(*_: object) -> None:
             self.stopped = True
+            signal.signal(signal.SIGINT, before)
             print("\nstopping after this step; once more to stop at once", file=sys.stderr)
 
         before = signal.signal(signal.SIGINT, stop)

@@ -57,6 +57,8 @@ COMPARED = ("episodes", "validation_every", "validation_maps", "log_every")
 """Values that all settings must share for pruning: they decide when a validation score is measured, and how."""
 MOST_FILE = 16 << 20
 LOCK_SECONDS = 60.0
+CHECKPOINT_SECONDS = 30.0
+"""Minimum time between two checkpoints of a training."""
 NAME = "sweep"
 
 
@@ -73,7 +75,6 @@ class SweepConfig(Message):
     space: dict[str, str] = Field(description="Optuna's distribution of each value that --set names, as JSON.")
     samples: int | None = Field(ge=1, description="Number of settings to sample; null for the whole grid.")
     seeds: int = Field(ge=1, le=1000, description="Each setting is trained with the seeds 0 to seeds - 1.")
-    cpus_per_trial: int = Field(ge=1, le=4096, description="Threads: other numbers differ in the last bits.")
     early_stopping: bool
     test_maps: int = Field(ge=2, le=1_000_000, description="Number of test maps that each finished network flies.")
 
@@ -88,7 +89,7 @@ class SweepConfig(Message):
         axes = [_ends(distribution) for distribution in self.distributions.values()]
         return [dict(zip(self.space, values, strict=True)) for values in itertools.product(*axes)]
 
-    def training(self, setting: Mapping[str, Any], seed: int, checkpoint_seconds: float = 30.0) -> TrainConfig:
+    def training(self, setting: Mapping[str, Any], seed: int) -> TrainConfig:
         """Return how a setting is trained with a seed.
 
         Raises:
@@ -98,16 +99,16 @@ class SweepConfig(Message):
             preset(self.preset, self.task, setting.get("episodes")),
             task=get_task(self.task).short_name,
             seed=seed,
-            num_threads=self.cpus_per_trial,
+            num_threads=1,
             checkpoint_episodes=1,
-            checkpoint_seconds=checkpoint_seconds,
+            checkpoint_seconds=CHECKPOINT_SECONDS,
             **setting,
         )
 
     def label(self, setting: Mapping[str, Any]) -> str:
         """A setting in words: the values that differ between settings."""
-        varied = {name for name, distribution in self.distributions.items() if len(_ends(distribution)) > 1}
-        return " ".join(f"{name}={setting[name]}" for name in setting if name in varied) or "the only setting"
+        varied = [name for name, distribution in self.distributions.items() if len(_ends(distribution)) > 1]
+        return " ".join(f"{name}={setting[name]}" for name in varied)
 
 
 def distribution_of(text: str) -> tuple[str, BaseDistribution]:
@@ -230,33 +231,33 @@ def open_study(out: Path, config: SweepConfig) -> optuna.Study:
         )
 
 
-def run(out: Path, processes: int, checkpoint_seconds: float) -> None:
+def run(out: Path, processes: int) -> None:
     """Train in several processes until no trial is left that another process does not train."""
     if processes == 1:
-        _work(out, checkpoint_seconds)
+        _work(out)
         return
     context = multiprocessing.get_context("spawn")
-    workers = [context.Process(target=_work_alone, args=(out, checkpoint_seconds)) for _ in range(processes)]
+    workers = [context.Process(target=_work_alone, args=(out,)) for _ in range(processes)]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join()
 
 
-def _work_alone(out: Path, checkpoint_seconds: float) -> None:
+def _work_alone(out: Path) -> None:
     load_plugins()
     with suppress(KeyboardInterrupt):  # the process that started this one reports it
-        _work(out, checkpoint_seconds)
+        _work(out)
 
 
-def _work(out: Path, checkpoint_seconds: float) -> None:
+def _work(out: Path) -> None:
     """Train one trial after another until none is left."""
     config = read_config(out)
     study = open_study(out, config)
     while (taken := _take(study, config, out)) is not None:
         trial, lock = taken
         try:
-            study.tell(trial, _train(trial, config, out, checkpoint_seconds))
+            study.tell(trial, _train(trial, config, out))
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
         except Exception as error:  # the result of this trial: the others go on
@@ -292,16 +293,16 @@ def _take(study: optuna.Study, config: SweepConfig, out: Path) -> tuple[Trial, F
         return trial, lock
 
 
-def _train(trial: Trial, config: SweepConfig, out: Path, checkpoint_seconds: float) -> float:
+def _train(trial: Trial, config: SweepConfig, out: Path) -> float:
     """Train a setting with all its seeds side by side; return its mean validation score.
 
     Raises:
         TrialPruned: if it is stopped early.
     """
-    runs: list[TrainingRun[Trainer]] = []
+    runs: list[TrainingRun] = []
     for seed in range(config.seeds):
         place = out / f"trial{trial.number}" / f"seed{seed}"
-        runs.append(TrainingRun(Trainer(config.training(trial.params, seed, checkpoint_seconds)), place, place))
+        runs.append(TrainingRun(Trainer(config.training(trial.params, seed)), place, place))
     lines = [run.train() for run in runs]
     training, optimum = runs[0].trainer.config, runs[0].trainer.metadata()["validation_optimum"]
     trial.set_user_attr("validation_optimum", optimum)
@@ -328,7 +329,7 @@ def _train(trial: Trial, config: SweepConfig, out: Path, checkpoint_seconds: flo
     return score
 
 
-def _best_until(run: TrainingRun[Trainer], lines: Any, episodes: int) -> float:
+def _best_until(run: TrainingRun, lines: Any, episodes: int) -> float:
     """Train to the first line of the log at or after `episodes`; return the best validation score up to there."""
     history = run.trainer.history
     while not (history and history[-1].episode >= episodes) and next(lines, None) is not None:
@@ -337,7 +338,7 @@ def _best_until(run: TrainingRun[Trainer], lines: Any, episodes: int) -> float:
     return max((line.validation for line in history[: last + 1] if not math.isnan(line.validation)), default=0.0)
 
 
-def _fly_test_maps(runs: list[TrainingRun[Trainer]], config: SweepConfig) -> dict[str, Any]:
+def _fly_test_maps(runs: list[TrainingRun], config: SweepConfig) -> dict[str, Any]:
     """Return the best networks' scores on the test maps beside the optimum; intervals are (mean, low, high)."""
     seeds = split_seeds("test", config.test_maps)
     flown = [run_episodes(episodes_key(config.task, f"pathqnet:{run.network}", seeds, "test")) for run in runs]

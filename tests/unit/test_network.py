@@ -54,22 +54,6 @@ def test_the_network_is_as_drawn() -> None:
     assert isinstance(PathQNet().head[1], torch.nn.LayerNorm)
 
 
-def test_the_layers_come_in_the_order_that_is_drawn() -> None:
-    """The network once more, from PyTorch's own layers alone."""
-    torch.manual_seed(0)
-    network = PathQNet()
-    encoder, head = network.encoder, network.head
-    grids, telemetry = torch.randint(0, 9, (4, 10, 14), dtype=torch.uint8), torch.rand(4, 5)
-    x = encoder.embedding(grids.long()).permute(0, 3, 1, 2)
-    x = torch.relu(encoder.conv2(torch.relu(encoder.conv1(x))))
-    x = torch.nn.AdaptiveAvgPool2d(4)(x)
-    # What is pooled is laid out cell by cell, as the exported network lays it out.
-    x = torch.cat([torch.relu(encoder.linear(x.permute(0, 2, 3, 1).flatten(1))), telemetry], dim=1)
-    x = torch.relu(torch.nn.functional.layer_norm(head[0](x), (128,), head[1].weight, head[1].bias))
-    x = head[7](torch.relu(head[5](torch.relu(head[3](x)))))
-    assert torch.allclose(network(grids, telemetry), x, atol=1e-6)
-
-
 @pytest.mark.feature("L2")
 def test_five_values_of_telemetry() -> None:
     episode = Episode("easy")
@@ -183,13 +167,3 @@ def test_a_hostile_file_is_refused_by_name(name: str, tmp_path: Path) -> None:
     path.write_bytes(make(export(PathQNet(), path)))
     with pytest.raises(CheckpointError, match=rf"hostile\.safetensors is not an exported network.*: .*{why}"):
         load_network(path)
-
-
-def test_the_largest_weights_that_are_taken_do_not_overflow(tmp_path: Path) -> None:
-    path, rng = tmp_path / "large.safetensors", np.random.default_rng(0)
-    whole = export(PathQNet(), path)
-    for signs in ([1], [-1, 1]):
-        large = {name: (LARGEST * rng.choice(signs, array.shape)).astype(np.float32) for name, array in whole.items()}
-        path.write_bytes(file_of(large))
-        grids = rng.integers(0, N_CELL_KINDS, (8, 18, 18), dtype=np.uint8)
-        assert np.isfinite(load_network(path)(grids, np.ones((8, 5), np.float32))).all()

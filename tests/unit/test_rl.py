@@ -51,27 +51,25 @@ def filled(capacity: int, steps: int, ends: set[tuple[int, int]]) -> ReplayBuffe
     return replay
 
 
-def test_the_replay_sums_rewards_up_to_the_end_of_an_episode() -> None:
+def test_the_replay_bootstraps_up_to_the_end_of_an_episode() -> None:
     ends = {(0, 2), (1, 3)}
-    sampled = filled(10, 5, ends).sample(500, n_step=2, gamma=0.5, rng=np.random.default_rng(0))
+    sampled = filled(10, 5, ends).sample(500, gamma=0.5, rng=np.random.default_rng(0))
     seen = set()
     for k in range(500):
         mark = int(sampled.grids[k, 0, 0])
         env, t = divmod(mark, 100)
         seen.add((env, t))
-        over = [(env, t + i) in ends for i in range(2)]
-        assert sampled.returns[k] == (mark if over[0] else mark + 0.5 * (mark + 1))
-        assert sampled.discounts[k] == (0 if any(over) else 0.25)
+        assert sampled.rewards[k] == mark
+        assert sampled.discounts[k] == (0 if (env, t) in ends else 0.5)
         assert sampled.actions[k] == t % 5
-        if not any(over):
-            assert sampled.next_grids[k, 0, 0] == mark + 2
-    assert seen == {(env, t) for env in range(2) for t in range(3)}
+        assert sampled.next_grids[k, 0, 0] == mark + 1
+    assert seen == {(env, t) for env in range(2) for t in range(4)}
 
 
 def test_the_replay_forgets_the_oldest_row_first() -> None:
     replay = filled(7, 10, set())
     assert replay.held == 3
-    sampled = replay.sample(200, 1, 0.9, np.random.default_rng(0))
+    sampled = replay.sample(200, 0.9, np.random.default_rng(0))
     assert set(sampled.grids.ravel().tolist()) == {7, 8, 107, 108}
     assert (sampled.next_grids == sampled.grids + 1).all()
 
@@ -106,7 +104,7 @@ def test_presets_fit_the_task_and_the_number_of_episodes(task: str) -> None:
     [
         (SMALL, {"episodes": 0}, "episodes should be greater than 0, got 0"),
         (SMALL, {"learning_rate": float("nan")}, "learning_rate should be a finite number, got nan"),
-        (SMALL, {"loss": "l1"}, "loss should be 'huber' or 'mse', got 'l1'"),
+        (SMALL, {"exploration": "fast"}, "exploration should be 'linear' or 'multiplicative', got 'fast'"),
         (SMALL, {"replay_size": 10}, "replay_size 10 does not hold 3 steps of 8 episodes"),
         (SMALL, {"task": "impossible"}, "unknown task 'impossible'"),
         (SMALL_TOUR, {"batch_size": 66}, "batch_size should be a multiple of 4, got 66"),

@@ -29,13 +29,13 @@ SMALL = (
 
 
 def config_of(*sets: str, samples: int | None = None, early_stopping: bool = True, **values: Any) -> sweep.SweepConfig:
-    given = {"preset": "fast", "seeds": 2, "cpus_per_trial": 1, "test_maps": 20, **values}
+    given = {"preset": "fast", "seeds": 2, "test_maps": 20, **values}
     return sweep.make_config("easy", [*SMALL, *sets], samples, early_stopping=early_stopping, **given)
 
 
 def swept(out: Path, config: sweep.SweepConfig) -> dict[str, Any]:
     sweep.begin(out, config)
-    sweep.run(out, 1, 30.0)
+    sweep.run(out, 1)
     sweep.write_report(out, config)
     return json.loads((out / "report.json").read_text())
 
@@ -62,7 +62,7 @@ def test_values_have_the_types_of_training() -> None:
     ("sets", "message"),
     [
         (["speed=1"], "unknown setting 'speed'; allowed: .*batch_size.* lr,"),
-        (["loss=l1"], "loss=l1.*'huber' or 'mse'"),
+        (["target_update=l1"], "target_update=l1.*'soft' or 'episodes'"),
         (["gamma=nan"], "finite"),
         (["gamma"], "NAME=VALUE"),
         (["gamma=0.9", "gamma=0.8"], "gamma is set twice"),
@@ -117,22 +117,6 @@ def test_the_interval_covers_seeds_and_maps() -> None:
 
 
 @pytest.mark.usefixtures("no_curves")
-def test_a_trial_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
-    config, out = config_of("episodes=20", "lr=1e-3,1e-6", early_stopping=False), tmp_path / "sweep"
-    sweep.begin(out, config)
-    broken = out / "trial1" / "seed1"
-    broken.mkdir(parents=True)
-    (broken / "easy.pth").write_bytes(b"not a checkpoint")
-    report = swept(out, config)
-    assert [(row["trial"], row["state"]) for row in report["trials"]] == [(0, "complete"), (1, "failed")]
-    finished, failed = report["trials"]
-    assert "cut short" in failed["error"]
-    assert failed["error"] in (out / "report.md").read_text()
-    assert finished["test"]["optimum"] >= np.mean(finished["test"]["seed_scores"])
-    assert swept(out, config) == report  # nothing is trained again
-
-
-@pytest.mark.usefixtures("no_curves")
 def test_settings_that_fall_behind_are_stopped_with_all_their_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,7 +134,7 @@ def test_settings_that_fall_behind_are_stopped_with_all_their_seeds(
 @pytest.mark.usefixtures("no_curves")
 def test_sampled_settings_are_different_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweep, "_train", lambda trial, *_: trial.params["learning_rate"])
-    config = config_of("lr=loguniform(1e-5,1e-3)", "loss=huber,mse", samples=6)
+    config = config_of("lr=loguniform(1e-5,1e-3)", "double=true,false", samples=6)
     reports = [swept(tmp_path / name, config) for name in ("one", "two")]
     assert reports[0] == reports[1]
     rates = {row["setting"]["learning_rate"] for row in reports[0]["trials"]}
@@ -167,8 +151,8 @@ def killed(out: Path) -> None:
         if trial.number == 1 and step == 40:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    optuna.trial.Trial.report = fail
-    sweep.run(out, 1, 0.0)
+    optuna.trial.Trial.report, sweep.CHECKPOINT_SECONDS = fail, 0.0
+    sweep.run(out, 1)
 
 
 @pytest.mark.usefixtures("no_curves")
@@ -193,11 +177,24 @@ def test_a_killed_process_changes_nothing(tmp_path: Path) -> None:
         assert lines == [f"episode={n}" for n in range(5, 61, 5)]  # each episode once
 
 
-def test_two_processes_share_a_sweep(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_two_processes_share_a_sweep_and_a_trial_that_fails_is_reported(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "sweep"
+    sweep.begin(out, config_of("episodes=20", "lr=1e-3,1e-6"))
+    broken = out / "trial1" / "seed1"
+    broken.mkdir(parents=True)
+    (broken / "easy.pth").write_bytes(b"not a checkpoint")
     sets = [word for text in (*SMALL, "episodes=20", "lr=1e-3,1e-6") for word in ("--set", text)]
-    command = ["sweep", "--seeds", "1", *sets, "--test-maps", "20", "--out", str(out)]
-    assert main([*command, "--processes", "2"]) == 0
-    assert "2 trials finished, 0 stopped early, 0 failed" in capfd.readouterr().err
+    command = ["sweep", "--seeds", "2", *sets, "--test-maps", "20", "--out", str(out), "--processes", "2"]
+    assert main(command) == 1
+    assert "1 trials finished, 0 stopped early, 1 failed" in capfd.readouterr().err
+    report = (out / "report.json").read_text()
+    finished, failed = json.loads(report)["trials"]
+    assert (finished["trial"], failed["trial"]) == (0, 1)
+    assert "cut short" in failed["error"]
+    assert failed["error"] in (out / "report.md").read_text()
+    assert finished["test"]["optimum"] >= np.mean(finished["test"]["seed_scores"])
     assert (out / "curves.png").stat().st_size > 500
-    assert (out / "trial1" / "seed0" / "easy.pth").exists()
+    assert main(command) == 1
+    assert (out / "report.json").read_text() == report  # nothing is trained again
