@@ -3,7 +3,7 @@
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -34,8 +34,8 @@ def _module(name: str) -> Any:
     return import_module(f"drone_env.commands.{name.replace('-', '_')}")
 
 
-def _calls(arguments: Sequence[str]) -> Iterator[Callable[[], int | None]]:
-    """What the arguments ask for: one call, or several to train several tasks."""
+def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
+    """The call that the arguments ask for."""
     if arguments[:1] in (["-h"], ["--help"]):
         overview = SubcommandApp()
         for name in COMMANDS:
@@ -46,8 +46,8 @@ def _calls(arguments: Sequence[str]) -> Iterator[Callable[[], int | None]]:
     name, *rest = with_names(arguments)
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
-    for command in _module(name).train_commands(rest, arguments[1:]) if name == "train" else [command_named(name)]:
-        yield parsed(command, f"drone-env {name}", rest)
+    command = _module(name).train_command(rest) if name == "train" else command_named(name)
+    return parsed(command, f"drone-env {name}", rest)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -65,10 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if arguments[:1] != ["doctor"]:  # which says what is wrong with them
             load_plugins()
-        status = 0
         with own_profiles_forgotten():
-            for call in _calls(arguments):
-                status = status or call()
+            status = _call(arguments)()
         sys.stdout.flush()
         return int(status or 0)
     except BrokenPipeError:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from drone_env.commands.arguments import TaskName
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import needs
 from drone_env.files import data_folder
 
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
@@ -21,15 +21,11 @@ def sweep(
     values: Values = (),
     seeds: int = 3,
     samples: Whole = None,
-    samples_seed: int = 0,
     early_stopping: bool = True,
     test_maps: int = 1000,
     out: Path | None = None,
-    resume: bool = False,
     dry_run: bool = False,
-    processes: Whole = None,
-    cpus_per_trial: int = 1,
-    checkpoint_seconds: float = 30.0,
+    processes: int = os.cpu_count() or 1,
 ) -> int:
     """Train a network under each of several settings with several seeds, with Optuna.
 
@@ -46,46 +42,34 @@ def sweep(
             With --samples also `lr=loguniform(1e-5,1e-3)` or `gamma=uniform(0.9,0.99)`.
         seeds: Each setting is trained with the seeds from 0 up to this number.
         samples: Sample this many settings (Optuna's TPE) instead of trying the whole grid.
-        samples_seed: Seed of the sampler.
         early_stopping: Stop settings whose validation scores fall behind (Hyperband).
         test_maps: How many test maps each finished network flies.
         out: The folder of the sweep. The default is sweep/ in DRONE_ENV_DATA, or runs/sweep without that.
-        resume: Fail if there is no sweep to continue.
         dry_run: List the trials and train nothing.
         processes: Trials at a time on this machine; by default as many as its CPUs allow.
-        cpus_per_trial: Threads of each trial.
-        checkpoint_seconds: Seconds between two checkpoints of a trial.
     """
     with needs("train"):
         from drone_env.rl import sweep as sweeps
-    processes = max(1, (os.cpu_count() or 1) // max(1, cpus_per_trial)) if processes is None else processes
-    if processes < 1:
-        raise InvalidValueError(f"--processes must be 1 or more, got {processes}")
     config = sweeps.make_config(
         task,
         values,
         preset=preset,
         samples=samples,
-        samples_seed=samples_seed,
         seeds=seeds,
-        cpus_per_trial=cpus_per_trial,
         early_stopping=early_stopping,
         test_maps=test_maps,
     )
     folder = data_folder("sweep") if out is None else out
-    if resume and not (folder / "sweep.json").exists():
-        raise InvalidValueError(f"--resume: there is no sweep in {folder}")
     if dry_run:
         if samples is not None:
             print(f"{samples} settings with {seeds} seeds each, sampled from: {' '.join(values)}")
         for number, setting in enumerate(config.settings if samples is None else ()):
             for seed in range(seeds):
-                command = config.command(number, setting, seed)
-                print(f"trial{number}/seed{seed}\t{config.label(setting)}\t{command}")
+                print(f"trial{number}/seed{seed}\t{config.label(setting)}")
         return 0
     sweeps.begin(folder, config)
     try:
-        sweeps.run(folder, processes, checkpoint_seconds)
+        sweeps.run(folder, processes)
     except KeyboardInterrupt:
         print(f"interrupted; to continue, repeat the command with --out {folder}", file=sys.stderr)
         raise

@@ -1,21 +1,18 @@
 """`drone-env train`: train a network to fly a task."""
 
 import argparse
-import shlex
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
-from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
-from rich.table import Column
-from rich.text import Text
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from drone_env.commands.arguments import TASK, ProfileName
+from drone_env.commands.arguments import TASK, ProfileName, TaskName
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.envs.registry import task_argument
@@ -25,59 +22,8 @@ from drone_env.installer import program
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.tour_config import TourConfig
 
-if TYPE_CHECKING:
-    from drone_env.rl.run import TrainingRun
-
-STANDARD = ("easy", "medium", "hard")
-"""The tasks of `--task standard`."""
 TaskOrAll = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")]
-TaskOrStandard = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|standard")]
 Network = Literal["pathqnet", "tournet"]
-CHOSEN = ("task", "kind")
-"""Settings that find the checkpoint, and so are not taken from it."""
-FRESH = ("--fresh", "--no-fresh")
-
-
-class Figures(TextColumn):
-    """Text that a narrow terminal cuts off at its end."""
-
-    def render(self, task: Task) -> Text:
-        """The figures in one line."""
-        text = super().render(task)
-        text.no_wrap, text.overflow = True, "ellipsis"
-        return text
-
-
-class Live(Progress):
-    """The progress bar of a training, updated for every frame.
-
-    Args:
-        run: The training.
-        console: The terminal; the bar is hidden if it is none.
-        clock: Returns the time in seconds.
-    """
-
-    def __init__(self, run: "TrainingRun[Any]", console: Console, clock: Callable[[], float] = time.monotonic) -> None:
-        self._run = run
-        hidden = not console.file.isatty()
-        # The speed of the last minutes: episodes end in bursts, and validations take time.
-        super().__init__(*COLUMNS, console=console, disable=hidden, get_time=clock, speed_estimate_period=300)
-        self.bar = self.add_task(run.name, total=run.total, completed=run.done, figures="")
-
-    def get_renderables(self) -> Iterable[RenderableType]:
-        """The line of the bar, with the current count."""
-        for bar in self.task_ids:  # empty during construction
-            self.update(bar, completed=self._run.done)
-        return super().get_renderables()
-
-
-COLUMNS = (
-    TextColumn("{task.description}"),
-    MofNCompleteColumn(table_column=Column(no_wrap=True)),
-    TimeRemainingColumn(table_column=Column(no_wrap=True)),
-    BarColumn(bar_width=8),
-    Figures("{task.fields[figures]}", table_column=Column()),
-)
 
 
 @dataclass(frozen=True)
@@ -99,12 +45,8 @@ class TourSettings(TourConfig):
 AnySettings = TypeVar("AnySettings", Settings, TourSettings)
 
 
-def train_commands(arguments: Sequence[str], typed: Sequence[str]) -> Iterator[Callable[..., int]]:
-    """The subcommand for each training, with the defaults of its preset or checkpoint.
-
-    Args:
-        arguments: The arguments of the subcommand.
-        typed: The same as typed, with the names of files.
+def train_command(arguments: Sequence[str]) -> Callable[..., int]:
+    """The subcommand for these arguments, with the defaults of its preset or checkpoint.
 
     Raises:
         UnknownNameError: if there is no such task.
@@ -112,36 +54,23 @@ def train_commands(arguments: Sequence[str], typed: Sequence[str]) -> Iterator[C
     """
     named = _named(arguments)
     if named.network == "tournet":
-        yield _tour_command(_tour_defaults(named.task or "all", named), _going_on(typed))
-        return
+        tour = TourSettings(task=named.task or "all")
+        return _tour_command(_as_before(tour, tour.name, named))
     if named.task == "all":
-        raise InvalidValueError(
-            "PathQNet learns one task at a time; --task all is for tournet.\n"
-            "Type --task standard (easy, medium, hard), or add --network tournet."
-        )
-    if named.task != "standard":
-        yield _train_command(_defaults(named.task or "easy", named), _going_on(typed))
-        return
-    for task in STANDARD:
-        # With --fresh, the next tasks have not started again: the command continues this one alone.
-        only = {"standard": task, "--task=standard": f"--task={task}"} if named.fresh else {}
-        yield _train_command(_defaults(task, named), _going_on([only.get(word, word) for word in typed]))
+        raise InvalidValueError("PathQNet learns one task at a time: name it, or add --network tournet")
+    task = named.task or "easy"
+    episodes = int(named.episodes) if named.episodes and named.episodes.isdecimal() else None
+    defaults = Settings(**vars(preset(named.preset or "fast", task, episodes)))
+    # The number of environments depends on the first number of episodes, which only the checkpoint has.
+    return _train_command(defaults if named.preset else _as_before(defaults, get_task(task).short_name, named))
 
 
-def _going_on(typed: Sequence[str]) -> str:
-    """The command that continues a training: as typed, without `--fresh`."""
-    script = Path(sys.argv[0]).name == "train.py"
-    start = [program("python"), sys.argv[0]] if script else [program("drone-env"), "train"]
-    return shlex.join([*start, *(word for word in typed if word not in FRESH)])
-
-
-def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
+def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
         network: Network = "pathqnet",
-        task: TaskOrStandard = "easy",
+        task: TaskName = "easy",
         preset: Literal["fast", "original"] = "fast",
-        resume: bool = False,
         fresh: bool = False,
         data: Path | None = None,
         results: Path | None = None,
@@ -162,30 +91,28 @@ def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
             config: The settings.
             network: The network: `pathqnet` learns the values of actions on one task from rewards, `tournet` learns
                 which parcel or pad to fly to next from exact values, on all tasks at once.
-            task: The task, by its short name, id or grader; `standard` for easy, medium and hard, one after another.
+            task: The task, by its short name, id or grader.
             preset: The preset of the defaults.
-            resume: Fail if there is no checkpoint.
             fresh: Start from scratch; an earlier training is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
             data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
             results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
         """
         with needs("train"):
             from drone_env.rl.dqn import Trainer
-        return _train(lambda: Trainer(config), going_on, resume, fresh, data, results)
+        return _train(Trainer(config), fresh, data, results)
 
     return train
 
 
-train = _train_command(Settings(**vars(preset("fast", "easy"))), "")
+train = _train_command(Settings(**vars(preset("fast", "easy"))))
 """The subcommand in the overview of all commands."""
 
 
-def _tour_command(defaults: TourSettings, going_on: str) -> Callable[..., int]:
+def _tour_command(defaults: TourSettings) -> Callable[..., int]:
     def train(
         config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
         network: Network = "tournet",
         task: TaskOrAll = "all",
-        resume: bool = False,
         fresh: bool = False,
         data: Path | None = None,
         results: Path | None = None,
@@ -203,16 +130,13 @@ def _tour_command(defaults: TourSettings, going_on: str) -> Callable[..., int]:
             config: The settings.
             network: The network: `tournet`.
             task: `all` for one network that flies every registered task, or one task.
-            resume: Fail if there is no checkpoint.
             fresh: Start from scratch; an earlier training is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
             data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
             results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
         """
         with needs("train"):
-            from drone_env.rl.tour_rewards import RewardTrainer
             from drone_env.rl.tournet import TourTrainer
-        make = RewardTrainer if config.kind == "rewards" else TourTrainer
-        return _train(lambda: make(config), going_on, resume, fresh, data, results)
+        return _train(TourTrainer(config), fresh, data, results)
 
     return train
 
@@ -220,22 +144,10 @@ def _tour_command(defaults: TourSettings, going_on: str) -> Callable[..., int]:
 def _named(arguments: Sequence[str]) -> argparse.Namespace:
     """The arguments that the defaults depend on; tyro reports their errors."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for flag in ("--network", "--task", "--kind", "--preset", "--episodes", "--data"):
+    for flag in ("--network", "--task", "--preset", "--episodes", "--data"):
         parser.add_argument(flag, nargs="?")
     parser.add_argument("--fresh", action=argparse.BooleanOptionalAction)
     return parser.parse_known_args(arguments)[0]
-
-
-def _defaults(task: str, named: argparse.Namespace) -> Settings:
-    episodes = int(named.episodes) if named.episodes and named.episodes.isdecimal() else None
-    defaults = Settings(**vars(preset(named.preset or "fast", task, episodes)))
-    # The number of environments depends on the first number of episodes, which only the checkpoint has.
-    return defaults if named.preset else _as_before(defaults, get_task(task).short_name, named)
-
-
-def _tour_defaults(task: str, named: argparse.Namespace) -> TourSettings:
-    defaults = TourSettings(task=task, kind="rewards" if named.kind == "rewards" else "distilled")
-    return _as_before(defaults, defaults.name, named)
 
 
 def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> AnySettings:
@@ -247,52 +159,41 @@ def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> A
         from drone_env.rl.run import load_checkpoint
 
         kept = load_checkpoint(checkpoint)["config"]
-        passed = {*CHOSEN, *({"reward_profile"} if kept.get("reward_profile") not in REWARD_PROFILES else ())}
+        passed = {"task", *({"reward_profile"} if kept.get("reward_profile") not in REWARD_PROFILES else ())}
         names = [field.name for field in fields(defaults) if field.name in kept and field.name not in passed]
         return type(defaults)(**vars(defaults) | {name: kept[name] for name in names})
     except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
         return defaults  # `TrainingRun` reports the error
 
 
-def _train(
-    make: Callable[[], Any], going_on: str, resume: bool, fresh: bool, data: Path | None, results: Path | None
-) -> int:
+def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -> int:
     from drone_env.rl.run import TrainingRun, summary
 
-    if resume and fresh:
-        raise InvalidValueError("--resume goes on and --fresh starts again: give one of them")
-    run = TrainingRun(make(), data or data_folder(), results or data_folder("results"), fresh)
-    if resume and not run.resumed:
-        raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}; omit --resume to start")
-    unit, total, begun, console = run.unit, run.total, run.done, Console(stderr=True)
-    is_dqn = unit == "episodes"
-    if begun >= total:
-        more = f"Add --episodes {2 * begun} to go on. " if is_dqn else ""
-        console.print(
-            f"{run.checkpoint} has {begun} of {total} {unit}: nothing to do.\n"
-            f"{more}Add --fresh to start again; the old training is kept.",
-            soft_wrap=True,
-        )
+    run = TrainingRun(trainer, data or data_folder(), results or data_folder("results"), fresh)
+    unit, total, console = run.unit, run.total, Console(stderr=True)
+    say = partial(print, file=sys.stderr, flush=True)
+    if run.done >= total:
+        say(f"{run.checkpoint} has {run.done} of {total} {unit}: nothing to do.")
+        more = "Raise --episodes to go on, or add" if unit == "episodes" else "Add"
+        say(f"{more} --fresh to start again; the old training is kept.")
         return 0
     if run.resumed:
-        console.print(f"going on from {run.checkpoint}: {begun} of {total} {unit}")
-    with Live(run, console) as progress, run.stopping_on_interrupt():
-        clock, work = progress.get_time, "steps" if is_dqn else "states"
-        started, before = clock(), getattr(run.trainer, work)
+        say(f"going on from {run.checkpoint}: {run.done} of {total} {unit}")
+    columns = TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn()
+    # The speed of the last minutes: episodes end in bursts, and validations take time.
+    bars = Progress(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=300)
+    with bars, run.stopping_on_interrupt():
+        bar = bars.add_task(run.name, total=total, completed=run.done)
         for line in run.train():
-            rate = (getattr(line, work) - before) / max(clock() - started, 1e-9)
-            figures = f"{summary(line)}  {rate:.0f} {work}/s"
-            progress.update(progress.bar, figures=figures)
-            if not console.file.isatty() and run.done % run.trainer.config.validation_every == 0:
-                print(f"{run.done}/{total} {unit}  {figures}", file=sys.stderr, flush=True)
+            bars.update(bar, completed=run.done, description=f"{run.name}  {summary(line)}")
+            if not console.is_terminal and run.done % run.trainer.config.validation_every == 0:
+                say(f"{run.done}/{total} {unit}  {summary(line)}")
     if run.stopped:
-        console.print(f"stopped after {run.done} {unit}, saved as {run.checkpoint}", soft_wrap=True)
-        console.print(f"to go on, type: {going_on}", soft_wrap=True)
+        again = "the same command without --fresh" if fresh else "the same command"
+        say(f"stopped after {run.done} {unit}, saved as {run.checkpoint}; {again} goes on")
         return 130
-    done = f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}"
-    console.print(done, soft_wrap=True)
-    task = run.trainer.config.task
-    task, agent = task if task == "all" else task_argument(get_task(task)), "pathqnet" if is_dqn else "tournet"
-    evaluate = f"{program('drone-env')} evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}"
-    console.print(f"next: {evaluate}", soft_wrap=True)
+    say(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
+    task, agent = run.trainer.config.task, "pathqnet" if unit == "episodes" else "tournet"
+    task = task if task == "all" else task_argument(get_task(task))
+    say(f"next: {program('drone-env')} evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
     return 0

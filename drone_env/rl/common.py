@@ -52,21 +52,18 @@ class Validator:
         return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))
 
 
-class DifferentRunError(CheckpointError):
-    """A checkpoint of a run with other settings, some of which the message names."""
-
-
 def require_same(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
     """Check that a checkpoint has these settings.
 
     Raises:
-        DifferentRunError: if it has not.
+        CheckpointError: if it has not; the message names some that differ.
     """
     names = [name for name in ours if ours[name] != theirs.get(name)]
     if names:
         different = [f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in names[:MAX_NAMED]]
         more = len(names) - MAX_NAMED
-        raise DifferentRunError(", ".join(different) + (f" and {more} more" if more > 0 else ""))
+        named = ", ".join(different) + (f" and {more} more" if more > 0 else "")
+        raise CheckpointError(f"the checkpoint has other settings: {named}; use those")
 
 
 def figure(value: float, digits: int) -> str:

@@ -2,58 +2,44 @@
 
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_origin, get_type_hints
 
-from pydantic_core import SchemaValidator, ValidationError
+from pydantic import (
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    TypeAdapter,
+    ValidationError,
+)
 
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, own_profile
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.errors import InvalidValueError
 
-
-class Bounds(NamedTuple):
-    """The bounds of a number, as Pydantic's `Field` names them. Importing all of Pydantic would slow every command."""
-
-    gt: float | None = None
-    ge: float | None = None
-    lt: float | None = None
-    le: float | None = None
-    multiple_of: int | None = None
-
-
-PositiveInt = Annotated[int, Bounds(gt=0)]
-NonNegativeInt = Annotated[int, Bounds(ge=0)]
-NonNegativeFloat = Annotated[float, Bounds(ge=0)]
-PositiveFloat = Annotated[float, Bounds(gt=0)]
-Share = Annotated[float, Bounds(ge=0, le=1)]
-ShareBelowOne = Annotated[float, Bounds(ge=0, lt=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+ShareBelowOne = Annotated[float, Field(ge=0, lt=1)]
 
 
 @cache
-def _checks(settings: type) -> dict[str, SchemaValidator]:
-    """Pydantic's check of each number of a dataclass."""
-    checks: dict[str, SchemaValidator] = {}
+def _adapters(settings: type) -> dict[str, TypeAdapter[Any]]:
     hints: dict[str, Any] = get_type_hints(settings, include_extras=True)
-    for name, hint in hints.items():
-        for bounds in getattr(hint, "__metadata__", ()):
-            if isinstance(bounds, Bounds):
-                given = {key: bound for key, bound in bounds._asdict().items() if bound is not None}
-                finite = {} if hint.__origin__ is int else {"allow_inf_nan": False}
-                schema: Any = {"type": hint.__origin__.__name__, "strict": True, **finite, **given}
-                checks[name] = SchemaValidator(schema)
-    return checks
+    strict = ConfigDict(strict=True, allow_inf_nan=False)
+    return {name: TypeAdapter(hint, config=strict) for name, hint in hints.items() if get_origin(hint) is not ClassVar}
 
 
-def check_numbers(settings: object) -> None:
-    """Check every number of a dataclass against the bounds in its annotation.
+def check_values(settings: object) -> None:
+    """Check every value of a dataclass against its annotation.
 
     Raises:
-        InvalidValueError: if a value is out of bounds; the message names the first.
+        InvalidValueError: if one does not fit; the message names the first.
     """
-    for name, check in _checks(type(settings)).items():
+    for name, adapter in _adapters(type(settings)).items():
         value = getattr(settings, name)
         try:
-            check.validate_python(value)
+            adapter.validate_python(value)
         except ValidationError as error:
             reason = error.errors()[0]["msg"].replace("Input", name)
             raise InvalidValueError(f"{reason}, got {value!r}") from None
@@ -92,8 +78,6 @@ class TrainConfig:
     reward_scale: PositiveFloat = 10.0
     """Factor on the rewards that the network learns. Q-values differ by some hundredths of a score between actions;
     the factor lifts these differences above the noise of the output at this learning rate."""
-    n_step: PositiveInt = 1
-    """Steps of reward before the target bootstraps."""
     batch_size: PositiveInt = 256
     """Transitions per update."""
     learning_rate: PositiveFloat = 5e-4
@@ -111,8 +95,6 @@ class TrainConfig:
     advantage_learning: ShareBelowOne = 0.9
     """Weight of advantage learning, which widens the gap between the best action and the others: 0.9 makes it
     1 / (1 - 0.9) times as wide and keeps the value of the best action."""
-    loss: Literal["huber", "mse"] = "huber"
-    """Loss of the TD error."""
     max_grad_norm: NonNegativeFloat = 10.0
     """Maximum norm of the gradient; 0 for no clipping."""
     target_update: Literal["soft", "episodes"] = "soft"
@@ -129,7 +111,7 @@ class TrainConfig:
     """Probability of a random action at the end."""
     epsilon_steps: PositiveInt = 80_000
     """Steps of the linear decay."""
-    epsilon_factor: Annotated[float, Bounds(gt=0, le=1)] = 0.995
+    epsilon_factor: Annotated[float, Field(gt=0, le=1)] = 0.995
     """Factor per episode of the multiplicative decay."""
     validation_every: PositiveInt = 100
     """Episodes between two validations."""
@@ -143,13 +125,11 @@ class TrainConfig:
     """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         get_task(self.task)
         get_reward_profile(self.reward_profile)
-        if self.replay_size < self.num_envs * (self.n_step + 2):
-            raise InvalidValueError(
-                f"replay_size {self.replay_size} does not hold {self.n_step + 2} steps of {self.num_envs} episodes"
-            )
+        if self.replay_size < self.num_envs * 3:
+            raise InvalidValueError(f"replay_size {self.replay_size} does not hold 3 steps of {self.num_envs} episodes")
 
     @property
     def name(self) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from torch.nn.functional import mse_loss, smooth_l1_loss
+from torch.nn.functional import smooth_l1_loss
 
 from drone_env.core.batch import Batch
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
@@ -40,7 +40,6 @@ from drone_env.rl.models import PathQNet
 from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
 from drone_env.rl.replay_buffer import ReplayBuffer
 
-LOSSES = {"huber": smooth_l1_loss, "mse": mse_loss}
 Result = tuple[float, float, bool, int]
 """Of an episode: undiscounted return, score, whether all parcels were delivered, steps."""
 MODULES = ("online", "target", "optimizer")
@@ -151,7 +150,7 @@ class Trainer:
         while self.episodes < config.episodes:
             if not self.ended:  # a run may stop amid the episodes that one step ended
                 self.fly()
-                if self.steps > config.learning_starts and self.replay.can_sample(config.n_step):
+                if self.steps > config.learning_starts and self.replay.held > 1:
                     self.updates_due += config.num_envs / config.steps_per_update
                 while self.updates_due >= 1:
                     self.learn()
@@ -174,19 +173,19 @@ class Trainer:
     def learn(self) -> None:
         """Fit the online network to one batch of the replay buffer."""
         config = self.config
-        sample = self.replay.sample(config.batch_size, config.n_step, config.gamma, self.rng)
-        grids, telemetry, actions, returns, discounts, next_grids, next_telemetry = map(self.tensor, sample)
+        sample = self.replay.sample(config.batch_size, config.gamma, self.rng)
+        grids, telemetry, actions, rewards, discounts, next_grids, next_telemetry = map(self.tensor, sample)
         actions = actions.unsqueeze(1)
         with torch.no_grad():
             next_q = self.target(next_grids, next_telemetry)
             selector = self.online(next_grids, next_telemetry) if config.double else next_q
-            td_target = returns + discounts * next_q.gather(1, selector.argmax(1, keepdim=True)).squeeze(1)
+            td_target = rewards + discounts * next_q.gather(1, selector.argmax(1, keepdim=True)).squeeze(1)
             if config.advantage_learning:
                 q = self.target(grids, telemetry)
                 td_target += config.advantage_learning * (q.gather(1, actions).squeeze(1) - q.amax(1))
 
         q_values = self.online(grids, telemetry).gather(1, actions).squeeze(1)
-        loss = LOSSES[config.loss](q_values, td_target)
+        loss = smooth_l1_loss(q_values, td_target)
         set_learning_rate(self.optimizer, self.learning_rate)
         self.optimizer.zero_grad()
         loss.backward()

@@ -6,12 +6,11 @@ PathQNet:
     concatenated with telemetry float32[B, telemetry_size]
     -> Linear 128, LayerNorm -> Linear 128 -> Linear 64 -> Linear 5
 
-ReLU follows every layer but the last. The network takes maps of any size. A square map may also be flat,
-uint8[B, H * W], row by row.
+ReLU follows every layer but the last. The network takes maps of any size.
 """
 
 from functools import lru_cache
-from math import isqrt, sqrt
+from math import sqrt
 
 import torch
 from torch import Tensor, nn
@@ -20,11 +19,10 @@ from drone_env.agents.pathqnet import EPSILON, MAP_FEATURES, POOLED
 from drone_env.agents.tour_features import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
-from drone_env.errors import InvalidValueError
 
 
 class MapEncoder(nn.Module):
-    """The map as 64 features: float32[B, 64] from uint8[B, H, W], or from uint8[B, H * W] of square maps."""
+    """The map as 64 features: float32[B, 64] from uint8[B, H, W]."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,16 +32,7 @@ class MapEncoder(nn.Module):
         self.linear = nn.Linear(32 * POOLED * POOLED, MAP_FEATURES)
 
     def forward(self, grid: Tensor) -> Tensor:
-        """The features of a batch of maps.
-
-        Raises:
-            InvalidValueError: if maps are flat, and not square.
-        """
-        if grid.ndim == 2:
-            side = isqrt(grid.shape[1])
-            if side * side != grid.shape[1]:
-                raise InvalidValueError(f"a flat map is square, got {grid.shape[1]} cells; give the shape (B, H, W)")
-            grid = grid.reshape(-1, side, side)
+        """The features of a batch of maps."""
         # The convolutions are fastest on channels last, the layout of the embedding.
         x = self.embedding(grid.int()).permute(0, 3, 1, 2)
         x = torch.relu_(self.conv1(x))
@@ -63,7 +52,7 @@ def pooling(height: int, width: int, device: torch.device) -> Tensor:
 
 
 class PathQNet(nn.Module):
-    """The values of the five actions: float32[B, 5] from maps as of `MapEncoder` and float32[B, telemetry_size]."""
+    """The values of the five actions: float32[B, 5] from uint8[B, H, W] and float32[B, telemetry_size]."""
 
     def __init__(self, telemetry_size: int = 5) -> None:
         super().__init__()
@@ -80,11 +69,7 @@ class PathQNet(nn.Module):
         )
 
     def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:
-        """The value of each action.
-
-        Raises:
-            InvalidValueError: as `MapEncoder.forward`.
-        """
+        """The value of each action."""
         return self.head(torch.cat([self.encoder(grid), telemetry], dim=1))
 
 

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import PositiveInt
 
-from drone_env.rl.config import PositiveInt, Share, check_numbers
+from drone_env.rl.config import Share, check_values
 
 
 def linear(start: float, end: float, duration: int, step: int) -> float:
@@ -36,7 +37,7 @@ class EpsilonGreedyPolicy:
     decay_steps: PositiveInt = 5000
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
 
     def epsilon(self, step: int) -> float:
         """The probability of a random action after this many steps."""

@@ -5,11 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.errors import InvalidValueError
-
 
 class Transitions(NamedTuple):
-    """A batch of B transitions over up to n steps."""
+    """A batch of B transitions."""
 
     grids: npt.NDArray[np.uint8]
     """uint8[B, H, W]"""
@@ -17,10 +15,10 @@ class Transitions(NamedTuple):
     """float32[B, telemetry_size]"""
     actions: npt.NDArray[np.int64]
     """int64[B]"""
-    returns: npt.NDArray[np.float32]
-    """float32[B], discounted rewards of the steps"""
+    rewards: npt.NDArray[np.float32]
+    """float32[B]"""
     discounts: npt.NDArray[np.float32]
-    """float32[B], discount of the next state's value: gamma^n, or 0 if the episode ended before"""
+    """float32[B], discount of the next state's value: gamma, or 0 if the episode ended"""
     next_grids: npt.NDArray[np.uint8]
     next_telemetry: npt.NDArray[np.float32]
 
@@ -32,19 +30,14 @@ class ReplayBuffer:
     observation of another episode, which no target uses.
 
     Args:
-        capacity: Transitions to hold; rounded down to whole rows.
+        capacity: Transitions to hold, rounded down to whole rows; at least two of them.
         num_envs: N.
         height, width: Size of the grid.
         telemetry_size: Values in the telemetry.
-
-    Raises:
-        InvalidValueError: if the capacity is below two rows.
     """
 
     def __init__(self, capacity: int, num_envs: int, height: int, width: int, telemetry_size: int) -> None:
         rows = capacity // num_envs
-        if rows < 2:
-            raise InvalidValueError(f"a replay of {capacity} does not hold two steps of {num_envs} episodes")
         self.grids = np.zeros((rows, num_envs, height, width), np.uint8)
         self.telemetry = np.zeros((rows, num_envs, telemetry_size), np.float32)
         self.actions = np.zeros((rows, num_envs), np.uint8)
@@ -78,34 +71,18 @@ class ReplayBuffer:
             column[row] = values
         self.added += 1
 
-    def can_sample(self, n_step: int) -> bool:
-        """Whether there is a transition over this many steps."""
-        return self.held > n_step
-
-    def sample(self, batch_size: int, n_step: int, gamma: float, rng: np.random.Generator) -> Transitions:
-        """Uniformly sampled transitions, each over `n_step` steps or up to the end of its episode.
-
-        Raises:
-            InvalidValueError: if there are fewer than `n_step` + 1 rows.
-        """
-        if not self.can_sample(n_step):
-            raise InvalidValueError(f"{self.added} steps have been stored; {n_step + 1} are needed")
+    def sample(self, batch_size: int, gamma: float, rng: np.random.Generator) -> Transitions:
+        """Uniformly sampled transitions; the buffer holds at least two rows."""
         rows = len(self.grids)
-        first = self.added - self.held + rng.integers(0, self.held - n_step, batch_size)
+        first = self.added - self.held + rng.integers(0, self.held - 1, batch_size)
         env = rng.integers(0, self.grids.shape[1], batch_size)
-        returns = np.zeros(batch_size, np.float32)
-        discounts = np.ones(batch_size, np.float32)
-        for i in range(n_step):
-            row = (first + i) % rows
-            returns += discounts * self.rewards[row, env]
-            discounts *= gamma * ~self.terminated[row, env]
-        now, later = first % rows, (first + n_step) % rows
+        now, later = first % rows, (first + 1) % rows
         return Transitions(
             self.grids[now, env],
             self.telemetry[now, env],
             self.actions[now, env].astype(np.int64),
-            returns,
-            discounts,
+            self.rewards[now, env],
+            np.float32(gamma) * ~self.terminated[now, env],
             self.grids[later, env],
             self.telemetry[later, env],
         )

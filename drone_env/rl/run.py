@@ -17,30 +17,23 @@ import zipfile
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
+from itertools import count
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any, BinaryIO, Generic, TextIO, TypeVar, cast
+from typing import Any, TextIO, cast
 
 import torch
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import locked, open_file, replacing, stamp
-from drone_env.rl.common import DifferentRunError, figure
+from drone_env.rl.common import figure
 
-if TYPE_CHECKING:
-    from drone_env.rl.dqn import Trainer
-    from drone_env.rl.tournet import TourTrainer
-
-AnyTrainer = TypeVar("AnyTrainer", "Trainer", "TourTrainer")
 FORMAT, VERSION = "drone_env/checkpoint", 1
 UNREADABLE = (pickle.UnpicklingError, zipfile.BadZipFile, struct.error, RuntimeError, EOFError, MemoryError,
               ValueError, TypeError, LookupError, AttributeError, AssertionError, ArithmeticError)  # fmt: skip
 """What reading a damaged archive, its pickle or its tensors raises."""
 DIGITS = {"epsilon": 3, "loss": 6, "success": 3, "length": 1, "learning_rate": 6, "regret": 6, "cpu_seconds": 1}
 """Decimal places of the log; 4 for other figures."""
-MOST_KEPT = 9
-"""Maximum number of earlier trainings of one name in a folder: a checkpoint takes up to 100 MB."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -68,7 +61,6 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     """
     try:
         with open_file(path) as file:
-            _require_uncompressed(file)
             state: Any = torch.load(file, map_location="cpu", weights_only=True)
     except InvalidValueError as error:
         raise CheckpointError(str(error)) from None
@@ -82,16 +74,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     return cast(dict[str, Any], state)
 
 
-def _require_uncompressed(file: BinaryIO) -> None:
-    """Reject an archive that unpacks to more than its size: `torch.save` compresses nothing."""
-    size = os.fstat(file.fileno()).st_size
-    with zipfile.ZipFile(file) as archive:
-        if sum(entry.file_size for entry in archive.infolist()) > size:
-            raise zipfile.BadZipFile("it is compressed")
-    file.seek(0)
-
-
-class TrainingRun(Generic[AnyTrainer]):
+class TrainingRun:
     """A training with its files.
 
         data/<name>.pth                    the last checkpoint; it contains the best network too
@@ -106,7 +89,7 @@ class TrainingRun(Generic[AnyTrainer]):
     as `<name>.pth.1`. The earlier network also stays in place until a validated one replaces it.
 
     Args:
-        trainer: The trainer; its settings name the files.
+        trainer: A `Trainer` or `TourTrainer`; its settings name the files.
         data: Folder of checkpoint and log.
         results: Folder of tables and curves.
         fresh: Start from scratch, even if there is a checkpoint.
@@ -118,7 +101,7 @@ class TrainingRun(Generic[AnyTrainer]):
 
     def __init__(
         self,
-        trainer: AnyTrainer,
+        trainer: Any,
         data: Path,
         results: Path,
         fresh: bool = False,
@@ -144,14 +127,10 @@ class TrainingRun(Generic[AnyTrainer]):
             state = load_checkpoint(self.checkpoint)
             self.trainer.set_state(state)
             self._seconds = state["seconds"]
-        except DifferentRunError as error:
-            again = "use those to go on, or add --fresh to start again"
-            raise CheckpointError(f"{self.checkpoint} has other settings: {error}; {again}") from None
         except UNREADABLE as error:
-            wrong = "lacks" if isinstance(error, KeyError) else "does not fit this training:"
             first = (str(error).splitlines() or [type(error).__name__])[0]  # PyTorch adds lines
-            why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {first}"
-            raise CheckpointError(f"{why}; add --fresh to start again and keep the file") from None
+            why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} does not fit: {first}"
+            raise CheckpointError(f"{why}; --fresh starts again and keeps the file") from None
 
     @property
     def done(self) -> int:
@@ -175,7 +154,7 @@ class TrainingRun(Generic[AnyTrainer]):
 
         Raises:
             InvalidValueError: if another process trains in the same folder, or has trained there since this run
-                began; if it has too many earlier trainings; or if the weights are no longer finite.
+                began; or if the weights are no longer finite.
         """
         trainer, config, data = self.trainer, self.trainer.config, self.log.parent
         data.mkdir(parents=True, exist_ok=True)
@@ -232,13 +211,8 @@ class TrainingRun(Generic[AnyTrainer]):
         files = (self.network, self.checkpoint, self.results)
         if not any(file.exists() for file in files):
             return
-        for number in range(1, MOST_KEPT + 1):
-            network, checkpoint, results = kept = [file.with_name(f"{file.name}.{number}") for file in files]
-            if not any(file.exists() for file in kept):
-                break
-        else:
-            first = self.checkpoint.with_name(f"{self.checkpoint.name}.1")
-            raise InvalidValueError(f"{first} to .{MOST_KEPT} are kept already: move or delete those not needed")
+        number = next(number for number in count(1) if not any(Path(f"{file}.{number}").exists() for file in files))
+        network, checkpoint, results = (Path(f"{file}.{number}") for file in files)
         if self.network.exists():  # copied: a server flies it until there is a validated one
             with replacing(network) as temporary:
                 shutil.copy2(self.network, temporary)
@@ -281,10 +255,9 @@ class TrainingRun(Generic[AnyTrainer]):
     def stopping_on_interrupt(self) -> Generator[None, None, None]:
         """Inside the `with`, Ctrl-C sets `stopped`; a second one ends at once. For the main thread."""
 
-        def stop(signum: int, frame: FrameType | None) -> None:
-            if self.stopped:
-                raise KeyboardInterrupt
+        def stop(*_: object) -> None:
             self.stopped = True
+            signal.signal(signal.SIGINT, before)
             print("\nstopping after this step; once more to stop at once", file=sys.stderr)
 
         before = signal.signal(signal.SIGINT, stop)

@@ -97,7 +97,20 @@ class ScoreEvalCallback(EventCallback):
             sampled=not self.deterministic,
         )
         self.evaluations.append((self.num_timesteps, flown))
-        score = self._tell(flown)
+        figures = summarise(flown)
+        score, regret = figures["mean_score"], figures["mean_regret"]
+        self.logger.record("eval/mean_score", score)
+        if regret is not None:
+            self.logger.record("eval/mean_regret", regret)
+        self.logger.record("eval/mean_ep_length", figures["mean_steps"])
+        self.logger.record("eval/success_rate", figures["success_rate"])
+        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
+        self.logger.dump(self.num_timesteps)
+        if self.verbose >= 1:
+            beside = "" if regret is None else f", optimum {figures['mean_optimal_score']:.4f}, regret {regret:.4f}"
+            best = "; the best so far" if score > self.best_mean_reward else ""
+            success = f"{figures['success_rate']:.1%} delivered all"
+            print(f"{self.num_timesteps:,} steps: score {score:.4f}{beside}, {success}{best}")
         if self.log_path is not None:
             self._keep(self.log_path / "evaluations.npz")
         self.last_mean_reward, go_on = score, True
@@ -109,23 +122,6 @@ class ScoreEvalCallback(EventCallback):
             if self.callback_on_new_best is not None:
                 go_on = self.callback_on_new_best.on_step()
         return go_on and self._on_event()
-
-    def _tell(self, flown: Results) -> float:
-        figures = summarise(flown)
-        told = {"score": figures["mean_score"], "regret": figures["mean_regret"], "ep_length": figures["mean_steps"]}
-        for name, value in told.items():
-            if value is not None:
-                self.logger.record(f"eval/mean_{name}", value)
-        self.logger.record("eval/success_rate", figures["success_rate"])
-        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
-        self.logger.dump(self.num_timesteps)
-        if self.verbose >= 1:
-            optimum = figures["mean_optimal_score"]
-            beside = "" if optimum is None else f", optimum {optimum:.4f}, regret {figures['mean_regret']:.4f}"
-            success = f"{figures['success_rate']:.1%} delivered all"
-            best = "; the best so far" if figures["mean_score"] > self.best_mean_reward else ""
-            print(f"{self.num_timesteps:,} steps: score {figures['mean_score']:.4f}{beside}, {success}{best}")
-        return figures["mean_score"]
 
     def _keep(self, path: Path) -> None:
         every = [flown for _, flown in self.evaluations]

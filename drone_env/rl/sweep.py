@@ -15,7 +15,6 @@ import itertools
 import math
 import multiprocessing
 import re
-import shlex
 import sys
 import warnings
 from collections import Counter, deque
@@ -37,40 +36,30 @@ from optuna.visualization import matplotlib as plots
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from drone_env import __version__
-from drone_env.core.rewards import RewardProfile
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task, own_rules
-from drone_env.envs.registry import load_plugins, register_reward_profile, task_argument
+from drone_env.envs.registry import load_plugins
 from drone_env.errors import InvalidValueError, UnknownNameError, text_of
 from drone_env.files import differences, is_begun, locked, read_file, replacing, write_json, write_text
 from drone_env.models import Message
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.statistics import SCORES, SHARES, crossed, with_interval
 from drone_env.results.tables import markdown_table, number
-from drone_env.reward_file import load_reward_profile
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.dqn import Trainer
 from drone_env.rl.run import TrainingRun
 
-ELSEWHERE = {
-    "task": "--task",
-    "seed": "--seeds",
-    "num_threads": "--cpus-per-trial",
-    "gpu": "drone-env train --gpu: a sweep trains on CPUs",
-    "checkpoint_episodes": "--checkpoint-seconds",
-    "checkpoint_seconds": "--checkpoint-seconds",
-}
-"""Values of training that `--set` does not take, and what sets them."""
+NOT_SET = ("task", "seed", "num_threads", "gpu", "checkpoint_episodes", "checkpoint_seconds")
+"""Values of training that `--set` does not take: other options of the command decide them."""
 ALIASES = {"lr": "learning_rate"}
 RANGE = re.compile(r"(uniform|loguniform)\(([^,()]+),([^,()]+)\)")
 COMPARED = ("episodes", "validation_every", "validation_maps", "log_every")
 """Values that all settings must share for pruning: they decide when a validation score is measured, and how."""
-MOST_TRIALS = 10_000
 MOST_FILE = 16 << 20
 LOCK_SECONDS = 60.0
+CHECKPOINT_SECONDS = 30.0
+"""Minimum time between two checkpoints of a training."""
 NAME = "sweep"
-
-Setting = Mapping[str, Any]
 
 
 class SweepConfig(Message):
@@ -84,11 +73,8 @@ class SweepConfig(Message):
     rules: dict[str, str] = Field(description="Digest of the task's rules if the task is not the package's.")
     preset: str
     space: dict[str, str] = Field(description="Optuna's distribution of each value that --set names, as JSON.")
-    rewards: dict[str, RewardProfile] = Field(description="Reward profiles from files, by file.")
-    samples: int | None = Field(description="Number of settings to sample; null for the whole grid.")
-    samples_seed: int = Field(ge=0)
+    samples: int | None = Field(ge=1, description="Number of settings to sample; null for the whole grid.")
     seeds: int = Field(ge=1, le=1000, description="Each setting is trained with the seeds 0 to seeds - 1.")
-    cpus_per_trial: int = Field(ge=1, le=4096, description="Threads: other numbers differ in the last bits.")
     early_stopping: bool
     test_maps: int = Field(ge=2, le=1_000_000, description="Number of test maps that each finished network flies.")
 
@@ -103,40 +89,26 @@ class SweepConfig(Message):
         axes = [_ends(distribution) for distribution in self.distributions.values()]
         return [dict(zip(self.space, values, strict=True)) for values in itertools.product(*axes)]
 
-    def training(self, setting: Setting, seed: int, checkpoint_seconds: float = 30.0) -> TrainConfig:
+    def training(self, setting: Mapping[str, Any], seed: int) -> TrainConfig:
         """Return how a setting is trained with a seed.
 
         Raises:
             InvalidValueError: if a value is out of range.
         """
-        values = dict(setting)
-        if values.get("reward_profile") in self.rewards:
-            values["reward_profile"] = register_reward_profile(self.rewards[values["reward_profile"]]).id
-        defaults = preset(self.preset, self.task, values.get("episodes"))
         return replace(
-            defaults,
+            preset(self.preset, self.task, setting.get("episodes")),
             task=get_task(self.task).short_name,
             seed=seed,
-            num_threads=self.cpus_per_trial,
+            num_threads=1,
             checkpoint_episodes=1,
-            checkpoint_seconds=checkpoint_seconds,
-            **values,
+            checkpoint_seconds=CHECKPOINT_SECONDS,
+            **setting,
         )
 
-    def label(self, setting: Setting) -> str:
+    def label(self, setting: Mapping[str, Any]) -> str:
         """A setting in words: the values that differ between settings."""
-        varied = {name for name, distribution in self.distributions.items() if len(_ends(distribution)) > 1}
-        return " ".join(f"{name}={setting[name]}" for name in setting if name in varied) or "the only setting"
-
-    def command(self, number: int, setting: Setting, seed: int) -> str:
-        """Return the command that trains the same network alone."""
-        words = ["python", "train.py", "--task", task_argument(get_task(self.task)), "--preset", self.preset]
-        words += ["--seed", f"{seed}", "--num-threads", f"{self.cpus_per_trial}"]
-        for name, value in setting.items():
-            flag = name.replace("_", "-")
-            words += [f"--{'' if value else 'no-'}{flag}"] if isinstance(value, bool) else [f"--{flag}", f"{value}"]
-        folder = f"alone/trial{number}/seed{seed}"
-        return shlex.join([*words, "--data", folder, "--results", folder])
+        varied = [name for name, distribution in self.distributions.items() if len(_ends(distribution)) > 1]
+        return " ".join(f"{name}={setting[name]}" for name in varied)
 
 
 def distribution_of(text: str) -> tuple[str, BaseDistribution]:
@@ -150,12 +122,10 @@ def distribution_of(text: str) -> tuple[str, BaseDistribution]:
     name = ALIASES.get(given, given.replace("-", "_"))
     if not equals or not listed:
         raise InvalidValueError(f"--set takes NAME=VALUE,VALUE... such as lr=1e-3,3e-4; got {text!r}")
-    if name in ELSEWHERE:
-        raise InvalidValueError(f"--set does not take {name}: use {ELSEWHERE[name]}")
     hints = get_type_hints(TrainConfig)
-    kinds = {field.name: hints[field.name] for field in fields(TrainConfig)}
+    kinds = {field.name: hints[field.name] for field in fields(TrainConfig) if field.name not in NOT_SET}
     if name not in kinds:
-        raise UnknownNameError("setting", given, [*(kinds.keys() - ELSEWHERE), *ALIASES])
+        raise UnknownNameError("setting", given, [*kinds, *ALIASES])
     parse = TypeAdapter[Any](kinds[name], config=ConfigDict(allow_inf_nan=False)).validate_strings
     try:
         if found := RANGE.fullmatch("".join(listed.split())):
@@ -190,7 +160,6 @@ def make_config(task: str, sets: Sequence[str], samples: int | None, **values: A
 
     Raises:
         UnknownNameError: if there is no such task, value of training or reward profile.
-        OSError: if the file of a reward profile cannot be read.
         InvalidValueError: if a value is out of range, a name is set twice, a range has no `samples`, or settings cannot
             be compared early.
     """
@@ -202,11 +171,6 @@ def make_config(task: str, sets: Sequence[str], samples: int | None, **values: A
             raise InvalidValueError(f"{name} is a range: add --samples N, the number of settings to sample")
         if values["early_stopping"] and name in COMPARED and len(_ends(distribution)) > 1:
             raise InvalidValueError(f"settings with different {name} cannot be compared: add --no-early-stopping")
-    grid = math.prod(len(_ends(distribution)) for distribution in space.values())
-    most = grid if samples is None else samples
-    if not 1 <= most <= MOST_TRIALS:
-        raise InvalidValueError(f"a sweep has 1 to {MOST_TRIALS} settings, got {most}; --samples N samples some")
-    files = [f"{name}" for name in _ends(space.get("reward_profile", CategoricalDistribution([""])))]
     known = get_task(task)
     try:
         config = SweepConfig(
@@ -214,7 +178,6 @@ def make_config(task: str, sets: Sequence[str], samples: int | None, **values: A
             task_version=known.version,
             rules=own_rules(known),
             space={name: optuna.distributions.distribution_to_json(values) for name, values in space.items()},
-            rewards={file: load_reward_profile(file) for file in files if file.endswith(".toml")},
             samples=samples,
             **values,
         )
@@ -268,33 +231,33 @@ def open_study(out: Path, config: SweepConfig) -> optuna.Study:
         )
 
 
-def run(out: Path, processes: int, checkpoint_seconds: float) -> None:
+def run(out: Path, processes: int) -> None:
     """Train in several processes until no trial is left that another process does not train."""
     if processes == 1:
-        _work(out, checkpoint_seconds)
+        _work(out)
         return
     context = multiprocessing.get_context("spawn")
-    workers = [context.Process(target=_work_alone, args=(out, checkpoint_seconds)) for _ in range(processes)]
+    workers = [context.Process(target=_work_alone, args=(out,)) for _ in range(processes)]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join()
 
 
-def _work_alone(out: Path, checkpoint_seconds: float) -> None:
+def _work_alone(out: Path) -> None:
     load_plugins()
     with suppress(KeyboardInterrupt):  # the process that started this one reports it
-        _work(out, checkpoint_seconds)
+        _work(out)
 
 
-def _work(out: Path, checkpoint_seconds: float) -> None:
+def _work(out: Path) -> None:
     """Train one trial after another until none is left."""
     config = read_config(out)
     study = open_study(out, config)
     while (taken := _take(study, config, out)) is not None:
         trial, lock = taken
         try:
-            study.tell(trial, _train(trial, config, out, checkpoint_seconds))
+            study.tell(trial, _train(trial, config, out))
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
         except Exception as error:  # the result of this trial: the others go on
@@ -321,7 +284,7 @@ def _take(study: optuna.Study, config: SweepConfig, out: Path) -> tuple[Trial, F
         if config.samples is None:
             study.enqueue_trial(config.settings[begun])
         # Each process has a sampler, and with one seed all would sample the same setting.
-        study.sampler = optuna.samplers.TPESampler(seed=config.samples_seed + begun)
+        study.sampler = optuna.samplers.TPESampler(seed=begun)
         trial = study.ask(config.distributions)
         folder = out / f"trial{trial.number}"
         folder.mkdir(exist_ok=True)
@@ -330,16 +293,16 @@ def _take(study: optuna.Study, config: SweepConfig, out: Path) -> tuple[Trial, F
         return trial, lock
 
 
-def _train(trial: Trial, config: SweepConfig, out: Path, checkpoint_seconds: float) -> float:
+def _train(trial: Trial, config: SweepConfig, out: Path) -> float:
     """Train a setting with all its seeds side by side; return its mean validation score.
 
     Raises:
         TrialPruned: if it is stopped early.
     """
-    runs: list[TrainingRun[Trainer]] = []
+    runs: list[TrainingRun] = []
     for seed in range(config.seeds):
         place = out / f"trial{trial.number}" / f"seed{seed}"
-        runs.append(TrainingRun(Trainer(config.training(trial.params, seed, checkpoint_seconds)), place, place))
+        runs.append(TrainingRun(Trainer(config.training(trial.params, seed)), place, place))
     lines = [run.train() for run in runs]
     training, optimum = runs[0].trainer.config, runs[0].trainer.metadata()["validation_optimum"]
     trial.set_user_attr("validation_optimum", optimum)
@@ -366,7 +329,7 @@ def _train(trial: Trial, config: SweepConfig, out: Path, checkpoint_seconds: flo
     return score
 
 
-def _best_until(run: TrainingRun[Trainer], lines: Any, episodes: int) -> float:
+def _best_until(run: TrainingRun, lines: Any, episodes: int) -> float:
     """Train to the first line of the log at or after `episodes`; return the best validation score up to there."""
     history = run.trainer.history
     while not (history and history[-1].episode >= episodes) and next(lines, None) is not None:
@@ -375,7 +338,7 @@ def _best_until(run: TrainingRun[Trainer], lines: Any, episodes: int) -> float:
     return max((line.validation for line in history[: last + 1] if not math.isnan(line.validation)), default=0.0)
 
 
-def _fly_test_maps(runs: list[TrainingRun[Trainer]], config: SweepConfig) -> dict[str, Any]:
+def _fly_test_maps(runs: list[TrainingRun], config: SweepConfig) -> dict[str, Any]:
     """Return the best networks' scores on the test maps beside the optimum; intervals are (mean, low, high)."""
     seeds = split_seeds("test", config.test_maps)
     flown = [run_episodes(episodes_key(config.task, f"pathqnet:{run.network}", seeds, "test")) for run in runs]
@@ -401,7 +364,7 @@ def _show(config: SweepConfig, trial: Trial, message: str) -> None:
 def write_report(out: Path, config: SweepConfig) -> Counter[str]:
     """Write the report and the plots of a sweep; return the number of trials in each state."""
     study = open_study(out, config)
-    rows = [_row(config, trial) for trial in study.get_trials()]
+    rows = [_row(trial) for trial in study.get_trials()]
     rows.sort(key=lambda row: (row["state"] != "complete", -(row["validation"] or 0)))
     report = {"format": "drone_env/sweep-report", "config": config.model_dump(mode="json"), "trials": rows}
     write_json(out / "report.json", report)
@@ -419,12 +382,10 @@ def write_report(out: Path, config: SweepConfig) -> Counter[str]:
         )
         for row in rows
     ]
-    commands = "\n".join(command for row in rows for command in row["commands"])
     text = (
         f"# Sweep of {config.task}, preset {config.preset}\n\nEach setting is trained with {config.seeds} seeds. Test "
         f"scores are means over {config.test_maps:,} test maps, with 95 % intervals over seeds and maps.\n\n"
         f"{markdown_table(head, table)}\n\n![validation scores](curves.png)\n"
-        f"\n## Commands\n\nEach trains one network of a trial alone.\n\n```bash\n{commands}\n```\n"
     )
     write_text(out / "report.md", text)
     _draw(study, next((row["validation_optimum"] for row in rows if row["validation_optimum"]), None), out)
@@ -435,17 +396,17 @@ def _figure(figure: Sequence[float] | None) -> str:
     return "-" if figure is None else with_interval(figure[0], figure[1:])
 
 
-def _row(config: SweepConfig, trial: FrozenTrial) -> dict[str, Any]:
-    unknown = {"validation_optimum": None, "test": None, "error": None}
+def _row(trial: FrozenTrial) -> dict[str, Any]:
     return {
         "trial": trial.number,
         "setting": trial.params,
         "state": "failed" if trial.state == TrialState.FAIL else trial.state.name.lower(),
         "episodes": trial.last_step or 0,
         "validation": trial.intermediate_values.get(trial.last_step or 0),
-        **unknown,
+        "validation_optimum": None,
+        "test": None,
+        "error": None,
         **trial.user_attrs,
-        "commands": [config.command(trial.number, trial.params, seed) for seed in range(config.seeds)],
     }
 
 

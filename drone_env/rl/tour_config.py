@@ -2,22 +2,14 @@
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task, own_rules
 from drone_env.errors import InvalidValueError
-from drone_env.rl.config import (
-    Bounds,
-    NonNegativeFloat,
-    NonNegativeInt,
-    PositiveFloat,
-    PositiveInt,
-    Share,
-    ShareBelowOne,
-    check_numbers,
-)
+from drone_env.rl.config import Share, ShareBelowOne, check_values
 
 ALL = "all"
 SHARES = {
@@ -60,17 +52,15 @@ class TourConfig:
 
     task: str = ALL
     """The task, by its short name, id or grader; `all` for one network on all tasks and variants of them."""
-    kind: Literal["distilled", "rewards"] = "distilled"
-    """Learn from the exact value of each option, or from the scores of the network's own plans."""
     initial: str = ""
     """File of an exported tour network to start from; empty for random weights."""
     updates: PositiveInt = 12_000
     """Number of updates, and length of the learning rate's decay."""
-    seed: Annotated[int, Bounds(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of the weights, maps and batches: equal seeds give equal runs on a CPU."""
-    num_threads: Annotated[int, Bounds(gt=0, le=256)] = 1
+    num_threads: PositiveInt = 1
     """Number of PyTorch threads, beside one that generates samples. It changes the last bits of a run."""
-    batch_size: Annotated[int, Bounds(gt=0, le=1 << 16, multiple_of=4)] = 512
+    batch_size: Annotated[int, Field(gt=0, multiple_of=4)] = 512
     """States per update, all of one task: a quarter from each of four chunks."""
     learning_rate: PositiveFloat = 1e-3
     """Maximum learning rate of AdamW."""
@@ -95,9 +85,7 @@ class TourConfig:
     states_per_map: PositiveInt = 128
     """States sampled from each map."""
     randomised: Share = 0.6
-    """Probability that a chunk of exact values comes from a task with other numbers (`randomise`)."""
-    plans: PositiveInt = 16
-    """Plans flown from each state, if the network learns from rewards."""
+    """Probability that a chunk comes from a task with other numbers (`randomise`)."""
     window: PositiveInt = 24
     """Number of latest chunks of each task that batches come from."""
     validation_every: PositiveInt = 1_000
@@ -110,7 +98,7 @@ class TourConfig:
     """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         if self.task != ALL:
             task = get_task(self.task)
             if task.uniform and task.deliveries == 1:
@@ -122,8 +110,7 @@ class TourConfig:
     @property
     def name(self) -> str:
         """The name of the training's files."""
-        parts = ["tournet", *(["rewards"] if self.kind == "rewards" else [])]
-        return "_".join(parts if self.task == ALL else [*parts, get_task(self.task).short_name])
+        return "tournet" if self.task == ALL else f"tournet_{get_task(self.task).short_name}"
 
     def tasks(self) -> list[TaskConfig]:
         """The tasks that the network learns and is validated on."""

@@ -82,10 +82,6 @@ class TourBatch:
         """One row for each state of a number for each option, float32[states, most options]."""
         return torch.full(self._size, missing).index_put(self._at, values)
 
-    def of_options(self, table: Tensor) -> Tensor:
-        """The numbers of the options in such a table, float32[options]."""
-        return table[self._at]
-
 
 def sample_batch(window: Sequence[Samples], size: int, rng: np.random.Generator) -> TourBatch:
     """Sample states from four chunks, as many from each, with replacement.
@@ -220,12 +216,10 @@ class TourTrainer:
         self.validated: dict[str, Tensor] = {}
         """The average of the weights at the last validation."""
         self._cpu_before, self._cpu_since = 0.0, time.process_time()
-        self._make_sources(list(sampled))
+        self._generators = [self._generator(task) for task in sampled]
 
-    def _make_sources(self, tasks: list[TaskConfig]) -> None:
-        """Make the sources of samples."""
-        config = self.config
-        self._generators = [SampleGenerator(task, config.maps_per_chunk, config.states_per_map) for task in tasks]
+    def _generator(self, task: TaskConfig) -> SampleGenerator:
+        return SampleGenerator(task, self.config.maps_per_chunk, self.config.states_per_map)
 
     @property
     def cpu_seconds(self) -> float:
@@ -257,19 +251,13 @@ class TourTrainer:
         """The index of a chunk's task."""
         return int(self._rng(chunk, 0).choice(len(self._task_shares), p=self._task_shares))
 
-    def _seeds_of(self, chunk: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
-        """The maps of a chunk, and the generator that chose them."""
-        rng, train = self._rng(chunk, 1), SPLITS["train"]
-        return rng.integers(train.start, train.stop, self.config.maps_per_chunk), rng
-
     def _generate(self, chunk: int) -> Samples:
-        config = self.config
-        seeds, rng = self._seeds_of(chunk)
+        rng, train = self._rng(chunk, 1), SPLITS["train"]
+        seeds = rng.integers(train.start, train.stop, self.config.maps_per_chunk)
         generator = self._generators[self._task_of(chunk)]
-        if rng.random() < config.randomised:
+        if rng.random() < self.config.randomised:
             with suppress(TooLargeError):  # then the task stays as it is
-                task = randomise(generator.task, rng)
-                generator = SampleGenerator(task, config.maps_per_chunk, config.states_per_map)
+                generator = self._generator(randomise(generator.task, rng))
         return generator.generate(seeds)
 
     def _fill_windows(self, thread: ThreadPoolExecutor) -> None:
@@ -297,15 +285,10 @@ class TourTrainer:
             raise InvalidValueError("no choice drawn so far matters: raise maps_per_chunk or states_per_map")
         window = self._windows[int(rng.choice(len(shares), p=shares / shares.sum()))]
         batch = sample_batch([samples for samples in window if len(samples.values)], config.batch_size, rng)
-        preference, completions = self.online(*batch.inputs)
-        choice, regret, completion = self._losses_of(preference, completions, batch)
-        loss = choice if regret.isnan() else choice + config.regret_weight * regret
-        loss = loss + config.completion_weight * completion
+        choice, regret, completion = distillation_losses(*self.online(*batch.inputs), batch, config.temperature)
+        loss = choice + config.regret_weight * regret + config.completion_weight * completion
         if not loss.isfinite():
-            raise InvalidValueError(
-                f"after {self.updates} updates the loss is no number: lower learning_rate, or raise warm_up. What was "
-                "saved last is as it was"
-            )
+            raise InvalidValueError(f"loss NaN after {self.updates} updates: lower learning_rate, or raise warm_up")
         set_learning_rate(self.optimizer, self.learning_rate)
         self.optimizer.zero_grad()
         loss.backward()
@@ -316,9 +299,6 @@ class TourTrainer:
         # The average covers fewer updates at first, to forget the initial weights.
         update_average(self.average, self.online, 1 - min(config.average, 1 - 1 / (self.updates / 10 + 1)))
         self._losses.append((choice.item(), regret.item(), completion.item()))
-
-    def _losses_of(self, preference: Tensor, completion: Tensor, batch: TourBatch) -> tuple[Tensor, Tensor, Tensor]:
-        return distillation_losses(preference, completion, batch, self.config.temperature)
 
     @property
     def learning_rate(self) -> float:
@@ -402,7 +382,7 @@ class TourTrainer:
         """The metadata of the exported network."""
         return {
             "network": "tournet",
-            "kind": self.config.kind,
+            "kind": "distilled",
             "tasks": {task.id: task.version for task in self.config.tasks()},
             "config": self.config.identity(),
             "updates": self.updates,

@@ -43,7 +43,7 @@ SMALL_TOUR = TourConfig(
 AnyTrainer = TypeVar("AnyTrainer", Trainer, TourTrainer)
 
 
-def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun[Trainer]:
+def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun:
     """Such a run with its files in a folder."""
     return TrainingRun(Trainer(replace(SMALL, **changes)), folder, folder / "results", fresh)
 

@@ -2,8 +2,6 @@
 
 import resource
 import signal
-import threading
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -29,35 +27,20 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
     for state, message in (
         ({"weights": torch.zeros(3)}, "not a checkpoint of this project"),
         ({"format": "drone_env/checkpoint", "version": 99}, "version 99; this program reads version 1"),
-        ({"format": "drone_env/checkpoint"}, "version None"),
     ):
         torch.save(state, path)
         with pytest.raises(CheckpointError, match=message):
             load_checkpoint(path)
     save_checkpoint(path, {"config": SMALL.identity()})
-    with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; add --fresh"):
+    with pytest.raises(CheckpointError, match=r"easy\.pth does not fit: 'online'; --fresh"):
         run_in(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
-
-
-def test_a_compressed_checkpoint_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.pth"
-    save_checkpoint(path, {"tensor": torch.zeros(1_000_000)})
-    with zipfile.ZipFile(path) as whole:
-        entries = {entry: whole.read(entry) for entry in whole.namelist()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
-        for name, content in entries.items():
-            packed.writestr(name, content)
-    with pytest.raises(CheckpointError, match=r"no checkpoint \(BadZipFile\)"):
-        load_checkpoint(path)
 
 
 def test_a_failed_write_leaves_the_previous_checkpoint(tmp_path: Path) -> None:
     path = tmp_path / "easy.pth"
     save_checkpoint(path, {"steps": 1})
     before = path.read_bytes()
-    with pytest.raises(TypeError, match="pickle"):
-        save_checkpoint(path, {"tensor": torch.zeros(1000), "no value": threading.Lock()})
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # as a full disk

@@ -19,9 +19,9 @@ from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, UnsupportedTaskError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.rl.models import MapEncoder, PathQNet
+from drone_env.rl.models import PathQNet
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 
@@ -52,30 +52,6 @@ def test_the_network_is_as_drawn() -> None:
         "head.7.weight": (5, 64),
     }
     assert isinstance(PathQNet().head[1], torch.nn.LayerNorm)
-    for height, width in ((10, 10), (18, 18), (7, 11)):
-        grids = torch.randint(0, 9, (3, height, width), dtype=torch.uint8)
-        assert MapEncoder()(grids).shape == (3, 64)
-        assert PathQNet()(grids, torch.rand(3, 5)).shape == (3, 5)
-    network, grids, telemetry = PathQNet(), torch.randint(0, 9, (3, 14, 14)), torch.rand(3, 5)
-    assert torch.equal(network(grids.flatten(1), telemetry), network(grids, telemetry))
-    with pytest.raises(InvalidValueError, match=r"a flat map is square, got 77 cells; give the shape \(B, H, W\)"):
-        network(torch.zeros(3, 77, dtype=torch.uint8), telemetry)
-
-
-def test_the_layers_come_in_the_order_that_is_drawn() -> None:
-    """The network once more, from PyTorch's own layers alone."""
-    torch.manual_seed(0)
-    network = PathQNet()
-    encoder, head = network.encoder, network.head
-    grids, telemetry = torch.randint(0, 9, (4, 10, 14), dtype=torch.uint8), torch.rand(4, 5)
-    x = encoder.embedding(grids.long()).permute(0, 3, 1, 2)
-    x = torch.relu(encoder.conv2(torch.relu(encoder.conv1(x))))
-    x = torch.nn.AdaptiveAvgPool2d(4)(x)
-    # What is pooled is laid out cell by cell, as the exported network lays it out.
-    x = torch.cat([torch.relu(encoder.linear(x.permute(0, 2, 3, 1).flatten(1))), telemetry], dim=1)
-    x = torch.relu(torch.nn.functional.layer_norm(head[0](x), (128,), head[1].weight, head[1].bias))
-    x = head[7](torch.relu(head[5](torch.relu(head[3](x)))))
-    assert torch.allclose(network(grids, telemetry), x, atol=1e-6)
 
 
 @pytest.mark.feature("L2")
@@ -87,8 +63,7 @@ def test_five_values_of_telemetry() -> None:
     np.testing.assert_allclose(episode.observation()["telemetry"], [0.5, 0.3, 59 / 60, 0.5, 0.1], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("height", "width"), [(10, 10), (14, 14), (18, 18), (7, 11), (3, 2)])
-@pytest.mark.parametrize("telemetry_size", [5, 6])
+@pytest.mark.parametrize(("height", "width", "telemetry_size"), [(10, 10, 5), (18, 18, 6), (7, 11, 5), (3, 2, 5)])
 def test_the_network_without_torch_is_the_same(height: int, width: int, telemetry_size: int, tmp_path: Path) -> None:
     torch.manual_seed(height)
     network = PathQNet(telemetry_size)
@@ -103,7 +78,7 @@ def test_the_network_without_torch_is_the_same(height: int, width: int, telemetr
     assert np.abs(found - expected).max() < 1e-5
 
 
-@pytest.mark.parametrize("size", [4, 10, 14, 18, 3])
+@pytest.mark.parametrize("size", [10, 18, 3])
 def test_pooling_as_a_matrix_is_adaptive_average_pooling(size: int) -> None:
     x = torch.rand(1, 1, size, size)
     expected = torch.nn.functional.adaptive_avg_pool2d(x, 4)[0, 0].numpy()
@@ -111,17 +86,12 @@ def test_pooling_as_a_matrix_is_adaptive_average_pooling(size: int) -> None:
 
 
 def test_the_agent_flies_alone_as_in_a_batch() -> None:
-    agent = make_agent("pathqnet", "easy")
-    assert isinstance(agent, PathQNetAgent)
-    episodes = [Episode("easy") for _ in range(30)]
-    for seed, episode in enumerate(episodes):
-        episode.reset(seed)
-    observations = [episode.observation() for episode in episodes]
+    agent = PathQNetAgent(get_task("easy"))
+    observations = [Episode("easy", seed=seed).observation() for seed in range(30)]
     grids = np.stack([observation["grid"] for observation in observations])
     telemetry = np.stack([observation["telemetry"] for observation in observations])
     alone = [agent.act(observation) for observation in observations]
     assert len(set(alone)) > 1
-    assert agent.act_batch(grids, telemetry).tolist() == alone
     # More than it takes at a time, in another order in each part.
     order = np.random.default_rng(0).integers(0, 30, 2 * CHUNK + 1)
     assert agent.act_batch(grids[order], telemetry[order]).tolist() == [alone[i] for i in order]
@@ -136,7 +106,6 @@ def test_the_shipped_network_has_a_card(name: str) -> None:
     card = path.with_suffix(".md").read_text(encoding="utf-8")
     assert f"`drone-env train --task {task.short_name}" in card
     assert f"{network.metadata['updates']:,} updates" in card
-    assert PathQNetAgent(task).config == make_agent(f"pathqnet:{path}", task).config
 
 
 @pytest.mark.parametrize("task", SHIPPED)
@@ -180,19 +149,13 @@ def file_of(parameters: dict[str, Any], metadata: str = '{"telemetry_size": 5}',
 BIAS = np.zeros(5, np.float32)
 HOSTILE: dict[str, tuple[Callable[[dict[str, Any]], bytes], str]] = {
     "too large": (lambda whole: bytes(MOST_BYTES + 1), f"at most {MOST_BYTES:,} bytes"),
-    "nothing": (lambda whole: b"nothing", "Error while deserializing"),
     "cut short": (lambda whole: file_of(whole)[:-30], "Error while deserializing"),
     "a missing array": (lambda whole: file_of({"head.7.bias": BIAS}), "its parameters are not those"),
-    "an array too many": (lambda whole: file_of(whole, more=BIAS), "its parameters are not those"),
     "another shape": (lambda whole: file_of(whole, head_7_bias=BIAS[1:]), r"head.7.bias is float32\[4\]"),
-    "whole numbers": (lambda whole: file_of(whole, head_7_bias=BIAS.astype(np.int32)), "head.7.bias is int32"),
     "no number": (lambda whole: file_of(whole, head_7_bias=BIAS + np.nan), "head.7.bias has values that are no"),
     "overflow": (lambda whole: file_of(whole, head_7_bias=BIAS + 2 * LARGEST), "beyond 100"),
-    "no metadata": (lambda whole: save(whole), "it lacks '__metadata__'"),
     "other metadata": (lambda whole: save(whole, {"format": "pt"}), "it lacks 'drone_env'"),
-    "metadata of a list": (lambda whole: file_of(whole, "[5]"), "no JSON object"),
     "nested metadata": (lambda whole: file_of(whole, "[" * 50_000), "recursion"),
-    "metadata without a size": (lambda whole: file_of(whole, "{}"), "telemetry_size"),
     "a size that is none": (lambda whole: file_of(whole, '{"telemetry_size": [5]}'), "telemetry_size"),
 }
 
@@ -204,13 +167,3 @@ def test_a_hostile_file_is_refused_by_name(name: str, tmp_path: Path) -> None:
     path.write_bytes(make(export(PathQNet(), path)))
     with pytest.raises(CheckpointError, match=rf"hostile\.safetensors is not an exported network.*: .*{why}"):
         load_network(path)
-
-
-def test_the_largest_weights_that_are_taken_do_not_overflow(tmp_path: Path) -> None:
-    path, rng = tmp_path / "large.safetensors", np.random.default_rng(0)
-    whole = export(PathQNet(), path)
-    for signs in ([1], [-1, 1]):
-        large = {name: (LARGEST * rng.choice(signs, array.shape)).astype(np.float32) for name, array in whole.items()}
-        path.write_bytes(file_of(large))
-        grids = rng.integers(0, N_CELL_KINDS, (8, 18, 18), dtype=np.uint8)
-        assert np.isfinite(load_network(path)(grids, np.ones((8, 5), np.float32))).all()

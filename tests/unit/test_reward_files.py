@@ -56,7 +56,7 @@ def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.
     kept = load_checkpoint(Path("data/easy.pth"))["config"]
     assert (kept["reward_profile"], kept["reward events"]) == ("mine", "delivery 7, wait 0.5, step -0.25")
     shutil.copy(mine, "copy.toml")
-    assert run(*TRAIN, "--reward-profile", "copy.toml", "--resume") == 0
+    assert run(*TRAIN, "--reward-profile", "copy.toml") == 0
     assert "nothing to do" in capsys.readouterr().err
     mine.write_text(MINE.replace("-0.25", "-0.5"))
     assert run("train", "--task", "easy", "--reward-profile", "mine.toml") == 2

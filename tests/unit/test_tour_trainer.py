@@ -13,7 +13,7 @@ from torch import nn
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.core.seeds import split_of, split_seeds
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.samples import SampleGenerator, Samples
 from drone_env.rl.tour_config import SHARES, TourConfig, randomise, variant
@@ -50,22 +50,16 @@ def test_the_tasks_of_a_training() -> None:
     assert "easy_delivery" not in {task.id for task in everything.sampled_tasks()}
     assert [*one.sampled_tasks().items()] == [(get_task("skyline_hard"), 1.0)]
     assert (everything.name, one.name) == ("tournet", "tournet_skyline_hard")
-    own = variant("skyline_easy", 2, 4)
-    assert (own.deliveries, own.pads, own.max_steps) == (2, 4, get_task("skyline_easy").max_steps)
-    assert own in everything.sampled_tasks()
-    assert own.id not in TASKS
+    assert variant("skyline_easy", 2, 4) in everything.sampled_tasks()
 
 
 def test_a_task_with_other_numbers() -> None:
     task, rng = get_task("skyline_hard"), np.random.default_rng(0)
     changed = [randomise(task, rng) for _ in range(300)]
     same_size = [other for other in changed if other.width == task.width]
-    for name, low, high in (
-        ("battery_capacity", 16, 42), ("max_steps", 48, 352), ("charge_rate", 1, 10), ("pads", 1, 6),
-    ):  # fmt: skip
+    for name in ("battery_capacity", "max_steps", "charge_rate", "pads"):
         numbers = [getattr(other, name) for other in same_size]
-        assert low <= min(numbers) < getattr(task, name) < max(numbers) <= high
-        assert numbers.count(getattr(task, name)) > 80
+        assert min(numbers) < getattr(task, name) < max(numbers)
     large = [other for other in changed if other.width > task.width]
     assert {(other.deliveries, other.width == other.height <= 48) for other in large} == {(4, True)}
     assert all(abs(other.buildings - task.buildings * (other.width / 16) ** 2) < 1 for other in large)
@@ -128,13 +122,3 @@ def test_a_validation_is_what_evaluation_says_of_the_exported_average(tmp_path: 
     # Another training can start from it.
     other = TourTrainer(replace(SMALL_TOUR, initial=str(file), seed=1))
     assert_same(weights(other.online), weights(trainer.average))
-
-
-def test_the_lines_of_its_log() -> None:
-    trainer = finished(TourTrainer(replace(SMALL_TOUR, updates=9)))
-    history = trainer.history
-    assert [line.update for line in history] == [2, 4, 6, 8, 9]
-    assert [line.states for line in history] == [16 * line.update for line in history]
-    assert [bool(np.isnan(line.validation)) for line in history] == [True, True, False, False, False]
-    assert history[-1].validation == trainer.shares["skyline_easy"]
-    assert 0 < history[0].cpu_seconds < history[-1].cpu_seconds
