@@ -49,7 +49,7 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
     ),
     # Parcels: any order counts, and the target changes only when it is delivered.
     "another parcel than the target": (
-        ["@.0", "1.."],
+        ["@.02", "1..."],
         "RR",
         {},
         {"event": Event.DELIVERY, "deliveries_done": 1, "target": (0, 1), "distance_to_target": 3},
