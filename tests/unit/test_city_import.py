@@ -43,11 +43,6 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
             id="areas that reach far out",
         ),
         pytest.param(
-            Drawing().node((0.5, 0.5), natural="tree").node((5.9, 3.9), natural="tree").node((6, 2), natural="tree"),
-            ["T.....", "......", "......", ".....T"],
-            id="trees",
-        ),
-        pytest.param(
             Drawing()
             .node((2.5, 1.5), amenity="charging_station")
             .box(4, 2, 4.4, 2.4, amenity="charging_station")
@@ -77,15 +72,6 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
             Drawing().way((0, 0.5), (2.1, 0.5), (3.9, 0.5), (6, 0.5), barrier="wall", missing=[2]),
             ["##....", "......", "......", "......"],
             id="a wall that leaves the extract",
-        ),
-        pytest.param(
-            Drawing()
-            .box(2, 0, 4, 4, natural="wood")
-            .box(2, 0, 4, 2, building="yes")
-            .box(2, 2, 6, 3, natural="water")
-            .node((5.5, 2.5), natural="tree"),
-            ["..BB..", "..BB..", "..####", "..TT.."],
-            id="the first layer has a cell",
         ),
         pytest.param(
             Drawing().way((3, -1), (3, 5), natural="coastline"), ["###..."] * 4, id="a coast: south, so west is water"

@@ -116,19 +116,6 @@ class TestInvalidTasks:
         assert isinstance(caught.value, ValueError)
 
     @pytest.mark.parametrize(
-        "changes",
-        [
-            {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000},
-            {"max_steps": 1, "battery_capacity": 1, "buildings": 91},
-            {"drain": ((Cell.DELIVERED, 0), (Cell.PAD, 32_000)), "charge_rate": 32_000},
-            {"impassable": frozenset({Cell.BUILDING, Cell.TREE, Cell.OBSTACLE})},
-            {"street_spacing": 10, "pads": 14},
-        ],
-    )
-    def test_the_bounds_themselves_are_allowed(self, changes: dict[str, Any]) -> None:
-        assert replace(EASY, **changes) != EASY
-
-    @pytest.mark.parametrize(
         ("changes", "uniform", "size"),
         [
             ({"battery_capacity": 50}, True, 6),
