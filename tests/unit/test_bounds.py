@@ -36,7 +36,6 @@ def greedy_score(episode: Episode) -> float:
         (LINE, {"max_steps": 20, "drain": ((Cell.BUILDING, 3),)}, 0.8 + 0.2 * 6 / 20, 0.8 + 0.2 * 7 / 20),
         # Two parcels fit into nine steps; above, they are delivered and the flight is over after a single step.
         (LINE, {"max_steps": 9}, 1.6 / 3, 1.6 / 3 + 0.2 * 8 / 9),
-        (LINE, {"max_steps": 9, "efficiency_needs_all": True}, 1.6 / 3, 1.6 / 3),
         # Nine parcels and an early end would score more than ten.
         (["@012345678..9", "............."], {"max_steps": 20}, 0.8 + 0.2 * 8 / 20, 0.72 + 0.2 * 19 / 20),
         # From the pad to the parcel four of five units are spent, after one step to charge; the chase does not charge.

@@ -45,21 +45,6 @@ def scores_of(episode: Episode) -> list[float]:
 
 
 class TestByHand:
-    def test_dying_early_never_pays_where_efficiency_needs_all(self) -> None:
-        # The building drains the battery at once, so the flight ends after one step; else it lasts for five.
-        hopeless = ["@B.....0", "........"]
-        drains = {"drain": ((Cell.BUILDING, 9),), "max_steps": 20, "battery_capacity": 5}
-        early = toy_episode(hopeless, **drains, **COUNTS_ALWAYS)
-        solver = ExactSolver(early)
-        assert solver.q_values(early)[Action.RIGHT] == solver.value(early) == pytest.approx(0.1 * 19 / 20)
-        assert solver.optimal_actions(early) == (Action.RIGHT,)
-        assert letters(solver.best_actions()) == "R"
-        assert solver.regret(early, Action.WAIT) > 0
-        patient = toy_episode(hopeless, **drains, **NEEDS_ALL)
-        solver = ExactSolver(patient)
-        assert solver.q_values(patient).tolist() == [0.01] * 5
-        assert solver.optimal_actions(patient) == tuple(Action)
-
     @pytest.mark.parametrize(
         ("battery", "plan", "left"),
         [
