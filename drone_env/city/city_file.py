@@ -35,7 +35,6 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from drone_env.core.cells import SYMBOLS, Cell
 from drone_env.core.tasks import MAX_DELIVERIES, TaskConfig, task_on
-from drone_env.core.tasks import MAX_SIDE as MAX_FLOWN
 from drone_env.core.terrain import PLACED, XY, Terrain, pieces
 from drone_env.errors import InvalidTaskError, InvalidValueError, shown
 from drone_env.files import read_file, write_text
@@ -244,11 +243,6 @@ def task_of(city: City, name: str) -> TaskConfig:
         "height": height,
         "pads": pads,
     }
-    if max(width, height) > MAX_FLOWN:
-        sides = f"width and height must be 2 to {MAX_FLOWN}, got {(width, height)}"
-        raise InvalidTaskError(
-            f"task {name!r}: {sides}; a city may name less in [task], for maps that are windows of it"
-        )
     task = task_on(terrain, name, **numbers)
     _ = task.windows  # what does not fit is refused here
     return task

@@ -5,9 +5,8 @@ Pathfinding", IEEE Transactions on Computational Intelligence and AI in Games 4(
 """
 
 import re
-from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,25 +43,16 @@ MAX_FILE = 8 << 20
 HEAD = re.compile(r"type octile\s+height (\d{1,5})\s+width (\d{1,5})\s+map[ \t]*\n")
 
 
-@dataclass
-class Imported:
-    """A city, and what became of the file.
-
-    Attributes:
-        city: The city.
-        layers: (name, kind, things that reach into the city, cells that the layer has) of each layer.
-        outside: Things with a key that layers ask for, dropped as they lie outside.
-        broken: Things that were dropped as nodes are missing or rings do not close.
-        unknown: How many things were dropped that no layer takes, by `key=value`.
-        whole: Columns and rows of the file, where no box was named; None where one was.
-    """
+class Imported(NamedTuple):
+    """A city, and what became of the file."""
 
     city: City
     whole: tuple[int, int] | None
-    layers: list[tuple[str, Cell, int, int]] = field(default_factory=list[tuple[str, Cell, int, int]])
+    """Columns and rows of the file, where no box was named; None where one was."""
     outside: int = 0
+    """Things with a key that layers ask for, dropped as they lie outside."""
     broken: int = 0
-    unknown: Counter[str] = field(default_factory=Counter[str])
+    """Things that were dropped as nodes are missing or rings do not close."""
 
 
 def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: tuple[int, int] = (64, 64)) -> Imported:
@@ -70,8 +60,7 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
 
     Args:
         path: An extract of OpenStreetMap (.osm.pbf or .osm), or a map of the MovingAI benchmark (.map).
-        bbox: West, south, east, north in degrees; of a .map, the first column and row and those after the last. Without
-            one, the middle of the file.
+        bbox: West, south, east, north in degrees; without one, the middle of the file.
         cell: Metres along the side of a cell; of no meaning for a .map.
         size: The most columns and rows.
 
@@ -89,7 +78,9 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     if path.is_dir():
         raise InvalidValueError(f"{path} is a folder")
     if path.suffix == ".map":
-        return _cut(path, bbox, size)
+        if bbox is not None:
+            raise InvalidValueError("--bbox is in degrees, and a .map has none: its middle becomes the city")
+        return _middle(path, size)
     covered = extent(path)
     try:
         projection = projection_of(bbox or covered, cell, size, middle=bbox is None)
@@ -99,15 +90,9 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     if not any(found.things for found in extract.layers.values()):
         west, south, east, north = covered
         raise InvalidValueError(f"{path}: nothing of the layers lies there; it covers {west} {south} {east} {north}")
-    grid, owner = _terrain(extract, projection)
-    rows = [
-        (layer.name, layer.kind, extract.layers[layer.name].things, int((owner == i).sum()))
-        for i, layer in enumerate(layers())
-    ]
-    city = City(grid, ATTRIBUTION, LICENCE, path.name, cell, projection.bbox)
+    city = City(_terrain(extract, projection), ATTRIBUTION, LICENCE, path.name, cell, projection.bbox)
     whole = None if bbox else projection_of(covered, cell, (1 << 30, 1 << 30))
-    of = whole and (whole.columns, whole.rows)
-    return Imported(city, of, rows, extract.outside, extract.broken, extract.unknown)
+    return Imported(city, whole and (whole.columns, whole.rows), extract.outside, extract.broken)
 
 
 def read_movingai(path: Path) -> npt.NDArray[np.uint8]:
@@ -143,35 +128,25 @@ def read_movingai(path: Path) -> npt.NDArray[np.uint8]:
     return np.array([[CELL_OF[sign] for sign in row] for row in rows], np.uint8).reshape(height, width)
 
 
-def _cut(path: Path, box: BBox | None, size: tuple[int, int]) -> Imported:
-    """A piece of a map of the MovingAI benchmark."""
+def _middle(path: Path, size: tuple[int, int]) -> Imported:
+    """The middle of a map of the MovingAI benchmark."""
     grid = read_movingai(path)
     height, width = grid.shape
-    whole = None if box else (width, height)
-    if box is None:
-        columns, rows = min(width, size[0]), min(height, size[1])
-        box = (width - columns) // 2, (height - rows) // 2, (width + columns) // 2, (height + rows) // 2
-    west, north, east, south = box
-    inside = 0 <= west < east <= width and 0 <= north < south <= height and all(side == int(side) for side in box)
-    if not inside:
-        message = f"first column, first row, and those after the last, whole and within {width} x {height}"
-        raise InvalidValueError(f"--bbox of a .map is {message}; got {' '.join(f'{side:g}' for side in box)}")
-    if east - west > size[0] or south - north > size[1]:
-        got = f"--bbox holds {east - west:g} x {south - north:g} cells"
-        raise InvalidValueError(f"{got}; --size allows {size[0]} x {size[1]}")
-    piece = grid[int(north) : int(south), int(west) : int(east)]
-    return Imported(City(np.ascontiguousarray(piece), source=path.name), whole)
+    columns, rows = min(width, size[0]), min(height, size[1])
+    left, top = (width - columns) // 2, (height - rows) // 2
+    middle = np.ascontiguousarray(grid[top : top + rows, left : left + columns])
+    return Imported(City(middle, source=path.name), (width, height))
 
 
-def _terrain(extract: Extract, projection: GridProjection) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """The kind of each cell, and the number of the layer that it belongs to; -1 for none."""
+def _terrain(extract: Extract, projection: GridProjection) -> npt.NDArray[np.uint8]:
+    """The kind of each cell: that of the first layer that claims it."""
     grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
-    owner = np.full(grid.shape, -1)
-    for number, layer in enumerate(layers()):
-        claimed = _claims(layer, extract.layers[layer.name], projection) & (owner < 0)
-        owner[claimed] = number
+    free = np.ones(grid.shape, np.bool_)
+    for layer in layers():
+        claimed = _claims(layer, extract.layers[layer.name], projection) & free
+        free &= ~claimed
         grid[claimed] = layer.kind
-    return grid, owner
+    return grid
 
 
 def _claims(layer: Layer, found: Found, projection: GridProjection) -> npt.NDArray[np.bool_]:

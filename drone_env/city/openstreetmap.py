@@ -6,7 +6,6 @@ into the grid is kept here.
 
 import os
 import sys
-from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -116,8 +115,6 @@ class Extract:
     """Things with a key that layers ask for, which do not reach into the grid."""
     broken: int = 0
     """Areas whose rings do not close or lack nodes, and ways of which no two nodes that follow each other are there."""
-    unknown: Counter[str] = field(default_factory=Counter[str])
-    """Things that no layer takes though one asks for their key, by `key=value`."""
 
 
 def extent(path: Path) -> BBox:
@@ -187,8 +184,6 @@ def _sort_in(thing: Any, extract: Extract, grid: GridProjection, unclosed: set[t
         _keep_way(places, tags, extract, grid)
     elif thing.is_node() and (layer := _first("points", tags)):
         _keep_point(known, layer, extract, grid)
-    elif thing.is_node() or tags.get("type") in ("multipolygon", "boundary"):
-        extract.unknown.update(_described(tags))
 
 
 def _can_be_area(thing: Any, tags: Mapping[str, str]) -> bool:
@@ -214,10 +209,8 @@ def _keep_way(places: list[Place | None], tags: Mapping[str, str], extract: Extr
     wide = next(((layer, width) for layer in layers() if (width := layer.width(tags)) is not None), None)
     coast = _first("coasts", tags)
     parts = [grid.to_cells(np.array(part)) for part in _parts(places)]
-    if wide is None and coast is None:
-        extract.unknown.update(_described(tags))
-    elif not parts:
-        extract.broken += 1
+    if not parts:
+        extract.broken += wide is not None or coast is not None
     elif wide is not None:
         layer, metres = wide
         extract.layers[layer.name].lines.extend((part, metres) for part in parts)
@@ -272,11 +265,6 @@ def _places(nodes: Iterable[Any]) -> list[Place | None]:
 
 def _tags(thing: Any) -> dict[str, str]:
     return {tag.k: tag.v for tag in thing.tags}
-
-
-def _described(tags: Mapping[str, str]) -> list[str]:
-    """`key=value` of the first tag that layers ask for."""
-    return [f"{key}={tags[key]}" for key in keys() if key in tags][:1]
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, BBox, check_bbox
+from drone_env.city.city_file import MIN_SIDE, BBox, check_bbox
 from drone_env.errors import InvalidValueError
 
 EQUATOR = 6_378_137.0
@@ -86,11 +86,7 @@ def projection_of(bbox: BBox, cell: float, size: tuple[int, int], middle: bool =
         )
     columns, rows = min(wanted[0], size[0]), min(wanted[1], size[1])
     if not middle and (columns, rows) != wanted:
-        fits = max((east - west) * degree[0] / (size[0] + 0.49), (north - south) * degree[1] / (size[1] + 0.49))
-        ways = ["take a smaller --bbox"]
-        ways += ["a larger --size"] if max(wanted) <= MAX_SIDE else []
-        ways += [f"--cell {math.ceil(fits)}"] if math.ceil(fits) <= MAX_CELL else []
-        raise InvalidValueError(f"--bbox: {holds}; --size allows {size[0]} x {size[1]}: {', or '.join(ways)}")
+        raise InvalidValueError(f"--bbox: {holds}; --size allows {size[0]} x {size[1]}")
     half = columns * cell / 2 / degree[0], rows * cell / 2 / degree[1]
     # OpenStreetMap keeps seven decimals.
     box = at[0] - half[0], at[1] - half[1], at[0] + half[0], at[1] + half[1]

@@ -6,6 +6,7 @@ from typing import Any
 from rich.markup import escape
 
 from drone_env.commands.arguments import ProfileName, Split, TaskName
+from drone_env.commands.flights import prepare_file
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -56,8 +57,8 @@ def audit(
     profile = audited_profile(reward, gamma, shaping_gamma)
     if maps < 1 or (jobs is not None and jobs < 1):
         raise InvalidValueError("--maps and --jobs must be at least 1")
-    if replay is not None and (replay.is_dir() or not replay.parent.is_dir()):
-        raise InvalidValueError(f"--replay takes a file in a folder that exists, got {replay}")
+    if replay is not None:
+        prepare_file("--replay", replay)
     seeds = split_seeds(split, maps)
     with progress_bar(f"{config.short_name} {profile.id}", maps) as advance:
         audits: list[MapAudit] = []

@@ -287,8 +287,7 @@ class Batch:
 
         Raises:
             InvalidValueError: if they are not; nothing is flown.
-            EpisodeError: if some episode has not been reset yet, or threads are to share the step in a process forked
-                from one where OpenMP's did; nothing is flown.
+            EpisodeError: if some episode has not been reset yet; nothing is flown.
         """
         values: Any = np.asarray(actions)
         if values.shape != (self.num_envs,) or values.dtype.kind not in "iu":
@@ -303,7 +302,6 @@ class Batch:
         if len(self._bounds) == 2:
             self._n_ended[0] = self._step(*tables, *self._all, self.same_step)
         else:
-            compiled.require_threads(self.num_threads)
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:

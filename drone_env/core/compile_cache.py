@@ -16,7 +16,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 
 PACKAGE = Path(__file__).parents[1]
@@ -39,8 +38,8 @@ LOADED = digest_of_sources()
 def cache_folder() -> Path:
     """The folder for the compiled code of these sources; created if necessary.
 
-    Under `DRONE_ENV_CACHE` or else `NUMBA_CACHE_DIR` if one is set, else under the user's cache folder, else (if that
-    is not writable) under the folder for temporary files.
+    Under `DRONE_ENV_CACHE` or else `NUMBA_CACHE_DIR` if one is set, else under the user's cache folder. The latter must
+    be writable by this user alone, because loading code means running it.
 
     Raises:
         OSError: if there is none, or the sources have changed since they were loaded.
@@ -52,22 +51,9 @@ def cache_folder() -> Path:
         folder = Path(chosen).absolute() / LOADED  # a program may go to another folder later
         folder.mkdir(parents=True, exist_ok=True)
         return folder
-    import tempfile  # imported lazily, as most processes compile nothing
+    from platformdirs import user_cache_path  # imported lazily, as most processes compile nothing
 
-    from platformdirs import user_cache_path
-
-    with suppress(OSError, RuntimeError):  # the latter if the user's home is unknown
-        return _private_folder(user_cache_path("drone_env", appauthor=False))
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    return _private_folder(Path(tempfile.gettempdir()) / f"drone_env-{user}")
-
-
-def _private_folder(parent: Path) -> Path:
-    """The folder of these sources in a parent folder, both writable by this user alone: loading code means running it.
-
-    Raises:
-        OSError: if there is no such folder.
-    """
+    parent = user_cache_path("drone_env", appauthor=False)
     if not parent.is_absolute():
         raise FileNotFoundError(f"{parent} is the folder of a user without a home")
     for folder in (parent, parent / LOADED):
@@ -75,8 +61,6 @@ def _private_folder(parent: Path) -> Path:
         found = folder.lstat()
         if hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022):
             raise PermissionError(f"{folder} is not a folder that this user alone can write")
-    if not os.access(parent / LOADED, os.W_OK):
-        raise PermissionError(f"{parent / LOADED} is not writable")
     return parent / LOADED
 
 
@@ -132,15 +116,10 @@ class CodeCache:
 def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A decorator: `numba.njit` with these options, whose compiled code is kept in `cache_folder()` if there is one.
 
-    The function calls only functions of its own file, of `core` and of `planning`.
-
-    Raises:
-        InvalidValueError: if the function is not one of a module: others may be equal by name and differ.
+    The function is one of a module, and calls only functions of its own file, of `core` and of `planning`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        if not function.__qualname__.isidentifier():
-            raise InvalidValueError(f"compiled_once takes functions of a module, got {function.__qualname__}")
         numba: Any = import_module("numba")
         dispatcher = numba.njit(**options)(function)
         with suppress(OSError):  # compiled in each process then; `tell_before_compiling` prints why

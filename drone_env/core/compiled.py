@@ -1,10 +1,8 @@
 """The functions of the rules, compiled by Numba: the same source, not a second copy. Compiling takes the first call.
 
-It also contains the prefetching of memory, and a check of threads after a fork.
+It also contains the prefetching of memory.
 """
 
-import os
-from contextlib import suppress
 from importlib import import_module
 from inspect import isfunction
 from typing import Any
@@ -15,7 +13,6 @@ from numba.extending import intrinsic, register_jitable  # pyright: ignore
 
 from drone_env.core import grid_generator, observation, rules, seeds
 from drone_env.core.compile_cache import compiled_once
-from drone_env.errors import EpisodeError
 
 cgutils: Any = import_module("numba.core.cgutils")
 
@@ -62,31 +59,3 @@ def _prefetch(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
 
 
 prefetch: Any = intrinsic(_prefetch)
-
-
-class _Process:
-    threads_lost = False
-
-
-def _after_fork() -> None:
-    numba: Any = import_module("numba")
-    with suppress(ValueError):  # no threads have been started
-        if numba.threading_layer() == "omp":
-            _Process.threads_lost = import_module("numba.np.ufunc.omppool").openmp_vendor == "GNU"
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
-
-
-def require_threads(num_threads: int) -> None:
-    """Check that threads can share a step in this process.
-
-    Raises:
-        EpisodeError: if this process was forked from one that used threads: GNU's OpenMP would end it.
-    """
-    if _Process.threads_lost:
-        raise EpisodeError(
-            f"num_threads={num_threads} does not work in a process forked from one that used it: OpenMP would end this "
-            "one. Start processes by 'spawn' or 'forkserver', or step with num_threads=1"
-        )

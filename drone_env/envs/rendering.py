@@ -124,27 +124,6 @@ def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
     return file.getvalue()
 
 
-def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080, attribution: str = "") -> bytes:
-    """The picture of terrain alone, as a PNG; equal cells give equal pictures.
-
-    Args:
-        grid: uint8[height, width], cell ids.
-        size: Height of the picture in pixels, 64 to 4096. The width follows from it and from the shape of the grid.
-        attribution: Whose data it is, written below it; empty for nobody's.
-
-    Raises:
-        InvalidValueError: if the size is out of range.
-    """
-    rows, columns = grid.shape
-    layout = _layout_of(columns, rows, _checked(size))
-    picture = Image.new("RGB", (layout.city, size), PALETTE["backdrop"])
-    _lay_map(picture, layout, grid, (), joined=True)
-    _lay_attribution(picture, layout, rows, attribution)
-    file = io.BytesIO()
-    picture.save(file, "PNG")
-    return file.getvalue()
-
-
 def _picture(episode: Episode, size: int) -> Image.Image:
     _checked(size)
     layout = _layout(episode.task, size)

@@ -58,30 +58,15 @@ class Places(NamedTuple):
         return self.states[:, OUTCOME] == FLYING
 
 
-def places_of(episode: Episode) -> Places:
-    """An episode in flight, with its drone at each cell that it can be at; the episode is left as it is.
+def places_of(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> Places:
+    """An episode in flight, with its drone at these cells, or each that it can be at; the episode is left as it is.
 
     Raises:
         EpisodeError: if the episode has not begun.
     """
-    return _places(episode, _open_cells(episode))
-
-
-def places_in_parts(episode: Episode) -> Iterator[Places]:
-    """The same in parts of at most `PLACES_AT_ONCE` cells, to save memory. Raises as `places_of`."""
-    cells = _open_cells(episode)
-    for first in range(0, len(cells), PLACES_AT_ONCE):
-        yield _places(episode, cells[first : first + PLACES_AT_ONCE])
-
-
-def _open_cells(episode: Episode) -> npt.NDArray[np.int64]:
-    grid, _, _ = state_arrays(episode)
-    return np.flatnonzero(~np.isin(grid, list(episode.task.impassable)))
-
-
-def _places(episode: Episode, cells: npt.NDArray[np.int64]) -> Places:
     task, tables = episode.task, interpreted(episode.task)
     grid, state, _ = state_arrays(episode)
+    cells = open_cells(episode) if cells is None else cells
     n = len(cells)
     telemetry = np.zeros((n, task.telemetry_size), np.float32)
     places = Places(cells, np.tile(grid, (n, 1)), np.tile(state, (n, 1)), telemetry)
@@ -95,6 +80,19 @@ def _places(episode: Episode, cells: npt.NDArray[np.int64]) -> Places:
             state[DISTANCE] = manhattan(tables, cell, state[TARGET])
         write_telemetry(tables, state, values)
     return places
+
+
+def places_in_parts(episode: Episode) -> Iterator[Places]:
+    """The same in parts of at most `PLACES_AT_ONCE` cells, which take little memory; raises as `places_of`."""
+    cells = open_cells(episode)
+    for first in range(0, len(cells), PLACES_AT_ONCE):
+        yield places_of(episode, cells[first : first + PLACES_AT_ONCE])
+
+
+def open_cells(episode: Episode) -> npt.NDArray[np.int64]:
+    """The cells that the drone can be at, in rising order."""
+    grid, _, _ = state_arrays(episode)
+    return np.flatnonzero(~np.isin(grid, list(episode.task.impassable)))
 
 
 @kernel

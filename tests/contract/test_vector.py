@@ -1,8 +1,6 @@
 """The native vector environment, in the ways that Gymnasium's own vectorisation cannot be compared with."""
 
-import os
 import pickle
-import warnings
 from copy import deepcopy
 from typing import Any
 
@@ -115,35 +113,6 @@ def test_a_copy_flies_on_as_the_original_does_and_apart_from_it(options: dict[st
     if not env.copy:
         with pytest.raises(ValueError, match="read-only"):
             twin.step(actions_of(0))[0]["grid"][:] = 0
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are never forked here")
-def test_a_fork_after_threads_is_told_what_to_do_in_place_of_dying() -> None:
-    threads, single = make(num_threads=2), make()
-    for env in (threads, single):
-        env.reset(seed=0)
-        env.step(np.zeros(N, int))
-    reading, writing = os.pipe()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of newer Pythons, at a fork beside threads
-        child = os.fork()
-    if not child:
-        try:
-            single.step(np.ones(N, int))
-            os.write(writing, f"{single.batch.rewards.sum()!r} ".encode())
-            threads.step(np.ones(N, int))
-        except EpisodeError as error:
-            os.write(writing, str(error).encode())
-        finally:
-            os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading) as told:
-        rewards, _, message = told.read().partition(" ")
-    assert os.waitpid(child, 0)[1] == 0
-    assert rewards == repr(single.step(np.ones(N, int))[1].sum())
-    assert "num_threads=2 does not work in a process forked" in message
-    assert "'spawn'" in message
-    threads.step(np.ones(N, int))
 
 
 def test_reset_without_seeds_flies_each_episodes_next_map() -> None:

@@ -82,7 +82,7 @@ class Reference:
         self.seeds = np.zeros(n, np.int64)
         self.rewards = np.zeros(n)
         self.terminated = np.zeros(n, np.bool_)
-        self.finals: list[dict[str, Any]] = []
+        self.finals: list[tuple[Any, ...]] = []
         self.episodes = [
             tuple(map(memoryview, row)) for row in zip(self.grids, self.states, self.telemetry, strict=True)
         ]
@@ -112,17 +112,8 @@ class Reference:
             self.observe(i)
             if state[OUTCOME]:
                 self.terminated[i] = True
-                self.finals.append(
-                    {
-                        "episode": i,
-                        "score": rules.score(self.tables, state),
-                        "steps": state[STEPS],
-                        "deliveries": state[DELIVERIES_DONE],
-                        "seed": int(self.seeds[i]),
-                        "grid": self.grids[i].tobytes(),
-                        "telemetry": self.telemetry[i].tobytes(),
-                    }
-                )
+                numbers = rules.score(self.tables, state), state[STEPS], state[DELIVERIES_DONE], int(self.seeds[i])
+                self.finals.append((i, *numbers, self.grids[i].tobytes(), self.telemetry[i].tobytes()))
                 if self.same_step:
                     self.begin(i, next_seed(int(self.seeds[i])))
 

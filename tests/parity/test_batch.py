@@ -80,15 +80,9 @@ def assert_equal(reference: Reference, batch: Batch) -> None:
     assert batch.seeds.tobytes() == reference.seeds.tobytes()
     assert batch.rewards.tobytes() == reference.rewards.tobytes()
     assert batch.terminated.tobytes() == reference.terminated.tobytes()
-    assert batch.ended.tolist() == [final["episode"] for final in reference.finals]
-    if not reference.finals:
-        return
-    observed = batch.finals()
-    for name in ("score", "steps", "deliveries", "seed"):
-        assert observed[name].tolist() == [final[name] for final in reference.finals]
-    for k, final in enumerate(reference.finals):
-        assert batch.final_grids[k].tobytes() == final["grid"]
-        assert batch.final_telemetry[k].tobytes() == final["telemetry"]
+    numbers = [batch.finals()[name].tolist() for name in ("score", "steps", "deliveries", "seed")]
+    seen = map(bytes, batch.final_grids), map(bytes, batch.final_telemetry)
+    assert list(zip(batch.ended.tolist(), *numbers, *seen, strict=True)) == reference.finals
 
 
 def assert_parity(task: TaskConfig, profile: str, same_step: bool, steps: int, n: int = N) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
+from drone_env.core.actions import N_ACTIONS, Action, Event
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
@@ -153,22 +153,6 @@ def test_the_score_is_the_formula_computed_exactly_and_rounded_once(
     if delivered == 1 or not task.efficiency_needs_all:
         exact += Fraction("0.2") * (battery / 2 + time / 2)
     assert episode.score == float(min(max(exact, Fraction("0.01")), Fraction("0.99")))
-
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_an_episode_ends_for_exactly_one_reason(task: TaskConfig, seed: int, actions: list[int]) -> None:
-    episode = started(task, seed)
-    finish(episode, actions)
-    if episode.deliveries_done == task.deliveries:
-        assert episode.outcome == Outcome.DELIVERED
-    elif episode.battery_units == 0:
-        assert episode.outcome == Outcome.BATTERY_DEAD
-    else:
-        assert (episode.outcome, episode.steps) == (Outcome.OUT_OF_STEPS, task.max_steps)
-    assert episode.steps <= task.max_steps
-    for step in episode.path[:-1]:
-        assert step.battery > 0
 
 
 @thorough

@@ -8,7 +8,6 @@ import pytest
 from drone_env.city.city_file import city_text, text_rows
 from drone_env.city.importer import import_city
 from drone_env.city.raster import metres_per_degree, paint_area, water_beside
-from drone_env.commands.city import city
 from drone_env.errors import InvalidValueError
 from tests.unit.osm_files import BOX, Drawing
 
@@ -44,11 +43,6 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
             id="areas that reach far out",
         ),
         pytest.param(
-            Drawing().node((0.5, 0.5), natural="tree").node((5.9, 3.9), natural="tree").node((6, 2), natural="tree"),
-            ["T.....", "......", "......", ".....T"],
-            id="trees",
-        ),
-        pytest.param(
             Drawing()
             .node((2.5, 1.5), amenity="charging_station")
             .box(4, 2, 4.4, 2.4, amenity="charging_station")
@@ -80,15 +74,6 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
             id="a wall that leaves the extract",
         ),
         pytest.param(
-            Drawing()
-            .box(2, 0, 4, 4, natural="wood")
-            .box(2, 0, 4, 2, building="yes")
-            .box(2, 2, 6, 3, natural="water")
-            .node((5.5, 2.5), natural="tree"),
-            ["..BB..", "..BB..", "..####", "..TT.."],
-            id="the first layer has a cell",
-        ),
-        pytest.param(
             Drawing().way((3, -1), (3, 5), natural="coastline"), ["###..."] * 4, id="a coast: south, so west is water"
         ),
         pytest.param(
@@ -111,15 +96,9 @@ def test_what_is_dropped_is_counted(tmp_path: Path) -> None:
         .node((-1, 2), natural="tree")
         .box(1, 1, 5, 3, missing=(1,), building="yes")
         .way((1, 1), (2, 2), missing=(0, 1), railway="rail")
-        .node((2, 2), barrier="bollard")
-        .way((0, 0), (1, 1), railway="tram")
-        .node((2, 2), shop="books")
     )
     imported = import_city(drawing.save(tmp_path / "town.osm"), BOX)
     assert (imported.outside, imported.broken) == (2, 2)
-    assert imported.unknown == {"barrier=bollard": 1, "railway=tram": 1}
-    of_buildings = next(row for row in imported.layers if row[0] == "buildings")
-    assert of_buildings[2:] == (1, 8)
 
 
 def test_without_a_box_the_middle_of_the_file_is_taken(tmp_path: Path) -> None:
@@ -167,32 +146,22 @@ def test_a_map_of_the_benchmark(tmp_path: Path) -> None:
     city = import_city(path).city
     assert text_rows(city.grid) == ["· · 🚧🚧", "🚧🚧🌳· ", "· · · · "]
     assert (city.cell, city.bbox, city.source) == (None, None, "arena.map")
-    assert text_rows(import_city(path, (1, 0, 3, 2)).city.grid) == ["· 🚧", "🚧🌳"]
     imported = import_city(path, size=(2, 2))
     assert (text_rows(imported.city.grid), imported.whole) == (["· 🚧", "🚧🌳"], (4, 3))
 
 
 @pytest.mark.parametrize(
-    ("text", "box", "said"),
+    ("text", "said"),
     [
-        ("type tile\n", None, "begins with `type octile`, `height H`, `width W`, `map`, a line each; got 'type tile"),
-        (MAP.replace("height 3", "height 4"), None, "height is 4, and there are 3 rows"),
-        (MAP.replace("width 4", "width 5"), None, "width is 5, and row 0 has 4 cells"),
-        (MAP.replace("S", "x"), None, "unknown sign 'x' in row 1, column 2; allowed: . G S @ O T W"),
-        (MAP, (0, 0, 5, 3), "whole and within 4 x 3; got 0 0 5 3"),
+        ("type tile\n", "begins with `type octile`, `height H`, `width W`, `map`, a line each; got 'type tile"),
+        (MAP.replace("height 3", "height 4"), "height is 4, and there are 3 rows"),
+        (MAP.replace("width 4", "width 5"), "width is 5, and row 0 has 4 cells"),
+        (MAP.replace("S", "x"), "unknown sign 'x' in row 1, column 2; allowed: . G S @ O T W"),
     ],
 )
-def test_what_is_no_map_of_the_benchmark_is_refused(
-    text: str, box: tuple[float, float, float, float] | None, said: str, tmp_path: Path
-) -> None:
+def test_what_is_no_map_of_the_benchmark_is_refused(text: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "arena.map"
     path.write_text(text)
     with pytest.raises(InvalidValueError) as raised:
-        import_city(path, box)
+        import_city(path)
     assert said in str(raised.value)
-
-
-def test_tags_of_strangers_do_not_write_to_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drawing = Drawing().box(1, 1, 5, 3, building="yes").node((2, 2), barrier="[red]a\u009b2J\u202e")
-    city(drawing.save(tmp_path / "town.osm"), tmp_path / "town.toml", bbox=BOX)
-    assert "1 that no layer takes (barrier=[red]a?2J? 1)." in capsys.readouterr().out

@@ -60,7 +60,7 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     [
         (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
         (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
-        (City(np.zeros((129, 2), np.uint8)), "must be 2 to 128, got (2, 129); a city may name less in [task]"),
+        (City(np.zeros((129, 2), np.uint8)), "height must be 2 to 128, got 129"),
     ],
 )
 def test_a_city_that_cannot_be_a_task_is_refused(city: City, said: str, tmp_path: Path) -> None:

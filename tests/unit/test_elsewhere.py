@@ -61,5 +61,6 @@ def test_the_range_on_a_map_where_it_is_obvious() -> None:
     assert battery_range(around, around.cell, 9).tolist() == [9, 5, 5, 8, 7, 6, 7, 6, 5]
     assert charging_pads(around) == charging_pads(toy_episode(["@P", "0P"])) == []
     assert charging_pads(toy_episode(["@P", "0P"], charge_rate=2)) == [1, 3]
-    late = toy_episode(["@B.", "...", "10."], battery_capacity=9, drain=((Cell.BUILDING, 4),), max_steps=2)
+    late = toy_episode(["@B.", "...", "10."], battery_capacity=9, drain=((Cell.BUILDING, 4),), max_steps=4)
+    fly(late, "WW")
     assert battery_range(late, late.cell, 9).tolist() == [9, 5, 4, 8, 7, -1, 7, -1, -1]

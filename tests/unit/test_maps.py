@@ -42,23 +42,16 @@ STREETS = {
 
 class TestContents:
     @pytest.mark.parametrize("task", [*DRAWN.values(), *STREETS.values()], ids=[*DRAWN, *STREETS])
-    def test_right_number_of_every_kind_on_distinct_cells(self, task: TaskConfig) -> None:
+    def test_right_number_of_every_kind_and_deliveries_where_the_grid_shows_them(self, task: TaskConfig) -> None:
         for seed in SEEDS:
             city = generate_city_map(task, seed)
             counts = np.bincount(city.grid.ravel(), minlength=len(Cell)).tolist()
             placed = [task.buildings, task.trees, task.obstacles, task.deliveries]
             road = task.width * task.height - sum(placed) - task.pads
             assert counts == [road, *placed, 0, 0, 0, task.pads]
-
-    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
-    def test_start_is_road_and_deliveries_are_where_the_grid_shows_them(self, task: TaskConfig) -> None:
-        for seed in SEEDS:
-            city = generate_city_map(task, seed)
-            x, y = city.start
-            assert city.grid[y, x] == Cell.ROAD
-            drawn = {(int(x), int(y)) for y, x in np.argwhere(city.grid == Cell.DELIVERY)}
-            assert set(city.deliveries) == drawn
-            assert len(city.deliveries) == task.deliveries
+            assert city.grid[city.start[::-1]] == Cell.ROAD
+            assert len(set(city.deliveries)) == task.deliveries
+            assert {int(city.grid[y, x]) for x, y in city.deliveries} == {Cell.DELIVERY}
 
     def test_a_map_without_a_free_cell_is_finished(self) -> None:
         for full in ({"width": 2, "height": 2, "deliveries": 3, "trees": 0, "obstacles": 0}, {"buildings": 91}):
@@ -81,11 +74,6 @@ class TestStreets:
 
 
 class TestSeed:
-    @pytest.mark.parametrize("task", TASKS)
-    def test_equal_seeds_give_equal_maps_and_others_do_not(self, task: str) -> None:
-        assert contents(generate_city_map(task, np.uint8(3))) == contents(generate_city_map(task, 3))
-        assert len({contents(generate_city_map(task, seed)) for seed in SEEDS}) == len(SEEDS)
-
     @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
     def test_reset_flies_the_map_of_the_seed(self, task: TaskConfig) -> None:
         episode = Episode(task)
@@ -154,7 +142,7 @@ class TestFairness:
             assert 30 < chi_square(np.sum(grids == kind, axis=0)) < 185
 
     def test_what_stands_in_a_city_is_uniform_over_the_cells_where_it_may(self) -> None:
-        grids, starts, parcels = drawn(TASKS["skyline_easy"], np.arange(100_000))
+        grids, starts, _ = drawn(TASKS["skyline_easy"], np.arange(100_000))
         # 63 degrees of freedom: mean 63, standard deviation 11
         assert 15 < chi_square(np.bincount(starts, minlength=64)) < 130
         cells = np.arange(64)
@@ -170,9 +158,3 @@ class TestFairness:
                 # 28 cells, of which four are the start on a quarter of the maps
                 counts = np.sum(grids[of_way][:, on_street] == kind, axis=0) / np.where(crossings[on_street], 0.75, 1)
                 assert 1 < chi_square(counts) < 75
-        # From the start, each two places on the streets are as likely for the first two parcels as any other two:
-        # 27 * 26 pairs, mean 701, standard deviation 37.
-        places = (parcels // 8 - (starts // 8)[:, None]) % 8 * 8 + (parcels % 8 - (starts % 8)[:, None]) % 8
-        pairs = np.bincount(places[:, 0] * 64 + places[:, 1], minlength=4096)
-        assert np.count_nonzero(pairs) == 27 * 26
-        assert 480 < chi_square(pairs[pairs > 0]) < 925

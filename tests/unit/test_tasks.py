@@ -102,12 +102,10 @@ class TestInvalidTasks:
             ({"impassable": frozenset({Cell.TREE, Cell.DELIVERY})}, "impassable may hold"),
             ({"efficiency_needs_all": 1}, "efficiency_needs_all must be True or False"),
             ({"street_spacing": 3}, "street_spacing must be 0, or 2 to 16 and divide .*, got 3"),
-            ({"street_spacing": 1}, "street_spacing must be 0, or 2 to 16 and divide .*, got 1"),
             ({"street_spacing": 32, "width": 64, "height": 64}, "street_spacing must be 0, or 2 to 16 and divide"),
             ({"width": 10.0}, "width must be an integer"),
             ({"r_step": "x"}, "r_step must be a finite number"),
             ({"street_spacing": 5, "buildings": 61}, "65 buildings and trees do not fit on 64 cells between"),
-            ({"street_spacing": 10, "pads": 15}, "20 things do not fit on 19 cells of street"),
         ],
     )
     def test_is_refused_and_says_why(self, changes: dict[str, Any], message: str) -> None:
@@ -116,28 +114,13 @@ class TestInvalidTasks:
         assert isinstance(caught.value, ValueError)
 
     @pytest.mark.parametrize(
-        "changes",
-        [
-            {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000},
-            {"max_steps": 1, "battery_capacity": 1, "buildings": 91},
-            {"drain": ((Cell.DELIVERED, 0), (Cell.PAD, 32_000)), "charge_rate": 32_000},
-            {"impassable": frozenset({Cell.BUILDING, Cell.TREE, Cell.OBSTACLE})},
-            {"street_spacing": 10, "pads": 14},
-        ],
-    )
-    def test_the_bounds_themselves_are_allowed(self, changes: dict[str, Any]) -> None:
-        assert replace(EASY, **changes) != EASY
-
-    @pytest.mark.parametrize(
         ("changes", "uniform", "size"),
         [
             ({"battery_capacity": 50}, True, 6),
             ({"drain": ((Cell.TREE, 2),)}, False, 6),
-            ({"drain": ((Cell.TREE, 1),)}, True, 5),
             ({"impassable": frozenset({Cell.TREE})}, False, 6),
             ({"impassable": frozenset({Cell.TREE}), "trees": 0}, True, 5),
             ({"pads": 1}, True, 13),
-            ({"charge_rate": 1}, True, 5),
             ({"pads": 1, "charge_rate": 1}, False, 13),
         ],
     )
