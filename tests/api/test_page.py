@@ -105,13 +105,6 @@ class TestPreview:
         assert (answer.status_code, answer.headers["Content-Type"]) == (status, "application/json")
         assert says in answer.json()["detail"]
 
-    def test_it_is_known_by_its_tag(self, shared_client: TestClient) -> None:
-        address = "/preview.png?task=easy&seed=7&pilot=greedy"
-        first = shared_client.get(f"{address}&utm_source=a-site")
-        assert first.headers["Cache-Control"] == "max-age=3600"
-        known = shared_client.get(address, headers={"If-None-Match": first.headers["ETag"]})
-        assert (known.status_code, known.content) == (304, b"")
-
 
 class TestHead:
     @pytest.mark.parametrize(
