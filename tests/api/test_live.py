@@ -1,6 +1,5 @@
 """The WebSocket of the page: flights that fly by themselves or by hand, and come back after a loss."""
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,6 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
-from drone_env.agents.pathqnet import Network
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -141,21 +139,6 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
         assert values["regrets"] == [analysis.values[0] - value for value in analysis.values]
 
 
-def test_pause_speed_and_single_steps(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start("greedy", task="hard")
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        page.send("play", speed=2)
-        steps = [page.until("frames")["frames"][0]["frame"]["step"] for _ in range(3)]
-        assert steps == [2, 3, 4]
-        page.send("pause")
-        assert page.until("playing")["playing"] is False
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 5
-
-
 def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> None:
     with client.websocket_connect("/live") as one, client.websocket_connect("/live") as other:
         first, second = Page(one), Page(other)
@@ -218,54 +201,3 @@ def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock, even
         eventually(lambda: not app.state.live.pages)
         clock.now += 1
         eventually(lambda: client.get("/state", headers=header).status_code == 410)
-
-
-COUNTED = {
-    "steps": (Episode, "step"),
-    "resets": (Episode, "reset"),
-    "looks": (Episode, "grid"),
-    "passes": (Network, "__call__"),
-}
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """How often each of these was called, by anybody."""
-    counts: Counter[str] = Counter()
-
-    def count(name: str, owner: type, method: str) -> None:
-        called = getattr(owner, method)
-
-        def counting(*arguments: object) -> object:
-            counts[name] += 1
-            return called(*arguments)
-
-        monkeypatch.setattr(owner, method, counting)
-
-    for name, (owner, method) in COUNTED.items():
-        count(name, owner, method)
-    return counts
-
-
-@pytest.mark.parametrize(
-    ("pilot", "once"),
-    [
-        ("pathqnet", {"steps", "looks", "passes"}),
-        ("tournet", {"steps", "looks", "passes"}),
-        ("human", {"steps", "looks"}),
-    ],
-)
-def test_a_frame_steps_looks_and_asks_once(client: TestClient, calls: Counter[str], pilot: str, once: set[str]) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start(pilot, task="medium")
-        for step in range(1, 4):
-            calls.clear()
-            if pilot == "human":
-                page.send("fly", direction="WAIT")
-            else:
-                page.send("step")
-            (moved,) = page.until("frames")["frames"]
-            assert moved["frame"]["step"] == step
-            assert (moved["frame"]["q_values"] is None) == (pilot == "human")
-            assert calls == dict.fromkeys(once, 1)
