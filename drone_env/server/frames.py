@@ -232,7 +232,7 @@ def plan(map_of: MapOf, pilot: str, actions: Sequence[int], first: int, check: b
     return [int(action) for action in rollout(episode, agent.act).actions]
 
 
-def values_along(map_of: MapOf, actions: Sequence[int], first: int) -> tuple[list[float], list[float] | None]:
+def values_along(map_of: MapOf, actions: Sequence[int], first: int) -> list[float]:
     """What can still be reached along a flight.
 
     Args:
@@ -241,8 +241,7 @@ def values_along(map_of: MapOf, actions: Sequence[int], first: int) -> tuple[lis
         first: The frame to begin with; 0 is the start.
 
     Returns:
-        The best score that can still be reached at each frame from `first` on; and after each action that the last one
-        leads to, or None if the flight has ended there.
+        The best score that can still be reached at each frame from `first` on.
 
     Raises:
         TooLargeError: if the map is too large to be solved.
@@ -253,7 +252,7 @@ def values_along(map_of: MapOf, actions: Sequence[int], first: int) -> tuple[lis
     for action in actions[first:]:
         flight.step(action)
         values.append(solver.value(flight))
-    return values, None if flight.ended else solver.q_values(flight).tolist()
+    return values
 
 
 def frames_json(map_of: MapOf, by: str, directions: Sequence[Direction]) -> str:

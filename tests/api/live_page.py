@@ -5,6 +5,10 @@ from typing import Any
 
 from starlette.testclient import WebSocketTestSession
 
+from drone_env.agents import make_agent
+from drone_env.core.episode import Episode, rollout
+from drone_env.models import DIRECTIONS, Direction
+
 Message = dict[str, Any]
 
 
@@ -42,3 +46,21 @@ class Page:
                 self.ended.append(message["flight"])
             if message["type"] == "playing" and not message["playing"]:
                 return frames
+
+
+def flown(
+    task: str,
+    agent: str,
+    steps: int | None = None,
+    seed: int = 7,
+    profile: str = "tiered",
+    start: Episode | None = None,
+) -> Episode:
+    """An agent's flight up to a step, from where `start` stands."""
+    pilot, first = make_agent(agent, task), Episode(task, profile, seed)
+    pilot.reset(seed)
+    return first.copy().fly(rollout((start or first).copy(), pilot.act).actions[:steps])
+
+
+def directions(episode: Episode) -> list[Direction]:
+    return [DIRECTIONS[action] for action in episode.actions]

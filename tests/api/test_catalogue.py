@@ -15,16 +15,13 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import DroneObservation
-from drone_env.server.app import create_app
 from drone_env.server.logs import KEPT, LONGEST_PATH, POINTS, RequestLog, TrainLog
 from drone_env.server.predict import arrays_of
 from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
-from drone_env.server.settings import Settings
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
@@ -173,13 +170,9 @@ class TestPredictions:
         assert client.post("/predict", headers=session).status_code == 409
         assert client.post("/predict", json=observation).status_code == 422
 
-    def test_an_observation_of_no_task_is_refused(self, client: TestClient) -> None:
-        observation = client.post("/reset").json()
-        observation.pop("session_id")
-        for wrong in ({"max_steps": 61}, {"battery_steps_remaining": 61}):
-            answer = client.post("/predict", json=observation | wrong)
-            assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
-        assert client.post("/predict", json=observation | {"grid": []}).status_code == 422
+    @pytest.mark.parametrize("wrong", [{"max_steps": 61}, {"battery_steps_remaining": 61}, {"grid": []}])
+    def test_an_observation_of_no_task_is_refused(self, client: TestClient, wrong: dict[str, Any]) -> None:
+        assert client.post("/predict", json=client.post("/reset").json() | wrong).status_code == 422
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -228,20 +221,6 @@ def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient)
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
 
 
-def test_what_tasks_tell_of_reward_profiles_is_what_they_pay(shared_client: TestClient) -> None:
-    answer = shared_client.get("/tasks").json()
-    told = {profile["id"]: profile for profile in answer["reward_profiles"]}
-    assert list(told) == list(REWARD_PROFILES)
-    rewards = answer["tasks"][0]["rewards"]
-    assert [profile["shaping_gamma"] for profile in told.values()] == [None, None, 0.99, None]
-    for profile in ("tiered", "composite"):
-        farther, level, closer = rewards[profile]["step"]
-        assert closer - level == pytest.approx(told[profile]["shaping"])
-        low, high = told[profile]["clamp"]
-        assert farther == max(low, level - told[profile]["shaping"])
-        assert rewards[profile]["delivery"][2] == high
-
-
 class TestClientInProcess:
     def test_it_flies(self, client: TestClient, capsys: pytest.CaptureFixture[str]) -> None:
         with DroneEnvClient(http=client) as drone:
@@ -283,12 +262,3 @@ class TestClientInProcess:
         for token, sent in ((None, "Bearer found"), ("given", "Bearer given")):
             with DroneEnvClient("http://other", token=token) as drone:
                 assert drone._http.headers["Authorization"] == sent
-
-
-def test_an_application_that_is_not_running_says_so(tmp_path: Path) -> None:
-    client = TestClient(create_app(Settings(data=tmp_path / "data")))
-    refused = client.post("/reset")
-    assert (refused.status_code, refused.json()["code"]) == (503, "not_started")
-    with pytest.raises(ServerError, match="with TestClient"):
-        DroneEnvClient(http=client).reset()
-    assert not (tmp_path / "data").exists()

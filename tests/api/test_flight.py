@@ -17,11 +17,7 @@ UP = {"direction": "UP"}
 
 def flown(task: str, seed: int, actions: int = 0) -> Episode:
     """An episode after the first actions of the best flight."""
-    episode = Episode(task, "tiered")
-    episode.reset(seed)
-    for action in solve(task, seed).actions[:actions]:
-        episode.step(action)
-    return episode
+    return Episode(task, "tiered", seed).fly(solve(task, seed).actions[:actions])
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -1,6 +1,5 @@
 """The WebSocket of the page: flights that fly by themselves or by hand, and come back after a loss."""
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,6 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.agents import make_agent
-from drone_env.agents.pathqnet import Network
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -18,18 +15,8 @@ from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
-from tests.api.live_page import Message, Page
+from tests.api.live_page import Message, Page, directions, flown
 from tests.api.networks import put_network, put_tour
-
-
-def flown(task: str, seed: int, agent: str, profile: str = "tiered") -> Episode:
-    episode = Episode(task, profile)
-    episode.reset(seed)
-    pilot = make_agent(agent, task)
-    pilot.reset(seed)
-    while not episode.ended:
-        episode.step(pilot.act(episode.observation()))
-    return episode
 
 
 def names(frames: list[Message]) -> list[str]:
@@ -47,8 +34,8 @@ def test_a_race_is_what_the_agents_fly(client: TestClient) -> None:
         frames = page.flight()
         assert sorted(page.ended) == [0, 1, 2]
     for number, pilot in enumerate(pilots):
-        episode = flown("hard", 7, pilot, "composite")
-        assert names(frames[number]) == [Action(action).name for action in episode.actions]
+        episode = flown("hard", pilot, profile="composite")
+        assert names(frames[number]) == directions(episode)
         last = frames[number][-1]
         assert [frame["reward"] for frame in frames[number]] == episode.rewards
         assert (last["score"], last["done"], last["efficiency"]) == (episode.score, True, episode.efficiency)
@@ -72,7 +59,7 @@ def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thin
             page.send("play", speed=60)
             frames = page.flight()
         for number, agent in enumerate(pilots.values()):
-            assert names(frames[number]) == [Action(action).name for action in flown("hard", 7, agent).actions]
+            assert names(frames[number]) == directions(flown("hard", agent))
             assert {frame["q_values"] is not None for frame in frames[number][:-1]} == {True}
         assert len({tuple(names(frames[number])) for number in range(3)}) == 3
 
@@ -121,8 +108,7 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
         assert known["flight"] == 0
         page.send("step")
         frame = page.until("frames")["frames"][0]["frame"]
-        episode = Episode("easy")
-        episode.reset(7)
+        episode = Episode("easy", seed=7)
         solver = ExactSolver(episode)
         optimum = solver.value(episode)
         episode.step(Action[frame["action"]])
@@ -133,27 +119,10 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
             frame = page.until("frames")["frames"][0]["frame"]
             assert frame["done"] or (frame["value"], frame["regret"]) == (None, None)
         values = page.until("values")
-        start = Episode("easy")
-        start.reset(7)
-        analysis = analyse_actions(start, [Action.WAIT] * frame["step"], "human")
+        analysis = analyse_actions(Episode("easy", seed=7), [Action.WAIT] * frame["step"], "human")
         assert values["flight"] == 1
         assert values["values"] == list(analysis.values)
         assert values["regrets"] == [analysis.values[0] - value for value in analysis.values]
-
-
-def test_pause_speed_and_single_steps(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start("greedy", task="hard")
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        page.send("play", speed=2)
-        steps = [page.until("frames")["frames"][0]["frame"]["step"] for _ in range(3)]
-        assert steps == [2, 3, 4]
-        page.send("pause")
-        assert page.until("playing")["playing"] is False
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 5
 
 
 def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> None:
@@ -167,7 +136,7 @@ def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> Non
             for page, seen in ((first, flights[0]), (second, flights[1]))[:: 1 if turn % 3 else -1]:
                 page.send("step")
                 seen.extend(moved["frame"] for moved in page.until("frames")["frames"])
-    actions = [Action(action).name for action in flown("medium", 7, "random").actions]
+    actions = directions(flown("medium", "random"))
     for seen in flights:
         assert [frame["step"] for frame in seen] == list(range(1, len(seen) + 1))
         assert names(seen) == actions[: len(seen)]
@@ -181,14 +150,13 @@ def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None
         for shown in first:
             assert client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).status_code == 410
         header = {"X-Session-Id": second[0]["opening"]["session"]}
-        assert client.get("/state", headers=header).status_code == 200
         page.send("end")
         assert page.until("flights")["flights"] == []
         assert client.get("/state", headers=header).status_code == 410
 
 
 def test_pilots_begin_at_the_moment_that_is_asked_for(client: TestClient) -> None:
-    whole = [Action(action).name for action in flown("easy", 7, "greedy").actions]
+    whole = directions(flown("easy", "greedy"))
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         by_itself, by_hand = page.start("greedy", "human", step=3)
@@ -218,54 +186,3 @@ def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock, even
         eventually(lambda: not app.state.live.pages)
         clock.now += 1
         eventually(lambda: client.get("/state", headers=header).status_code == 410)
-
-
-COUNTED = {
-    "steps": (Episode, "step"),
-    "resets": (Episode, "reset"),
-    "looks": (Episode, "grid"),
-    "passes": (Network, "__call__"),
-}
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """How often each of these was called, by anybody."""
-    counts: Counter[str] = Counter()
-
-    def count(name: str, owner: type, method: str) -> None:
-        called = getattr(owner, method)
-
-        def counting(*arguments: object) -> object:
-            counts[name] += 1
-            return called(*arguments)
-
-        monkeypatch.setattr(owner, method, counting)
-
-    for name, (owner, method) in COUNTED.items():
-        count(name, owner, method)
-    return counts
-
-
-@pytest.mark.parametrize(
-    ("pilot", "once"),
-    [
-        ("pathqnet", {"steps", "looks", "passes"}),
-        ("tournet", {"steps", "looks", "passes"}),
-        ("human", {"steps", "looks"}),
-    ],
-)
-def test_a_frame_steps_looks_and_asks_once(client: TestClient, calls: Counter[str], pilot: str, once: set[str]) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start(pilot, task="medium")
-        for step in range(1, 4):
-            calls.clear()
-            if pilot == "human":
-                page.send("fly", direction="WAIT")
-            else:
-                page.send("step")
-            (moved,) = page.until("frames")["frames"]
-            assert moved["frame"]["step"] == step
-            assert (moved["frame"]["q_values"] is None) == (pilot == "human")
-            assert calls == dict.fromkeys(once, 1)

@@ -82,19 +82,6 @@ def test_a_bad_drawing_is_refused_with_what_is_allowed(
         assert detail in refused.json()["detail"]
 
 
-@pytest.mark.parametrize(
-    ("toml", "detail"),
-    [
-        ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 1024 keys and numbers"),
-        (f"{HALF}\n[task]\nmax_steps = 121", "max_steps must be at most 120 on a drawn map of 3 x 3 cells"),
-    ],
-)
-def test_a_file_that_is_no_map_is_refused(shared_client: TestClient, toml: str, detail: str) -> None:
-    refused = shared_client.post("/maps/file", json={"toml": toml})
-    assert refused.status_code == 422
-    assert detail in refused.json()["detail"]
-
-
 def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient, settings: dict[str, Any]) -> None:
     told = answer(client, "/maps/worth", YARD)
     kept = answer(client, "/maps", YARD)

@@ -13,9 +13,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.results.leaderboard import NotRanked
 from drone_env.results.result import Result
-from drone_env.server import model_runs
 from drone_env.server.app import create_app
 from drone_env.server.routes import runs
 from drone_env.server.settings import Settings
@@ -50,21 +48,6 @@ def test_agents_and_models_stand_on_one_board_as_the_command_ranks_them(
     ]
     for name in ("score", "score_ci95", "normalised", "regret", "success_rate"):
         assert [row[name] for row in board["rows"]] == [row[name] for row in ranked["rows"]]
-
-
-def test_an_evaluation_is_checked_again_only_when_its_files_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = put_evaluation(tmp_path, "mine", "random", MAPS, repeats=2)
-    stored = model_runs.Evaluations(tmp_path / "evaluations")
-    first = stored.entries(folder, "easy_delivery")
-    with monkeypatch.context() as patched:
-        patched.setattr(model_runs, "evaluation_entries", None)
-        assert stored.entries(folder, "easy_delivery") is first
-    next((folder / "pieces").glob("*again1*")).unlink()
-    (refused,) = stored.entries(folder, "easy_delivery")
-    assert isinstance(refused, NotRanked)
-    assert refused.reason == "1 of 1 pieces of random on easy_delivery are not flown yet"
 
 
 def test_where_files_lie_is_not_told(tmp_path: Path) -> None:

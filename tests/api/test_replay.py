@@ -134,13 +134,3 @@ def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> 
     assert pilots["greedy"]["tasks"] == pilots["tournet"]["tasks"] == list(TASKS)
     kinds = shared_client.get("/kinds").json()["kinds"]
     assert [(kind["id"], kind["name"]) for kind in kinds] == [(cell, kind.name) for cell, kind in CELL_KINDS.items()]
-
-
-def test_the_efficiency_is_the_sum_of_its_parts(shared_client: TestClient) -> None:
-    flown = record("hard", agent="random")
-    for frame in shared_client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]:
-        parts = frame["efficiency_parts"]
-        assert [part["weight"] for part in parts] == [75, 15, 10]
-        shares = [frame["deliveries_done"] / 5, frame["battery"], 1 - frame["step"] / 160]
-        assert [part["share"] for part in parts] == shares
-        assert frame["efficiency"] == sum(part["weight"] * part["share"] for part in parts)

@@ -17,9 +17,7 @@ from drone_env.planning.optimal import solve
 
 
 def state_of(task: str, **changes: object) -> dict:
-    episode = Episode(task)
-    episode.reset(0)
-    return {**DroneState.of(episode).model_dump(mode="json"), **changes}
+    return {**DroneState.of(Episode(task, seed=0)).model_dump(mode="json"), **changes}
 
 
 def test_every_task_has_its_grader() -> None:
@@ -29,16 +27,14 @@ def test_every_task_has_its_grader() -> None:
     for task in TASKS.values():
         module, name = task.grader.split(":")
         assert getattr(import_module(module), name) is GRADERS[task.id]
-    assert len({task.grader for task in TASKS.values()}) == len(TASKS)
     with pytest.raises(AttributeError, match="grade_expert"):
         graders.grade_expert  # noqa: B018
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_model_dictionary_and_episode_agree_on_a_whole_flight(task: str) -> None:
-    episode = Episode(task)
-    solution = solve(task, episode.reset(2))
-    for action in solution.actions:
+    episode = Episode(task, seed=2)
+    for action in solve(task, 2).actions:
         episode.step(action)
         state = DroneState.of(episode)
         assert GRADERS[task](state) == GRADERS[task](state.model_dump()) == episode.score == state.score

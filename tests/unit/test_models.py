@@ -122,8 +122,6 @@ def test_a_wrong_field_is_refused_by_name(episode: Episode, field: str, value: o
         ("battery", 0.5),
         ("deliveries_done", 1),
         ("seed", 2**53),
-        ("grid", [[0] * 14] * 13 + [[0]]),
-        ("current_target", [0, 14]),
         ("parcels", []),
         ("outcome", "delivered"),
         ("done", True),

@@ -56,8 +56,6 @@ class LiveEpisode:
         self.map_of = MapOf.of(self.episode)
         self.values: list[float] = []
         """The best score that can still be reached at the frames of the flight, as far as it is known."""
-        self._ahead: list[float] | None = None
-        """The same after each action, of a person's flight."""
         self.unsolved = False
         """Whether the map could not be solved."""
         self._sessions, self._workers, self._caller = shared.sessions, shared.workers, caller
@@ -77,22 +75,9 @@ class LiveEpisode:
         return self.pilot != HUMAN and not self.episode.ended
 
     @property
-    def first(self) -> int:
-        """The steps that others have flown, before the pilot began."""
-        return self.credit.forked_at or 0
-
-    @property
-    def directions(self) -> list[Direction]:
-        """What has been flown."""
-        return [DIRECTIONS[action] for action in self.episode.actions]
-
-    @property
     def lacks_values(self) -> bool:
-        """Whether values are to be shown, now or after the next step, that are not known yet."""
-        missing = len(self.values) <= self.episode.steps
-        if self.pilot == HUMAN and not self.episode.ended:
-            missing = missing or self._ahead is None
-        return missing and self._shown and not self.unsolved
+        """Whether values are to be shown that are not known yet."""
+        return len(self.values) <= self.episode.steps and self._shown and not self.unsolved
 
     async def planned(self) -> list[int]:
         """All actions of an automatic episode to its end: its agent flies in a worker process, once.
@@ -103,28 +88,27 @@ class LiveEpisode:
         """
         if self._plan is None:
             if self._planning is None or self._planning.done():
-                self._planning = self._submit(plan, self.map_of, self.pilot, self._flown, self.first)
+                self._planning = self._submit(plan, self.map_of, self.pilot, self.row.actions, self._first)
             self._plan = await _ended(self._planning)
         return self._plan
 
     async def solve(self) -> None:
-        """Find out what can still be reached along the flight: of an automatic one to its end, else to one step ahead.
+        """Find out what can still be reached along the flight, of an automatic one to its end.
 
         Raises:
             LeftError: if the page has left it meanwhile.
             DroneEnvError: as `Workers.run` and `ahead.values_along`.
         """
-        actions = await self.planned() if self.automatic else self._flown
+        actions = tuple(await self.planned()) if self.automatic else self.row.actions
         first = min(len(self.values), len(actions))
         try:
-            values, ahead = await _ended(self._submit(values_along, self.map_of, actions, first))
+            values = await _ended(self._submit(values_along, self.map_of, actions, first))
         except DroneEnvError:
             self.unsolved = True
             raise
-        flown = self._flown
+        flown = self.row.actions
         if len(self.values) >= first and flown[: len(actions)] == actions[: len(flown)]:
             self.values[first:] = values
-            self._ahead = ahead if flown == actions else None
 
     def leave(self) -> None:
         """Drop its jobs: the page shows another."""
@@ -175,9 +159,8 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, it has ended, or the person has flown nothing yet.
         """
         self._check_by_hand()
-        if self.episode.steps <= self.first:
-            since = f"since step {self.first}, where the fork begins" if self.first else "yet"
-            raise EpisodeError(f"there is nothing to take back: you have not flown {since}")
+        if self.episode.steps <= self._first:
+            raise EpisodeError("there is nothing to take back: you have flown no step yet")
         known = self.row
         with self._sessions.changing(known.id) as row:
             self._recognise(row)
@@ -189,7 +172,6 @@ class LiveEpisode:
             return self._follow(row)
         self._see(row)
         del self.values[self.episode.steps + 1 :]
-        self._ahead = None
         return []
 
     def help(self) -> Frame:
@@ -240,9 +222,6 @@ class LiveEpisode:
         except OtherStepError:  # another page has gone on with the same session
             return self._follow(self._sessions.store.read_session(self.row.id))
         self.row = replace(row, episode=episode)
-        if self._ahead is not None and len(self.values) == episode.steps:
-            self.values.append(self._ahead[action])  # V* after an action is its Q*, to the last bit
-        self._ahead = None
         return [self.look()]
 
     def _see(self, row: Session) -> None:
@@ -268,13 +247,12 @@ class LiveEpisode:
         episode, missed = self.episode.copy(), row.actions[self.episode.steps :]
         if self.pilot == HUMAN:
             del self.values[episode.steps + 1 :]
-            self._ahead = None
         self.row = replace(row, episode=episode)
         frames: list[Frame] = []
         for action in missed:
             episode.step(action)
             frames.append(self.look())
-        if self._plan is not None and self._plan[: episode.steps] != self._flown:
+        if self._plan is not None and tuple(self._plan[: episode.steps]) != row.actions:
             self._plan = None  # its agent chooses differently each time
         return frames
 
@@ -286,8 +264,9 @@ class LiveEpisode:
         return job
 
     @property
-    def _flown(self) -> list[int]:
-        return [int(action) for action in self.episode.actions]
+    def _first(self) -> int:
+        """The steps that others have flown, before the pilot began."""
+        return self.credit.forked_at or 0
 
     @property
     def _shown(self) -> bool:
@@ -350,7 +329,7 @@ async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode
     """
     live = await run_in_threadpool(_attached, session, shared, caller)
     run = partial(shared.workers.run, caller=caller, task=live.map_of.task.id)
-    frames = await run(frames_json, live.map_of, live.row.agent, live.directions)
+    frames = await run(frames_json, live.map_of, live.row.agent, [DIRECTIONS[action] for action in live.row.actions])
     return live, await run_in_threadpool(_shown, live, frames)
 
 

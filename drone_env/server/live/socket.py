@@ -213,11 +213,10 @@ class Page:
                     await self._answering(self._find_values, number, live)
 
     async def _find_values(self, number: int, live: LiveEpisode) -> None:
-        known = live.reachable() is not None
         with suppress(TooLargeError, LeftError):
             await live.solve()
         async with self._flying:
-            if live in self.episodes and not known:
+            if live in self.episodes:
                 await self._send_values(number, live)
 
     async def _send_values(self, number: int, live: LiveEpisode) -> None:
