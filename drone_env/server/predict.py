@@ -70,13 +70,8 @@ class Networks:
         """
         source = self._first(task)
         if source is None:
-            raise RequestError(
-                503,
-                "no_network",
-                f"there is no network for {task.id!r}: neither {self.file(TRAINED, task).name} in the data folder nor "
-                f"{self.file(NETWORK, task).name} in the folder of weights. drone-env train --task {task.short_name} "
-                "trains one; the data folder of the server is where it should leave it (--data)",
-            )
+            detail = f"there is no network for {task.id!r}: drone-env train --task {task.short_name} trains one"
+            raise RequestError(503, "no_network", detail)
         agent = self.agent(source, task)
         assert isinstance(agent, PathQNetAgent)
         values = agent.q_values(observation)

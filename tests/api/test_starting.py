@@ -108,9 +108,7 @@ class TestWhereItCannotBe:
     def test_a_port_that_is_taken(self, tmp_path: Path) -> None:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             port = taken.getsockname()[1]
-            told = (
-                rf"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
-            )
+            told = r"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
             with pytest.raises(SystemExit, match=told):
                 app.main(["--port", str(port), "--workers", "2"])
         assert not (tmp_path / "data").exists()
