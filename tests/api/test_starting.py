@@ -73,9 +73,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
             http.cookies.clear()
             assert http.get("/state").status_code == 200, "callers who name no session"
         told = server.log.read_text()
-        assert re.search(
-            r"easy: refused, and so is /predict: .*easy\.safetensors .*'pathqnet' flies by .*easy_del", told
-        )
+        assert re.search(r"refused: .*easy\.safetensors .*\n.*'pathqnet' flies by .*easy_delivery", told)
         server.process.send_signal(asked)
         assert server.process.wait(timeout=60) == status
         assert "Traceback" not in server.log.read_text()
