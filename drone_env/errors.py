@@ -24,7 +24,7 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from drone_env.installer import how_to_install
 
@@ -147,20 +147,10 @@ LONGEST_NAME = 200
 """Characters: whoever sends a value names its parts."""
 
 
-class WrongPart(NamedTuple):
-    """What is wrong with a part, such as `body.direction`; its name is empty for the whole."""
-
-    where: str
-    why: str
-    kind: str
-
-
-def wrong_parts(error: Invalid) -> list[WrongPart]:
-    """The first 20 parts that are wrong."""
+def wrong_parts(error: Invalid) -> list[tuple[str, str, str]]:
+    """The first 20 parts that are wrong: the name, such as `body.direction` and empty for the whole; why; the kind."""
     return [
-        WrongPart(
-            ".".join(map(str, part["loc"]))[:LONGEST_NAME], part["msg"].removeprefix("Value error, "), part["type"]
-        )
+        (".".join(map(str, part["loc"]))[:LONGEST_NAME], part["msg"].removeprefix("Value error, "), part["type"])
         for part in error.errors()[:20]
     ]
 

@@ -19,7 +19,6 @@ KNOBS = (
     "DRONE_ENV_PARITY_STEPS",
     "DRONE_ENV_REQUIRE_TOOLS",
     "DRONE_ENV_SCHEMA_EXAMPLES",
-    "DRONE_ENV_SOCKET_STEPS",
 )
 """The variables that configure the tests themselves."""
 DISPLAY = ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")

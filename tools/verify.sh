@@ -11,7 +11,7 @@ campaigns() {
     tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py \
     tests/unit/test_training_run.py tests/unit/test_network.py
   DRONE_ENV_MUTATIONS=2500 $python -m pytest --timeout 36000 tests/unit/test_city_mutations.py
-  DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 \
+  DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SCHEMA_EXAMPLES=200 \
     $python -m pytest -m '' --timeout 36000 tests/api
   $python tests/api/hostile_callers.py
   DRONE_ENV_KILLS=50 DRONE_ENV_LLM_MAPS=100 DRONE_ENV_LLM_ROUTES=100 $python -m pytest -m '' --timeout 36000 tests/llm

@@ -106,18 +106,6 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         self._apply_rubric(action, observation)
         return observation
 
-    async def reset_async(
-        self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any
-    ) -> DroneEnvObservation:
-        """As `reset`: it takes some microseconds, so it needs no thread."""
-        return self.reset(seed, episode_id, **kwargs)
-
-    async def step_async(
-        self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any
-    ) -> DroneEnvObservation:
-        """As `step`: it takes some microseconds, so it needs no thread."""
-        return self.step(action, timeout_s, **kwargs)
-
     @property
     def state(self) -> DroneEnvState:
         """The full state."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
-from typing import NamedTuple
 from urllib.parse import urlencode
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -146,12 +145,8 @@ def title_of(task: str, seed: int, who: Sequence[str] = (), step: int | None = N
     return flown if step is None else f"{flown}, step {step}"
 
 
-class Flown(NamedTuple):
-    """A flight of a link."""
-
-    pilot: str
-    """What people call who flies."""
-    episode: Episode
+Flown = tuple[str, Episode]
+"""What people call who flies, and the flight."""
 
 
 def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:
@@ -171,7 +166,7 @@ def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:
     from drone_env.envs.rendering import draw_card  # loads Pillow, which the process that serves does without
 
     flights = list(_flown(link)) if record is None else [_stored(link, record)]
-    return draw_card(flights[0].episode, _words(flights))
+    return draw_card(flights[0][1], _words(flights))
 
 
 def _flown(link: Link) -> Iterable[Flown]:
@@ -181,21 +176,21 @@ def _flown(link: Link) -> Iterable[Flown]:
         episode = Episode(task, link.profile, seed)
         for _ in fly_directions(episode, fork.actions[: link.step]):
             pass
-        yield Flown(called(link.flown_by(fork)), episode)
+        yield called(link.flown_by(fork)), episode
         names = names[:-1]
     for name in names:
         episode, agent = Episode(task, link.profile, seed), agent_of(name, task, bench().networks)
         if agent is not None:
             agent.reset(episode.seed)
             episode.fly(islice(choices(episode, agent.act), link.step))
-        yield Flown(PILOTS[name].name, episode)
+        yield PILOTS[name].name, episode
     if not link.names:
-        yield Flown("", Episode(task, link.profile, seed))
+        yield "", Episode(task, link.profile, seed)
 
 
 def _stored(link: Link, record: EpisodeRecord) -> Flown:
     *_, episode = islice(replay_steps(record), None if link.step is None else link.step + 1)
-    return Flown(called(record.agent), episode)
+    return called(record.agent), episode
 
 
 def _words(flights: list[Flown]) -> list[tuple[str, bool]]:

@@ -24,21 +24,19 @@ MOST_FLIGHTS = 100_000
 Entries = list[LeaderboardEntry | NotRanked]
 
 
-class _Cache:
-    """Entries of folders, made again only after files change."""
+class _Folders:
+    """Folders within one, which may be missing; the entries of each are made again only after its files change.
 
-    def __init__(self) -> None:
+    Args:
+        folder: The folder of the folders.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._made: dict[Hashable, tuple[object, Entries]] = {}
 
-    def get(self, key: Hashable, path: Path, files: Iterable[Path], make: Callable[[], Entries]) -> Entries:
-        """The entries of a folder.
-
-        Args:
-            key: Names them here.
-            path: The folder.
-            files: Those that decide the entries.
-            make: Makes them.
-        """
+    def _entries(self, key: Hashable, path: Path, files: Iterable[Path], make: Callable[[], Entries]) -> Entries:
+        """The entries of a folder, which `files` decide; `key` names them here."""
         try:
             stamps = [(file, stamp(file)) for file in files]
         except OSError as error:
@@ -49,16 +47,8 @@ class _Cache:
         return known[1]
 
 
-class Evaluations:
-    """The evaluations in a folder, which may be missing.
-
-    Args:
-        folder: The folder of their folders.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._cache = _Cache()
+class Evaluations(_Folders):
+    """The evaluations in a folder."""
 
     def folders(self) -> list[Path]:
         """The folders of evaluations, by name."""
@@ -67,19 +57,11 @@ class Evaluations:
     def entries(self, path: Path, task: str) -> Entries:
         """The entry of each agent on a task, or why it is not ranked."""
         files = (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))
-        return self._cache.get((path, task), path, files, lambda: evaluation_entries(path, task, MOST_MAPS))
+        return self._entries((path, task), path, files, lambda: evaluation_entries(path, task, MOST_MAPS))
 
 
-class ModelRuns:
-    """The runs of language models in a folder, which may be missing.
-
-    Args:
-        folder: The folder of their folders.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._cache = _Cache()
+class ModelRuns(_Folders):
+    """The runs of language models in a folder."""
 
     def configs(self) -> "dict[Path, RunConfig | None]":
         """The configuration of each run, by its folder; None if it cannot be read."""
@@ -105,7 +87,7 @@ class ModelRuns:
         from drone_env.llm.run_folder import CONFIG, EPISODES, RESULTS, TRANSCRIPT
 
         files = [path / name for name in (CONFIG, TRANSCRIPT, EPISODES, RESULTS)]
-        return self._cache.get(path, path, files, lambda: [run_entry(path)])
+        return self._entries(path, path, files, lambda: [run_entry(path)])
 
     def flights(self, path: Path) -> list[tuple[str, int]]:
         """The flights of a run that count: their ids in a store, and the seeds of their maps."""

@@ -166,8 +166,7 @@ class OpenEnvSocket:
             if kind == "state":
                 return _frame("state", connection.state().model_dump_json())
         except ValidationError as error:
-            parts = wrong_parts(error)
-            errors = [{"loc": [part.where], "msg": part.why, "type": part.kind} for part in parts]
+            errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
         except LookupError as error:
             raise RefusedError("VALIDATION_ERROR", str(error)) from None

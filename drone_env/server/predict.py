@@ -70,13 +70,8 @@ class Networks:
         """
         source = self._first(task)
         if source is None:
-            raise RequestError(
-                503,
-                "no_network",
-                f"there is no network for {task.id!r}: neither {self.file(TRAINED, task).name} in the data folder nor "
-                f"{self.file(NETWORK, task).name} in the folder of weights. drone-env train --task {task.short_name} "
-                "trains one; the data folder of the server is where it should leave it (--data)",
-            )
+            detail = f"there is no network for {task.id!r}: drone-env train --task {task.short_name} trains one"
+            raise RequestError(503, "no_network", detail)
         agent = self.agent(source, task)
         assert isinstance(agent, PathQNetAgent)
         values = agent.q_values(observation)
@@ -137,22 +132,15 @@ class Networks:
             raise CheckpointError(str(error).replace(str(file), file.name)) from None
 
     def described(self) -> list[str]:
-        """Lines for the start of the server: which network flies which tasks, which files are refused."""
-        tasks: dict[str, list[str]] = {}
-        for task in TASKS.values():
-            # What flies tasks by files of their own is told task by task, the others file by file.
-            for sources in ((TRAINED, NETWORK), *((source,) for source in SOURCES if source not in (TRAINED, NETWORK))):
-                parts = [part for part in (self._described(source, task) for source in sources) if part]
-                if parts:
-                    tasks.setdefault("; ".join(parts), []).append(task.short_name)
-        return [f"{', '.join(names)}: {told}" for told, names in tasks.items()]
-
-    def _described(self, source: str, task: TaskConfig) -> str | None:
-        found = self._at(source, task)
-        if isinstance(found, CheckpointError):
-            return f"refused{', and so is /predict' if source in (TRAINED, NETWORK) else ''}: {found}"
-        what = "trained here" if SOURCES[source].trained else "shipped"
-        return None if found is None else f"{source!r} flies by {self.file(source, task)} ({what})"
+        """Lines for the start of the server: which network files are flown by, and which are refused."""
+        lines: dict[Path, str] = {}
+        for source in SOURCES:
+            for task in TASKS.values():
+                file, found = self.file(source, task), self._at(source, task)
+                if found is not None:
+                    told = f"refused: {found}" if isinstance(found, CheckpointError) else f"{source!r} flies by {file}"
+                    lines.setdefault(file, told)
+        return list(lines.values())
 
     def _first(self, task: TaskConfig) -> str | None:
         return next((source for source in (TRAINED, NETWORK) if self._at(source, task) is not None), None)

@@ -114,8 +114,7 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
     errors: list[FieldProblem] = []
     if isinstance(error, RequestValidationError):
         status, code, detail = 422, "invalid_request", text_of(error)
-        parts = wrong_parts(error)
-        errors = [FieldProblem(where=part.where, message=part.why) for part in parts]
+        errors = [FieldProblem(where=where, message=why) for where, why, _ in wrong_parts(error)]
     elif isinstance(error, HTTPException):
         status, code, detail, headers = error.status_code, "http", str(error.detail), error.headers
     elif isinstance(error, DroneEnvError):

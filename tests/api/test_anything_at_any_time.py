@@ -1,64 +1,19 @@
-"""A server among many callers, and among callers that send anything at any time."""
+"""A server among pages that send anything at any time."""
 
-import asyncio
 import json
 import os
 import random
 from typing import Any
 
-import websockets
 import websockets.sync.client as websockets_client
 
-from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from tests.api.serving import Server
 
 FRAMES = int(os.environ.get("DRONE_ENV_FRAMES", "500"))
 COMMANDS = FRAMES // 4
-STEPS = int(os.environ.get("DRONE_ENV_SOCKET_STEPS", "2000"))
-SOCKETS = 256 if STEPS > 10_000 else 32
 # Each map is solved in the background, also when its page has gone: seconds for the larger ones.
 FLOWN = list(TASKS)[: 4 if FRAMES > 1000 else 1]
-
-
-def test_interleaved_sockets_never_see_each_other(server: Server) -> None:
-    tasks = list(TASKS)[:3]
-
-    async def fly(number: int, steps: int) -> int:
-        moves = random.Random(number)
-        episode = Episode(tasks[number % 3], "tiered")
-        url = server.url.replace("http", "ws") + "/ws"
-        async with websockets.connect(url, compression=None, open_timeout=300) as socket:
-
-            async def ask(kind: str, data: dict[str, Any] | None = None) -> Any:
-                await socket.send(json.dumps({"type": kind} | ({} if data is None else {"data": data})))
-                answer = json.loads(await socket.recv())
-                assert answer["type"] != "error", answer
-                return answer["data"]
-
-            flown = 0
-            seed = number
-            while flown < steps:
-                seed += SOCKETS
-                await ask("reset", {"task_name": episode.task.id, "seed": seed, "episode_id": f"{number}"})
-                episode.reset(seed)
-                while not episode.ended and flown < steps:
-                    action = Action(moves.randrange(5))
-                    answer = await ask("step", {"direction": action.name})
-                    reward = episode.step(action)
-                    flown += 1
-                    seen = answer["observation"]
-                    assert (answer["reward"], seen["drone_x"], seen["drone_y"]) == (reward, *episode.position)
-                    assert (seen["step_count"], answer["done"]) == (episode.steps, episode.ended)
-                state = await ask("state")
-                assert (state["seed"], state["episode_id"], state["step_count"]) == (seed, f"{number}", episode.steps)
-            return flown
-
-    async def all_of_them() -> list[int]:
-        return await asyncio.gather(*[fly(number, -(-STEPS // SOCKETS)) for number in range(SOCKETS)])
-
-    assert sum(asyncio.run(all_of_them())) >= STEPS
 
 
 def commands(source: random.Random, sessions: list[str]) -> Any:

@@ -238,21 +238,6 @@ def test_the_parts_of_a_request_are_bounded(kind: str, caplog: pytest.LogCapture
     assert not caplog.messages
 
 
-def test_what_stands_after_a_body_is_no_header() -> None:
-    seen: list[list[bytes]] = []
-
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        await Request(scope, receive).body()
-        seen.append([name for name, _ in scope["headers"]])
-        await answer(scope, receive, send)
-
-    with running(app) as connect:
-        sock = connect()
-        sock.sendall(CHUNKED + b"2\r\nhi\r\n0\r\nX-Session-Id: other\r\n\r\n")
-        assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
-    assert seen == [[b"host", b"transfer-encoding"]]
-
-
 ASKED, CLOSING = b"GET / HTTP/1.1\r\n", b"Connection: close\r\n"
 SIZED = POSTED + b"Content-Length: 2\r\n"
 SHAPES = {

@@ -5,7 +5,7 @@ Their work is counted in validation errors, each of which costs as much as 500 b
 
 import json
 from collections.abc import Iterator
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -70,15 +70,16 @@ def _values(size: int) -> Iterator[tuple[str, str]]:
 
 def _put(base: Any, where: tuple[str, ...], text: str) -> str:
     """The JSON of a value in which a text replaces one part; lists on the way to it have one item."""
+    return json.dumps(_with_mark(base, where)).replace('"@"', text)
+
+
+def _with_mark(base: Any, where: tuple[str, ...]) -> Any:
     if not where:
-        return text
+        return "@"
     key, rest = where[0], where[1:]
     if key == "[]":
-        return "[" + _put(base[0] if isinstance(base, list) and base else None, rest, text) + "]"
-    known = cast(dict[str, Any], base) if isinstance(base, dict) else {}
-    others = {name: value for name, value in known.items() if name != key}
-    put = f"{json.dumps(key)}:{_put(known.get(key), rest, text)}"
-    return "{" + ",".join([*(f"{json.dumps(name)}:{json.dumps(value)}" for name, value in others.items()), put]) + "}"
+        return [_with_mark(base[0] if base else None, rest)]
+    return {**(base or {}), key: _with_mark((base or {}).get(key), rest)}
 
 
 def _resolved(schema: Schema, root: Schema) -> Schema:

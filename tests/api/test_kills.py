@@ -26,7 +26,6 @@ class Pilot(threading.Thread):
         super().__init__(daemon=True)
         self.client = DroneEnvClient(url)
         self.random = random.Random(number)
-        self.number = number
         self.acknowledged = 0
         self.failure: BaseException | None = None
         self.expected: Episode | None = None
@@ -46,7 +45,7 @@ class Pilot(threading.Thread):
 
     def once(self) -> None:
         if self.expected is None or self.expected.ended:
-            seed = self.random.randrange(2**40) * 100 + self.number
+            seed = self.random.randrange(2**40)
             self.expected, self.pending = None, []
             self.client.reset("easy", seed=seed, agent="pilot")
             self.expected = Episode("easy", "tiered")
@@ -75,45 +74,38 @@ class Pilot(threading.Thread):
         for action in self.pending[:ahead]:
             self.expected.step(action)
         assert state["reward_total"] == self.expected.reward_total
+        self.client.close()
 
 
 def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
     tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
 ) -> None:
-    data, port = tmp_path / "data", reserved_port()
-    server = Server(["drone_env/server/app.py"], data, port, {})
+    data, port, moments = tmp_path / "data", reserved_port(), random.Random(1)
     finished: list[tuple[int, float]] = []
-    carried: list[Pilot] = [Pilot(server.url, number) for number in range(4)]
-    moments = random.Random(1)
+    server = Server(["drone_env/server/app.py"], data, port, {})
     try:
-        for _ in range(KILLS):
-            for pilot in carried:
+        for kill in range(KILLS):
+            pilots = [Pilot(server.url, 4 * kill + number) for number in range(4)]
+            for pilot in pilots:
                 pilot.start()
             # Long enough that episodes end, and at another place of a step each time.
             enough = moments.randrange(100, 200)
 
-            def have_flown(pilots: list[Pilot] = carried, enough: int = enough) -> bool:
+            def have_flown(pilots: list[Pilot] = pilots, enough: int = enough) -> bool:
                 flown = sum(pilot.acknowledged for pilot in pilots)
                 return flown >= enough or not any(pilot.is_alive() for pilot in pilots)
 
             eventually(have_flown)
             server.kill()
-            for pilot in carried:
+            for pilot in pilots:
                 pilot.join(60)
                 assert not pilot.is_alive()
                 assert pilot.failure is None, pilot.failure
             assert json.loads((data / "memory.json").read_text(encoding="utf-8"))["format"] == "drone_env/memory"
             server = Server(["drone_env/server/app.py"], data, port, {})
-            successors = []
-            for pilot in carried:
+            for pilot in pilots:
                 pilot.check()
-                pilot.client.close(keep_session=True)
                 finished += pilot.finished
-                successor = Pilot(server.url, pilot.number)
-                successor.client.session_id = pilot.client.session_id
-                successor.random, successor.expected, successor.best = pilot.random, pilot.expected, pilot.best
-                successors.append(successor)
-            carried = successors
     finally:
         server.kill()
     assert finished

@@ -1,7 +1,6 @@
 """Builds are recorded, whatever becomes of them. Docker is a script here: what is tested is the record."""
 
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +14,7 @@ DOCKER = """
 case "$1 $2" in
   "context show") echo desktop-linux ;;
   "image inspect") echo linux/arm64 ;;
-  build*) echo "build: $*"; [ -z "$BUILD_SECONDS" ] || exec sleep "$BUILD_SECONDS"; exit "${BUILD_STATUS:-0}" ;;
+  build*) echo "build: $*"; exit "${BUILD_STATUS:-0}" ;;
 esac
 """
 RECORD = re.compile(
@@ -50,20 +49,3 @@ def test_builds_are_recorded_whether_they_succeed_or_fail(docker: Commands, tmp_
     assert (first, second, unknown, machine) == ("COMPLETED", "FAILED", "unknown", ["linux/arm64", "desktop-linux"])
     head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert head.startswith(revision.removesuffix("-dirty"))
-
-
-def test_a_build_that_is_stopped_is_recorded_as_failed(docker: Commands, tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    environment = {"PATH": str(docker.folder), "BUILD_SECONDS": "1000"}
-    process = subprocess.Popen([sys.executable, "-u", TOOL, "--log", str(log)], env=environment, stdout=subprocess.PIPE)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith(b"build:")
-        process.send_signal(signal.SIGTERM)
-        # Long before the build would end; its end closes the output.
-        assert process.communicate(timeout=120)[0].startswith(b"FAILED after")
-        assert process.returncode == 130
-    finally:
-        process.kill()
-        process.wait()
-    assert [status for status, *_ in records(log)] == ["FAILED"]

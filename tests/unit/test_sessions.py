@@ -39,25 +39,6 @@ def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
     assert (row.actions, row.episode_id) == ((), None)
 
 
-def test_an_episode_in_memory_is_flown_on_only_if_the_session_goes_on_from_it(store: Store) -> None:
-    session_id = opened(store, "hard_delivery")
-    with store.session(session_id) as before:
-        for action in (4, 4, 0):
-            advance(before, action)
-    assert store.read_session(session_id).fly().get_state() == before.fly().get_state()
-    with store.session(session_id) as row:
-        row.actions = (*row.actions, 1)
-    row.go_on_from(before)
-    assert row.episode is before.episode
-    assert row.fly().get_state() == store.read_session(session_id).fly().get_state()
-    for actions, episode in (((4, 4, 1, 1), Episode("hard", "tiered", 7)), ((), Episode("hard", "tiered", 8))):
-        with store.session(session_id) as row:
-            row.begin(episode)
-            row.actions, row.episode = actions, None
-        row.go_on_from(before)
-        assert row.episode is None
-
-
 def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:
     session_id = opened(store)
 
