@@ -10,8 +10,7 @@ from typing import Any
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
-from drone_env.commands.arguments import own_profiles_forgotten, parsed
-from drone_env.commands.named_files import told, with_names
+from drone_env.commands.arguments import own_profiles_forgotten, parsed, with_names
 from drone_env.commands.printing import print_error
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
@@ -78,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)  # whoever wrote the agent has to debug it
-        print_error(told(error, arguments) if isinstance(error, OSError) else error)
+        print_error(error)
         return 2
     except MemoryError as error:
         print_error(f"out of memory: {error}\nLower the sizes that you set, such as --replay-size or --batch-size.")

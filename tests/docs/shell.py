@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from drone_env import cli, get_task
-from drone_env.commands import named_files
-from drone_env.commands.arguments import parsed
+from drone_env.commands.arguments import REGISTERED, parsed
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
 
@@ -175,9 +174,9 @@ def _check_path(word: str, where: str) -> None:
 def _check_options(arguments: list[str], where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(cli, "parsed", lambda *arguments: parsed(*arguments) and bool)  # parses, and calls nothing
-        for option in named_files.REGISTERED:  # the files are made when the page is run
+        for option in REGISTERED:  # the files are made when the page is run
             known = get_task("easy") if option == "--task" else get_reward_profile("aligned")
-            patch.setitem(named_files.REGISTERED, option, lambda file, known=known: known)
+            patch.setitem(REGISTERED, option, lambda file, known=known: known)
         try:
             status = cli.main(arguments)
         except SystemExit as error:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs import shell
 from tests.docs.pages import blocks
 from tests.docs.test_code_blocks import Page, check
 
@@ -70,10 +69,3 @@ def test_what_is_wrong_is_noticed(run, text: str, said: str) -> None:
     with pytest.raises((AssertionError, ValueError, SyntaxError, ZeroDivisionError)) as raised:
         run(text)
     assert said in str(raised.value)
-
-
-def test_a_copy_of_the_checkout_can_be_written_to(tmp_path: Path) -> None:
-    root = shell.checkout(tmp_path)
-    assert (root / "docs" / "rules.md").is_file()
-    assert not (root / ".git").exists()
-    assert shell.run("python --version && command -v drone-env", root, {}).stdout.count("\n") == 2

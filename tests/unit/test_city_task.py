@@ -79,10 +79,7 @@ def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.Ca
     assert main(["fly", f"--task={yard}", "--agent", "optimal", "--seed", "3"]) == 0
     assert capsys.readouterr().out.splitlines()[0].startswith("[START] task=drone_env.graders:grade_yard ")
     assert main(["fly", "--task", str(yard.with_name("none.toml"))]) == 2
-    said = (
-        "drone-env: --task takes a task or the file of a city, as `drone-env city` writes it; No such file or directory"
-    )
-    assert capsys.readouterr().err == f"{said}: {yard.with_name('none.toml')}\n"
+    assert f"No such file or directory: '{yard.with_name('none.toml')}'" in capsys.readouterr().err
     # Other options name files of their own.
     other = yard.with_name("other.toml")
     other.write_bytes(yard.read_bytes())

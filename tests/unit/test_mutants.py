@@ -1,7 +1,5 @@
 """tools/mutants.py, on a project of two files, and its table."""
 
-import asyncio
-import fcntl
 import json
 import subprocess
 from collections import Counter
@@ -9,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.mutants import main, read_table, run_tests
+from tools.mutants import main, read_table
 
 TABLE = """
 [[mutant]]
@@ -43,20 +41,6 @@ why = "the code has changed"
 old = "x * 0.5"
 new = "x"
 tests = ["test_half.py"]
-"""
-
-ENDLESS = """
-import fcntl
-import subprocess
-import time
-
-
-def test_for_ever():
-    with open("held", "w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        subprocess.Popen(["sleep", "1000"], pass_fds=[held.fileno()])
-        open("started", "w").close()
-        time.sleep(1000)
 """
 
 
@@ -95,34 +79,6 @@ def test_each_fault_is_put_in_alone_and_told_by_what_came_of_it(
     assert lines[0].startswith("caught"), "what nobody caught is told last"
     assert summary == "1 of 4 faults caught"
     assert sorted(path for path in project.rglob("*") if ".git" not in path.parts) == before
-
-
-def test_nothing_is_judged_by_tests_that_fail_anyway(project: Path) -> None:
-    (project / "test_half.py").write_text("def test_of_four():\n    assert False\n")
-    with pytest.raises(SystemExit, match="with no fault put in"):
-        main(["--only", "caught"], root=project)
-
-
-@pytest.mark.long
-def test_an_interrupted_run_leaves_no_process(project: Path) -> None:
-    (project / "test_half.py").write_text(ENDLESS)
-
-    async def interrupt() -> None:
-        running = asyncio.ensure_future(run_tests(project, ["test_half.py"], limit=100))
-        while not (project / "started").exists() and not running.done():
-            await asyncio.sleep(0.05)
-        running.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await running
-
-    asyncio.run(interrupt())
-    with (project / "held").open() as held:
-        # Waits for the child's death, to the test's own limit of time.
-        fcntl.flock(held, fcntl.LOCK_EX)
-
-
-def test_tests_that_do_not_end_have_no_status(project: Path) -> None:
-    assert asyncio.run(run_tests(project, ["test_half.py"], limit=0.01))[0] is None
 
 
 def test_the_table_fits_the_files_and_covers_every_part() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from drone_env.agents import make_agent
 from drone_env.agents.tour_encoder import CHUNK, FeatureEncoder
 from drone_env.agents.tour_features import Features
 from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
@@ -23,7 +22,7 @@ from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
 from drone_env.planning.solver import ExactSolver
 from drone_env.rl.models import TourNet
 from tests.toy import toy_episode
-from tests.unit.tour_features import EVERY_TASK, HARD, features_of, observations, save
+from tests.unit.tour_features import EVERY_TASK, HARD, features_of, observations
 from tests.which_tasks import SMALL
 
 
@@ -66,20 +65,6 @@ def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:
         large = {name: (LARGEST * rng.choice(signs, shape)).astype(np.float32) for name, shape in SHAPES.items()}
         for logits in TourNetwork(Weights(large, {}, ""))(features):
             assert np.isfinite(logits).all()
-
-
-def test_what_is_no_tour_network_is_refused(network: Path, tmp_path: Path) -> None:
-    whole, path = load_tour_network(network).parameters, tmp_path / "tour.safetensors"
-    for parameters, metadata, why in (
-        (whole, {"network": "atlas"}, "it holds a network of 'atlas', not of 'tournet'"),
-        ({**whole, "norm.bias": whole["norm.bias"][:-1]}, {}, r"norm.bias is float32\[63\] instead of float32\[64\]"),
-        ({**whole, "more": whole["norm.bias"]}, {}, "its parameters are not those of the network"),
-    ):
-        save(path, parameters, {"network": "tournet"} | metadata)
-        with pytest.raises(CheckpointError, match=why):
-            make_agent(f"tournet:{path}", "easy")
-    with pytest.raises(CheckpointError, match="it holds a network of 'tournet', not of 'pathqnet'"):
-        make_agent(f"pathqnet:{network}", "easy")
 
 
 # What it sees
@@ -228,14 +213,6 @@ def test_the_first_of_the_highest_is_chosen() -> None:
     for none in (np.nan, np.inf):
         with pytest.raises(CheckpointError, match="values that are no numbers"):
             best_options(features, np.array([none, 0, 1, 0, 0], np.float32))
-
-
-def test_a_charge_that_fills_the_battery_is_like_any_other_that_does(network: Path) -> None:
-    flights: list[list[int]] = []
-    for charge in (HARD.battery_capacity, 1000):
-        agent = TournetAgent(replace(HARD, id="own", charge_rate=charge), network)
-        flights.append(agent.act_batch(*observations(HARD, 20, 40)).tolist())
-    assert flights[0] == flights[1]
 
 
 def test_evaluate_flies_the_agent_that_a_checkpoint_is_of(
