@@ -75,14 +75,14 @@ def _diagnose(port: str) -> Iterator[Finding]:
 
         yield _checked("settings", "server", lambda: f"valid: {sorted(server().model_fields_set)}")
         yield _checked("settings", "llm", lambda: f"valid: {llm().model_name}", otherwise="absent")
-    for plugin in filter(None, map(str.strip, plugin_names().split(","))):
-        yield _checked("plugins", plugin, partial(lambda name: f"imported {load_plugins(name)}", plugin))
+    for plugin in plugin_names():
+        yield _checked("plugins", plugin, partial(load_plugins, [plugin]))
 
 
-def _checked(topic: str, name: str, check: Callable[[], str], otherwise: str = "broken") -> Finding:
+def _checked(topic: str, name: str, check: Callable[[], object], otherwise: str = "broken") -> Finding:
     """The finding of a check, which returns a detail or raises any error, as a plugin may."""
     try:
-        return Finding(topic, name, "ok", check())
+        return Finding(topic, name, "ok", str(check()))
     except Exception as error:
         return Finding(topic, name, otherwise, str(error))
 

@@ -15,6 +15,10 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.envs.ansi import draw_text
 from drone_env.planning.optimal import best_of
 
+if sys.platform != "win32":  # where keys come with Enter
+    import termios
+    import tty
+
 KEYS = {
     **dict.fromkeys(("\x1b[a", "\x1boa", "w"), Action.UP),
     **dict.fromkeys(("\x1b[b", "\x1bob", "s"), Action.DOWN),
@@ -22,7 +26,6 @@ KEYS = {
     **dict.fromkeys(("\x1b[d", "\x1bod", "a"), Action.LEFT),
     **dict.fromkeys((" ", "."), Action.WAIT),
 }
-QUIT = {"q", "\x04"}
 HELP = "Arrow keys or w a s d fly, space or . waits, q gives up."
 KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO.|\x1b[^\[O]|[^\x1b]", re.DOTALL)
 """One key: an escape sequence as a whole, or a character."""
@@ -51,28 +54,26 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
                 episode.step(KEYS[key])
                 console.clear()
                 console.print(f"{draw_text(episode)}\n{HELP}")
-            if key in QUIT or episode.ended:
+            if key in ("q", "\x04") or episode.ended:
                 break
     score = episode.counted_score()
     if not episode.ended:
         console.print(f"Given up after {episode.steps} steps; counted as if you had waited to the end.")
     console.print(f"Your score: {score * 100:.1f} in {episode.steps} steps")
     if optimum is not None:
-        regret = f"Regret: {(optimum.score - score) * 100:.1f}"
         console.print(f"The optimum: {optimum.score * 100:.1f} in {optimum.steps} steps")
-        console.print(regret if score < optimum.score else "You flew the optimum!")
+        regret = (optimum.score - score) * 100
+        console.print(f"Regret: {regret:.1f}" if regret > 0 else "You flew the optimum!")
 
 
 def _keys() -> Generator[str, None, None]:
     """Keys in lower case, from a terminal as they are pressed."""
-    if terminal := sys.platform != "win32" and sys.stdin.isatty():
-        import termios
-        import tty
-
-        before = termios.tcgetattr(sys.stdin)
-        tty.setcbreak(sys.stdin, termios.TCSADRAIN)  # which keeps the keys that were typed before
+    terminal = sys.platform != "win32" and sys.stdin.isatty()
+    before = termios.tcgetattr(sys.stdin) if terminal else []
     typed = ""
     try:
+        if terminal:
+            tty.setcbreak(sys.stdin, termios.TCSADRAIN)  # which keeps the keys that were typed before
         while piece := os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
             typed += piece
             while key := KEY.match(typed):

@@ -169,8 +169,6 @@ def test_calls_that_do_not_fit_are_refused() -> None:
     env = DroneDeliveryVecEnv("easy", N)
     with pytest.raises(EpisodeError, match="reset"):
         env.step(np.zeros(N, int))
-    with pytest.raises(InvalidValueError, match="no options"):
-        env.set_options({"seed": 1})
 
 
 def test_the_page_about_it_runs_as_written(

@@ -102,7 +102,7 @@ def test_callbacks_that_it_triggers_go_by_score_and_end_the_training(capsys: pyt
 def test_what_cannot_be_judged_is_refused_before_the_training() -> None:
     with pytest.raises(InvalidValueError, match="eval_freq=0"):
         judge(eval_freq=0)
-    with pytest.raises(CheckpointError, match="behind FlatObservation it would fit"):
+    with pytest.raises(CheckpointError, match="behind the wrapper none is"):
         ppo().learn(8, callback=ScoreEvalCallback("easy"))
     env = DroneDeliveryVecEnv("easy", 8, observation="flat")
     network: Any = {"policy_kwargs": {"net_arch": [8]}, "device": "cpu"}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from drone_env.agents import make_agent
 from drone_env.agents.tour_encoder import CHUNK, FeatureEncoder
 from drone_env.agents.tour_features import Features
 from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
@@ -67,6 +68,11 @@ def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:
             assert np.isfinite(logits).all()
 
 
+def test_the_network_of_another_agent_is_refused(network: Path) -> None:
+    with pytest.raises(CheckpointError, match="it holds a network of 'tournet', not of 'pathqnet'"):
+        make_agent(f"pathqnet:{network}", "easy")
+
+
 # What it sees
 
 
@@ -101,32 +107,6 @@ def test_a_parcel_that_waits_ends_a_way() -> None:
     assert features_of(encoder, episode.observation()).numbers.tolist() == [[1, 1, Action.RIGHT]]
     episode.step(Action.RIGHT)
     assert features_of(encoder, episode.observation()).numbers.tolist() == [[2, 2, Action.RIGHT]]
-
-
-@pytest.mark.parametrize("name", EVERY_TASK)
-def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> None:
-    task = EVERY_TASK[name]
-    encoder, episode = FeatureEncoder(task), Episode(task, seed=3)
-    for option in range(40):
-        features = features_of(encoder, episode.observation())
-        if not len(features.numbers):
-            break
-        units, steps, action = features.numbers[option * 7 % len(features.numbers)].tolist()
-        charge, battery, done = units < 0, episode.battery_units, episode.deliveries_done
-        while True:
-            episode.step(action)
-            steps -= 1
-            drained = battery - episode.battery_units
-            if steps == 0:
-                break
-            now = features_of(encoder, episode.observation()).numbers.tolist()
-            # Where the battery tells no more than the time, units are steps.
-            action = next(first for u, s, first in now if (u, s) == (units - drained, steps))
-        assert drained == units
-        assert charge or episode.deliveries_done > done or episode.under == Cell.PAD
-        if episode.ended:
-            break
-    assert episode.steps > 3
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -213,6 +193,14 @@ def test_the_first_of_the_highest_is_chosen() -> None:
     for none in (np.nan, np.inf):
         with pytest.raises(CheckpointError, match="values that are no numbers"):
             best_options(features, np.array([none, 0, 1, 0, 0], np.float32))
+
+
+def test_a_charge_that_fills_the_battery_is_like_any_other_that_does(network: Path) -> None:
+    flights: list[list[int]] = []
+    for charge in (HARD.battery_capacity, 1000):
+        agent = TournetAgent(replace(HARD, id="own", charge_rate=charge), network)
+        flights.append(agent.act_batch(*observations(HARD, 20, 40)).tolist())
+    assert flights[0] == flights[1]
 
 
 def test_evaluate_flies_the_agent_that_a_checkpoint_is_of(
