@@ -52,8 +52,6 @@ def _calls(arguments: Sequence[str]) -> Iterator[Callable[[], int | None]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 done, 1 a check that failed, 2 anything else that went wrong."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    if sys.stdin is None or sys.stdout is None or sys.stderr is None:
-        return 2  # closed by whoever started us: there is nowhere to say so
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A map whose emoji the terminal lacks is better than none.
@@ -80,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_error(error)
         return 2
     except MemoryError as error:
-        print_error(f"out of memory: {error}\nLower the sizes that you set, such as --replay-size or --batch-size.")
+        print_error(f"out of memory: {error}")
         return 2
     except KeyboardInterrupt:
         return 130

@@ -29,18 +29,6 @@ def actions_of(step: int) -> np.ndarray:
     return (np.arange(N) * 3 + step * step // 3) % 5
 
 
-def test_final_info_tells_score_steps_deliveries_and_seed() -> None:
-    env = make(autoreset_mode="SAME_STEP")
-    env.reset(seed=[1, 2, 3, 4, 5, 6])
-    for _ in range(60):
-        *_, info = env.step(np.full(N, 4))
-    final = info["final_info"]
-    assert info["_final_info"].all()
-    assert final["score"].tolist() == [0.01] * N
-    assert final["steps"].tolist() == [60] * N
-    assert final["deliveries"].tolist() == [0] * N
-
-
 @pytest.mark.parametrize("num_threads", [2, 64])
 def test_threads_change_nothing(num_threads: int) -> None:
     env, single = make(num_threads=num_threads), make()

@@ -203,9 +203,7 @@ def test_an_agent_that_fails_is_told_with_task_map_step_and_its_own_traceback(
     ("name", "file", "there"),
     [
         ("pathqnet:data/easy.safetensors", "data/easy.safetensors", "pathqnet:/tmp/there"),
-        ("./m.zip", "m.zip", "/tmp/there"),
         ("a/m.zip:FlatObservation", "a/m.zip", "/tmp/there:FlatObservation"),
-        ("a/m.zip:sampled", "a/m.zip", "/tmp/there:sampled"),
         ("C:/m.zip:mine:Wrapper:sampled", "C:/m.zip", "/tmp/there:mine:Wrapper:sampled"),
         ("mine:fly", None, "mine:fly"),
         ("greedy", None, "greedy"),

@@ -1,6 +1,5 @@
 """Pictures and text."""
 
-import math
 import unicodedata
 from dataclasses import replace
 from pathlib import Path
@@ -13,16 +12,15 @@ from PIL import Image
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.envs import blocks, figures, rendering
+from drone_env.envs import figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
-from drone_env.envs.rendering import PANEL, TEXT, draw_picture, save_picture
+from drone_env.envs.rendering import draw_picture, save_picture
 from drone_env.errors import EpisodeError
 from drone_env.planning.greedy import greedy_action
 from tests.toy import toy_episode
 
 EASY = get_task("easy")
 HARD = get_task("hard")
-EMPTY = replace(EASY, id="empty", buildings=0, trees=0, obstacles=0, deliveries=2)
 SMALLEST = replace(EASY, id="smallest", width=2, height=2, buildings=1, trees=0, obstacles=1)
 LARGEST = replace(
     HARD, id="largest", width=64, height=64, buildings=900, trees=500, obstacles=300, deliveries=16, pads=20
@@ -30,7 +28,6 @@ LARGEST = replace(
 WIDEST = replace(HARD, id="widest", width=64, height=2)
 TALLEST = replace(HARD, id="tallest", width=2, height=64)
 
-PALETTE = rendering.PALETTE | {"hull": "#2E3D4D", "box": "#F0A020", "done": "#237A45"}
 Picture = npt.NDArray[np.uint8]
 
 
@@ -54,13 +51,9 @@ def cell_of(picture: Picture, episode: Episode, x: float, y: float) -> Picture:
     return picture[row - reach : row + reach, column - reach : column + reach]
 
 
-def panel_of(picture: Picture, episode: Episode) -> Picture:
-    return picture[:, rendering._layout(episode.task, picture.shape[0]).city :]
-
-
 def count(picture: Picture, colour: str) -> int:
     """How many pixels have exactly this colour of the palette."""
-    return int((picture == np.frombuffer(bytes.fromhex(PALETTE[colour][1:]), np.uint8)).all(axis=2).sum())
+    return int((picture == np.frombuffer(bytes.fromhex(rendering.PALETTE[colour][1:]), np.uint8)).all(axis=2).sum())
 
 
 class TestPicture:
@@ -102,25 +95,6 @@ class TestPicture:
         assert fly(episode).success
         marks = count(draw_picture(episode)[:, : layout.city], "target")
         assert marks < 150, "only the lamps of the drone have this colour"
-
-    def test_nothing_runs_out_of_the_panel(self) -> None:
-        size = 480
-        task = replace(
-            LARGEST,
-            id="a_task_with_quite_a_long_name_that_no_panel_was_ever_made_for",
-            deliveries=16,
-            max_steps=32000,
-            battery_capacity=32000,
-            impassable=frozenset({Cell.TREE}),
-        )
-        episode = fresh(task, 2**53 - 1)
-        left = rendering._layout(task, size).city
-        picture = draw_picture(episode, size)
-        unit = size / 100
-        beside = np.s_[left + math.ceil((TEXT + 3.7) * unit) : left + math.floor((PANEL - 3.6) * unit)]
-        margin = picture[size // 14 : -size // 14, beside]
-        assert margin.size > 0
-        assert count(margin, "card") == margin.shape[0] * margin.shape[1]
 
     def test_needs_a_reset(self) -> None:
         for draw in (draw_picture, draw_text):
@@ -176,24 +150,3 @@ def test_whose_data_a_city_is_stands_below_it() -> None:
     assert rows.min() >= layout.top + task.height * layout.cell
     assert rows.max() > rows.min() + 3
     assert columns.max() < layout.city
-
-
-def test_cells_that_share_a_side_are_drawn_as_one_shape() -> None:
-    rows = ["BB..T", "B.BTT", "...XX"]
-    grid = np.array([[".BTX".index(letter) for letter in row] for row in rows], np.uint8)
-    grid = np.array([Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE], np.uint8)[grid]
-    drawn = np.array(blocks.draw_blocks(grid, 30, 3, 4))
-    assert drawn.shape == (3 * 30 + 6, 5 * 30 + 6, 3)
-
-    def looks(x: float, y: float) -> str:
-        """At a point given in cells, as high above it as roofs are."""
-        return "#{:02X}{:02X}{:02X}".format(*drawn[round(3 + 30 * y), round(3 + 30 * x)])
-
-    roof = looks(0.5, 0.5 - blocks.HEIGHT)
-    assert roof in blocks.ROOFS
-    assert looks(1.0, 0.5 - blocks.HEIGHT) == looks(0.5, 1.0 - blocks.HEIGHT) == roof
-    # Those that meet at a corner alone are two.
-    assert looks(2.0, 1.0) == blocks.SHADE
-    assert looks(1.5, 1.5) == blocks.STREET
-    assert {looks(4.5, 1.0), looks(4.0, 1.5)} <= {blocks.WOOD, blocks.CROWN}
-    assert {looks(4.0, 2.5), looks(3.5, 2.5)} <= {blocks.CLOSED, blocks.HATCH}
