@@ -68,11 +68,10 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
 
 def _keys() -> Generator[str, None, None]:
     """Keys in lower case, from a terminal as they are pressed."""
-    terminal = sys.platform != "win32" and sys.stdin.isatty()
-    before = termios.tcgetattr(sys.stdin) if terminal else []
+    before = termios.tcgetattr(sys.stdin) if sys.platform != "win32" and sys.stdin.isatty() else None
     typed = ""
     try:
-        if terminal:
+        if before is not None:
             tty.setcbreak(sys.stdin, termios.TCSADRAIN)  # which keeps the keys that were typed before
         while piece := os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
             typed += piece
@@ -80,5 +79,5 @@ def _keys() -> Generator[str, None, None]:
                 typed = typed[key.end() :]
                 yield key[0].lower()
     finally:
-        if terminal:
+        if before is not None:
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
