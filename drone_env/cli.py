@@ -10,8 +10,7 @@ from typing import Any
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
-from drone_env.commands.arguments import own_profiles_forgotten, parsed
-from drone_env.commands.named_files import told, with_names
+from drone_env.commands.arguments import own_profiles_forgotten, parsed, with_names
 from drone_env.commands.printing import print_error
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
@@ -53,8 +52,6 @@ def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 done, 1 a check that failed, 2 anything else that went wrong."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    if sys.stdin is None or sys.stdout is None or sys.stderr is None:
-        return 2  # closed by whoever started us: there is nowhere to say so
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A map whose emoji the terminal lacks is better than none.
@@ -76,10 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)  # whoever wrote the agent has to debug it
-        print_error(told(error, arguments) if isinstance(error, OSError) else error)
+        print_error(error)
         return 2
     except MemoryError as error:
-        print_error(f"out of memory: {error}\nLower the sizes that you set, such as --replay-size or --batch-size.")
+        print_error(f"out of memory: {error}")
         return 2
     except KeyboardInterrupt:
         return 130

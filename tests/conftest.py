@@ -1,4 +1,4 @@
-"""What all tests share: which features they speak for, and what is said of tools that are missing."""
+"""What all tests share: an empty place, and what is said of tools that are missing."""
 
 # First, so that no variable of the user's is read.
 from tests.environment import DISPLAY
@@ -18,7 +18,6 @@ from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
 from drone_env.graders import GRADERS
 from drone_env.results import store
-from tests.feature_table import FEATURES, FeatureTable
 from tests.tools import install_command, missing_in, missing_package
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
@@ -64,27 +63,6 @@ def patience() -> None:
 def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing the curves of a training takes longer than the trainings of most tests."""
     monkeypatch.setattr("drone_env.rl.run.draw_curves", lambda *_: None)
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--features", action="store_true", help="run what speaks for a feature, and print the table")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    # The processes of pytest-xdist hand their reports on to the one that prints.
-    if config.getoption("--features") and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(FeatureTable(), "feature-table")
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    for item in items:
-        spoken_for = [feature for mark in item.iter_markers("feature") for feature in mark.args]
-        unknown = [feature for feature in spoken_for if feature not in FEATURES]
-        if unknown:
-            raise pytest.UsageError(f"{item.nodeid}: there is no feature {unknown[0]!r}")
-        item.user_properties.extend(("feature", feature) for feature in spoken_for)
-    if config.getoption("--features"):
-        items[:] = [item for item in items if any(name == "feature" for name, _ in item.user_properties)]
 
 
 @pytest.hookimpl(wrapper=True)

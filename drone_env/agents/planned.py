@@ -1,7 +1,7 @@
 """Agents that plan a whole flight and then fly it, and the optimal one among them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -30,17 +30,13 @@ class PlannedAgent(ABC):
     def __init__(self, task: TaskConfig) -> None:
         self.task = task
         self.seeds = np.zeros(1, np.int64)
-        self._plan: list[Action] = []
+        self._plan: list[int] = []
         self._expected: Episode | None = None
         self._plans: Iterator[npt.NDArray[np.int64]] | None = None
 
     @abstractmethod
-    def plan(self, episode: Episode) -> list[Action]:
-        """The remaining actions of a flight over an episode; the agent waits after them."""
-
-    @abstractmethod
-    def plan_all(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of a flight over each of N maps, int64[N, T], padded with WAIT."""
+    def plan(self, episodes: Sequence[Episode]) -> npt.NDArray[np.int64]:
+        """The remaining actions of a flight over each of N episodes, int64[N, T], padded with WAIT."""
 
     def reset(self, seed: int) -> None:
         """Forget the last flight."""
@@ -51,7 +47,7 @@ class PlannedAgent(ABC):
         """The next action of the plan; WAIT when it is at its end."""
         if self._expected is None or not _shows(self._expected, observation):
             self._expected = episode_of(self.task, observation)
-            self._plan = self.plan(self._expected)
+            self._plan = self.plan([self._expected])[0].tolist()
         action = self._plan.pop(0) if self._plan else Action.WAIT
         self._expected.step(action)
         return action
@@ -71,7 +67,9 @@ class PlannedAgent(ABC):
             raise InvalidValueError(f"reset_batch was told of {len(self.seeds)} maps, and these are {len(grids)}")
         if self._plans is None:
             require_observations(self.task, grids, telemetry)
-            self._plans = iter(self.plan_all(grids, telemetry).T)
+            obs = zip(grids, telemetry, strict=True)
+            episodes = [episode_of(self.task, {"grid": grid, "telemetry": values}) for grid, values in obs]
+            self._plans = iter(self.plan(episodes).T)
         return next(self._plans, np.full(len(grids), Action.WAIT))
 
 
@@ -95,14 +93,10 @@ class OptimalAgent(PlannedAgent):
         super().__init__(task)
         self.config: Mapping[str, object] = {"agent": "optimal", "version": 2}
 
-    def plan(self, episode: Episode) -> list[Action]:
-        """The actions of a best flight."""
-        return best_actions(episode)
-
-    def plan_all(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of a best flight over each map, int64[N, T]."""
-        plans = np.full((len(grids), self.task.max_steps), Action.WAIT, np.int64)
-        for plan, grid, values in zip(plans, grids, telemetry, strict=True):
-            actions = best_actions(episode_of(self.task, {"grid": grid, "telemetry": values}))
+    def plan(self, episodes: Sequence[Episode]) -> npt.NDArray[np.int64]:
+        """The remaining actions of a best flight over each episode, int64[N, max_steps]."""
+        plans = np.full((len(episodes), self.task.max_steps), Action.WAIT, np.int64)
+        for plan, episode in zip(plans, episodes, strict=True):
+            actions = best_actions(episode)
             plan[: len(actions)] = actions
         return plans

@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from drone_env.core.actions import ACTION_OFFSETS
 from drone_env.core.episode import Observation
@@ -63,11 +62,7 @@ class Sb3Agent:
         name = "none" if wrapper is None else getattr(wrapper, "__name__", str(wrapper))
         sees, shown = policy.observation_space, self._wrapped.observation_space
         if shown != sees:
-            fits = [shipped.__name__ for shipped in AT_ONCE if shipped and shipped(env).observation_space == sees]
-            hint = f"; behind {fits[0]} it would fit" if fits else ""
-            raise CheckpointError(
-                f"this policy sees {_shapes(sees)}, and {task.id!r} behind the wrapper {name} is {_shapes(shown)}{hint}"
-            )
+            raise CheckpointError(f"this policy sees {sees}, and {task.id!r} behind the wrapper {name} is {shown}")
         if hasattr(policy, "lstm_actor"):
             raise InvalidValueError("a recurrent policy keeps a state: write an agent of your own that hands it on")
         if sampled and not hasattr(policy, "get_distribution"):
@@ -164,8 +159,3 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any, sampled: bool) -> Sb
 def _no_rate(_: float) -> float:
     """Dummy schedule for inference."""
     return 0.0
-
-
-def _shapes(space: Any) -> str:
-    named = isinstance(space, spaces.Dict)
-    return ", ".join(f"{name} {space[name].shape}" for name in space) if named else f"{space.shape}"

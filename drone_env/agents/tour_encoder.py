@@ -24,12 +24,15 @@ from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import drone_positions, hidden_kind
-from drone_env.planning.paths import NO_STOP, counts_units
-from drone_env.planning.paths import ParetoPaths as Ways
-from drone_env.planning.paths import Workspace as Rounds
-from drone_env.planning.paths import find_paths as find_ways
-from drone_env.planning.paths import make_paths as make_ways
-from drone_env.planning.paths import make_workspace as make_rounds
+from drone_env.planning.paths import (
+    NO_STOP,
+    ParetoPaths,
+    Workspace,
+    counts_units,
+    find_paths,
+    make_paths,
+    make_workspace,
+)
 from drone_env.planning.states import require_memory
 
 CHUNK = 256
@@ -54,8 +57,8 @@ def encode_kernel(
     sites: Any,
     stop_at: Any,
     distances: Distances,
-    ways: Ways,
-    rounds: Rounds,
+    ways: ParetoPaths,
+    workspace: Workspace,
     features: Features,
 ) -> int:
     """Write the features of M observations and return their number. It stops at one with too many parcels or pads.
@@ -74,7 +77,7 @@ def encode_kernel(
         stop_at: int32[cells]
         distances: Between the stops of one state.
         ways: From its drone to them.
-        rounds: Of the search.
+        workspace: Of the search.
         features: The output.
     """
     features.begins[0] = 0
@@ -103,7 +106,7 @@ def encode_kernel(
         if unknown[m]:
             for i in range(n):
                 stop_at[stops[i]] = i
-            find_distances(tables, ground, stops[:n], counts, stop_at, of_map, ways, rounds)
+            find_distances(tables, ground, stops[:n], counts, stop_at, of_map, ways, workspace)
         # From here on the parcels that wait, and the pads.
         stop, waiting = 0, 0
         for i in range(n):
@@ -124,7 +127,7 @@ def encode_kernel(
                 distances.cheap_steps[i, j] = of_map.cheap_steps[a, b]
                 distances.fast_steps[i, j] = of_map.fast_steps[a, b]
         cell, units, left = drones[m]
-        find_ways(tables, ground, cell, units, counts, stop_at, ways, 0, rounds)
+        find_paths(tables, ground, cell, units, counts, stop_at, ways, 0, workspace)
         for t in range(stop + 1, room + 1):
             features.present[m, t] = False
             for f in range(TOKEN_FEATURES):
@@ -158,12 +161,12 @@ class FeatureEncoder:
         cells, n = self._tables.cells, task.deliveries + self._pads
         self._ground, self._stop_at = np.zeros(cells, np.uint8), np.zeros(cells, np.int32)
         self._sites = np.zeros((2, n), np.int64)
-        ways = make_ways(task, n)
+        ways = make_paths(task, n)
         options = n * ways.units.shape[1]
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
         require_memory("the features", task, size)
         self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
-        self._work = make_distances(n), ways, make_rounds(task)
+        self._work = make_distances(n), ways, make_workspace(task)
         self._features = make_features(self.most, n, self.most * options)
         self._room = max(self.most, KEPT_BYTES // (12 * n * n)) if self._counts else self.most
         self._kept = Distances(*np.zeros((3, self._room, n, n), np.int32))

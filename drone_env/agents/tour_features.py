@@ -15,10 +15,7 @@ from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.cells import PAD_CELL
 from drone_env.core.rules import units_left
 from drone_env.core.tables import Tables
-from drone_env.planning.paths import UNREACHED
-from drone_env.planning.paths import ParetoPaths as Ways
-from drone_env.planning.paths import Workspace as Rounds
-from drone_env.planning.paths import find_paths as find_ways
+from drone_env.planning.paths import UNREACHED, ParetoPaths, Workspace, find_paths
 
 WAIT = int(Action.WAIT)
 FAR = 1.5
@@ -137,13 +134,13 @@ def find_distances(
     counts: int,
     stop_at: Any,
     distances: Distances,
-    ways: Ways,
-    rounds: Rounds,
+    ways: ParetoPaths,
+    workspace: Workspace,
 ) -> None:
     """Find the distances between all stops, on a map without waiting parcels."""
     cheap_units, cheap_steps, fast_steps = distances
     for i in range(len(stops)):
-        find_ways(tables, ground, stops[i], tables.capacity, counts, stop_at, ways, 0, rounds)
+        find_paths(tables, ground, stops[i], tables.capacity, counts, stop_at, ways, 0, workspace)
         for j in range(len(stops)):
             n = ways.count[j]
             if i == j:
@@ -166,7 +163,7 @@ def write_features(
     left: int,
     counts: int,
     distances: Distances,
-    ways: Ways,
+    ways: ParetoPaths,
     features: Features,
     m: int,
 ) -> None:

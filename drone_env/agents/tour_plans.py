@@ -17,12 +17,15 @@ from drone_env.core.rules import score, step
 from drone_env.core.seeds import MASK32, map_key, mix64, next_key, task_key
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.paths import NO_STOP, counts_units
-from drone_env.planning.paths import ParetoPaths as Ways
-from drone_env.planning.paths import Workspace as Rounds
-from drone_env.planning.paths import find_paths as find_ways
-from drone_env.planning.paths import make_paths as make_ways
-from drone_env.planning.paths import make_workspace as make_rounds
+from drone_env.planning.paths import (
+    NO_STOP,
+    ParetoPaths,
+    Workspace,
+    counts_units,
+    find_paths,
+    make_paths,
+    make_workspace,
+)
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
@@ -72,8 +75,8 @@ def fly_kernel(
     options: Any,
     ground: Any,
     stop_at: Any,
-    ways: Ways,
-    rounds: Rounds,
+    ways: ParetoPaths,
+    workspace: Workspace,
 ) -> None:
     """Fly paths to their ends by the rules.
 
@@ -88,7 +91,7 @@ def fly_kernel(
         ground: uint8[cells], working memory, as are the following.
         stop_at: int32[cells]
         ways: For a single stop.
-        rounds: Of the search.
+        workspace: Of the search.
     """
     for c in range(tables.cells):
         stop_at[c] = NO_STOP
@@ -121,7 +124,7 @@ def fly_kernel(
                 break
             # The search skips paths that cost more than the rest of this one; one of the others has its steps.
             most = min(units + 1, state[BATTERY])
-            find_ways(tables, ground, state[CELL], most, counts, stop_at, ways, 0, rounds)
+            find_paths(tables, ground, state[CELL], most, counts, stop_at, ways, 0, workspace)
             for w in range(ways.count[0]):
                 if ways.steps[0, w] == steps:
                     action = ways.first[0, w]
@@ -147,7 +150,7 @@ class TourPlanner:
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
         cells = self._tables.cells
-        self._work = np.zeros(cells, np.uint8), np.zeros(cells, np.int32), make_ways(task, 1), make_rounds(task)
+        self._work = np.zeros(cells, np.uint8), np.zeros(cells, np.int32), make_paths(task, 1), make_workspace(task)
 
     def best(
         self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]

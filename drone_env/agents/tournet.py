@@ -1,6 +1,6 @@
 """The agents that fly by the tour network: one that follows it at every step, and one that searches whole plans."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,6 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
-from drone_env.planning.from_observation import episode_of
 
 if TYPE_CHECKING:
     from drone_env.agents.tour_encoder import FeatureEncoder
@@ -110,16 +109,7 @@ class TournetSearchAgent(PlannedAgent):
             "network": loaded.digest,
         }
 
-    def plan(self, episode: Episode) -> list[Action]:
-        """The remaining actions of the best plan over an episode."""
-        return [Action(action) for action in self._best([episode])[0].tolist()]
-
-    def plan_all(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of the best plan over each map, int64[N, max_steps]."""
-        obs = zip(grids, telemetry, strict=True)
-        return self._best([episode_of(self.task, {"grid": grid, "telemetry": values}) for grid, values in obs])
-
-    def _best(self, episodes: list[Episode]) -> npt.NDArray[np.int64]:
+    def plan(self, episodes: Sequence[Episode]) -> npt.NDArray[np.int64]:
         """The remaining actions of the best plans over episodes, int64[N, max_steps]."""
         snapshots = [episode.get_state() for episode in episodes]
         grids = np.stack([np.frombuffer(snapshot.grid, np.uint8) for snapshot in snapshots])

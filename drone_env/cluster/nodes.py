@@ -21,8 +21,8 @@ class Driver:
     """What every node must have in common with the driver."""
 
     identity: str
-    plugins: str
-    """Modules that register tasks and reward profiles, comma-separated."""
+    plugins: tuple[str, ...]
+    """Modules that register tasks and reward profiles."""
 
 
 def this_driver() -> Driver:
@@ -36,7 +36,7 @@ def this_driver() -> Driver:
 
 
 @lru_cache(maxsize=1)
-def _identity(plugins: str) -> str:
+def _identity(plugins: tuple[str, ...]) -> str:
     """Versions, and a digest of the files of this package and of the plugins."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()

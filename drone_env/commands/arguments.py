@@ -1,14 +1,10 @@
 """Arguments that several commands share, and how the arguments of a command become its call."""
 
 import io
-import re
 import sys
-from ast import literal_eval
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from difflib import get_close_matches
+from contextlib import contextmanager, redirect_stderr
 from functools import partial, wraps
-from inspect import get_annotations, signature
 from itertools import dropwhile, takewhile
 from reprlib import repr as shortened
 from typing import Annotated, Any
@@ -20,7 +16,8 @@ from drone_env.agents.named import sb3_file
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS, SPLITS, split_seeds
 from drone_env.core.tasks import TASKS
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.envs.registry import register_city, register_reward_file
+from drone_env.errors import InvalidValueError
 
 SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
@@ -40,13 +37,31 @@ ProfileName = Annotated[str, tyro.conf.arg(metavar=PROFILE)]
 ChosenProfile = Annotated[str | None, tyro.conf.arg(metavar=PROFILE)]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
-NOT_A_NUMBER = re.compile(
-    r"Error parsing (\S+): .*?(?:invalid literal for (int)\(\) with base 10|could not convert string to float): (.+)"
-)
-NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.+)'\. Expected one of (\(.+\)) ?\.")
-UNRECOGNISED = re.compile(r"Unrecognized options: ([^\s,]+)")
-MISSING = re.compile(r"Missing from .+?: (--\S+)")
-NO_VALUE = re.compile(r"Missing value for argument '(.+)'\.")
+REGISTERED: dict[str, Callable[[str], Any]] = {
+    "--task": register_city,
+    "--reward-profile": register_reward_file,
+    "--reward": register_reward_file,
+}
+"""Of the options that take a name or a TOML file, what makes the file known by a name."""
+
+
+def with_names(arguments: Sequence[str]) -> list[str]:
+    """The arguments with a name for each file of a city or a reward profile, which is registered.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is none, or its name is that of another one.
+    """
+    named: list[str] = []
+    option = ""
+    for argument in arguments:
+        if argument.startswith("-"):
+            option = argument.partition("=")[0].replace("_", "-")
+        if option in REGISTERED and argument.endswith(".toml"):
+            file = argument.partition("=")[2] if argument.startswith("-") else argument
+            argument = argument.removesuffix(file) + REGISTERED[option](file).id
+        named.append(argument)
+    return named
 
 
 @contextmanager
@@ -107,60 +122,24 @@ def parsed(command: Callable[..., int | None], program: str, arguments: Sequence
 
     Raises:
         InvalidValueError: if an option is unknown or missing, or has no such value.
-        UnknownNameError: if an option takes one of some words, and this is none of them.
     """
-    hints = get_annotations(command, eval_str=True)
-    optional = tyro.conf.arg(help_behavior_hint="(optional)")  # instead of "(default: None)"
-    unset = [name for name, parameter in signature(command).parameters.items() if parameter.default is None]
 
     @wraps(command)
     def call(*args: Any, **options: Any) -> Callable[[], int | None]:
         return partial(command, *args, **options)
 
-    del call.__wrapped__  # whose hints would be read instead of these
-    call.__signature__ = signature(command)  # type: ignore[attr-defined]
-    call.__annotations__ = hints | {name: Annotated[hints[name], optional] for name in unset}
-
-    def parse(words: Sequence[str]) -> Callable[[], int | None]:
-        return tyro.cli(call, prog=program, args=words, config=[tyro.conf.DisallowNone])
-
-    refused = io.StringIO()
+    box = io.StringIO()
     try:
-        with redirect_stderr(refused):
-            return parse(arguments)
+        with redirect_stderr(box):
+            return tyro.cli(call, prog=program, args=arguments, config=[tyro.conf.DisallowNone])
     except SystemExit as ended:
         if not ended.code:
             raise
-    manual = io.StringIO()
-    with redirect_stdout(manual), suppress(SystemExit):
-        parse(["--help"])
-    raise _error(_first_part(refused.getvalue()), program, re.findall(r"--[a-z][a-z0-9-]*", manual.getvalue()))
-
-
-def _first_part(box: str) -> str:
-    """What a box of tyro says between its title and its next rule, in one line."""
-    lines = [line.strip("│╰╯ ") for line in box.splitlines()[1:]]
-    # Without UTF-8 a box has no sides, and a rule below its title.
-    below = dropwhile(_is_rule, lines)
-    return " ".join(" ".join(takewhile(lambda line: not _is_rule(line), below)).split())
+    # What the box says between its title and its next rule; without UTF-8 it has a rule below its title.
+    lines = dropwhile(_is_rule, (line.strip("│╰╯ ") for line in box.getvalue().splitlines()[1:]))
+    told = " ".join(" ".join(takewhile(lambda line: not _is_rule(line), lines)).split())
+    raise InvalidValueError(f"{told.partition(' Got errors')[0].rstrip('.')}; see {program} --help")
 
 
 def _is_rule(line: str) -> bool:
     return line.startswith(("──", "----"))
-
-
-def _error(told: str, program: str, options: Sequence[str]) -> InvalidValueError | UnknownNameError:
-    manual = f"see {program} --help"
-    if found := NOT_A_NUMBER.search(told):
-        return InvalidValueError(f"{found[1]} takes {'an integer' if found[2] else 'a number'}, got {found[3]}")
-    if found := NO_CHOICE.search(told):
-        return UnknownNameError(found[2], found[1], literal_eval(found[3]))
-    if found := MISSING.search(told):
-        return InvalidValueError(f"{found[1]} is missing; {manual}")
-    if found := NO_VALUE.search(told):
-        return InvalidValueError(f"{found[1]} needs a value; {manual}")
-    if found := UNRECOGNISED.search(told):
-        close = get_close_matches(found[1].partition("=")[0], options, 1) if found[1].startswith("-") else []
-        kind = "option" if found[1].startswith("-") else "argument"
-        return InvalidValueError(f"unknown {kind} {found[1]}; {f'did you mean {close[0]}? ' if close else ''}{manual}")
-    return InvalidValueError(f"{told.removeprefix('Error parsing ')}; {manual}")

@@ -3,7 +3,7 @@
 import os
 import re
 import sys
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator
 from contextlib import closing
 
 from rich.console import Console
@@ -13,7 +13,6 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.envs.ansi import draw_text
-from drone_env.envs.registry import task_argument
 from drone_env.planning.optimal import best_of
 
 if sys.platform != "win32":  # where keys come with Enter
@@ -21,13 +20,12 @@ if sys.platform != "win32":  # where keys come with Enter
     import tty
 
 KEYS = {
-    **dict.fromkeys(("\x1b[A", "w"), Action.UP),
-    **dict.fromkeys(("\x1b[B", "s"), Action.DOWN),
-    **dict.fromkeys(("\x1b[C", "d"), Action.RIGHT),
-    **dict.fromkeys(("\x1b[D", "a"), Action.LEFT),
+    **dict.fromkeys(("\x1b[a", "\x1boa", "w"), Action.UP),
+    **dict.fromkeys(("\x1b[b", "\x1bob", "s"), Action.DOWN),
+    **dict.fromkeys(("\x1b[c", "\x1boc", "d"), Action.RIGHT),
+    **dict.fromkeys(("\x1b[d", "\x1bod", "a"), Action.LEFT),
     **dict.fromkeys((" ", "."), Action.WAIT),
 }
-QUIT = {"q", "\x04"}
 HELP = "Arrow keys or w a s d fly, space or . waits, q gives up."
 KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO.|\x1b[^\[O]|[^\x1b]", re.DOTALL)
 """One key: an escape sequence as a whole, or a character."""
@@ -45,60 +43,41 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
         seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
         reward_profile: What steps pay: a reward profile, or a TOML file with one.
     """
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     episode = Episode(task, reward_profile)
     episode.reset(seed)
     optimum = best_of(episode.task, episode.seed)
-    _show(console, episode)
+    console.print(f"{draw_text(episode)}\n{HELP}")
     with closing(_keys()) as keys:
-        for pressed in keys:
-            if pressed in QUIT:
-                break
-            if pressed in KEYS:
-                episode.step(KEYS[pressed])
-                _show(console, episode)
-            if episode.ended:
+        for key in keys:
+            if key in KEYS:
+                episode.step(KEYS[key])
+                console.clear()
+                console.print(f"{draw_text(episode)}\n{HELP}")
+            if key in ("q", "\x04") or episode.ended:
                 break
     score = episode.counted_score()
     if not episode.ended:
         console.print(f"Given up after {episode.steps} steps; counted as if you had waited to the end.")
     console.print(f"Your score: {score * 100:.1f} in {episode.steps} steps")
-    if optimum is None:
-        console.print("The optimum of this task is not known.")
-        return
-    console.print(f"The optimum: {optimum.score * 100:.1f} in {optimum.steps} steps")
-    see = f"See the best flight: drone-env solve --task {task_argument(episode.task)} --seed {episode.seed}"
-    regret = (optimum.score - score) * 100
-    console.print(f"Regret: {regret:.1f}. {see}" if score < optimum.score else "You flew the optimum!")
-
-
-def _show(console: Console, episode: Episode) -> None:
-    if console.is_terminal:
-        console.clear()
-    console.print(draw_text(episode), markup=False)
-    console.print(HELP)
+    if optimum is not None:
+        console.print(f"The optimum: {optimum.score * 100:.1f} in {optimum.steps} steps")
+        regret = (optimum.score - score) * 100
+        console.print(f"Regret: {regret:.1f}" if regret > 0 else "You flew the optimum!")
 
 
 def _keys() -> Generator[str, None, None]:
-    """Keys as they are pressed; the characters of standard input if that is no terminal."""
-    if sys.platform == "win32" or not sys.stdin.isatty():
-        yield from split_keys(iter(lambda: sys.stdin.read(1), ""))
-        return
-    terminal = sys.stdin.fileno()
-    before = termios.tcgetattr(terminal)
+    """Keys in lower case, from a terminal as they are pressed."""
+    before = termios.tcgetattr(sys.stdin) if sys.platform != "win32" and sys.stdin.isatty() else None
+    typed = ""
     try:
-        # TCSADRAIN: keys that were typed before the map was drawn count.
-        tty.setcbreak(terminal, termios.TCSADRAIN)
-        yield from split_keys(iter(lambda: os.read(terminal, 64).decode(errors="replace"), ""))
+        if before is not None:
+            tty.setcbreak(sys.stdin, termios.TCSADRAIN)  # which keeps the keys that were typed before
+        while piece := os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
+            typed += piece
+            while key := KEY.match(typed):
+                typed = typed[key.end() :]
+                yield key[0].lower()
     finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
-
-
-def split_keys(pieces: Iterable[str]) -> Iterator[str]:
-    """The keys in a stream of text, whose pieces may end in the middle of an escape sequence."""
-    rest = ""
-    for piece in pieces:
-        rest += piece
-        while key := KEY.match(rest):
-            rest = rest[key.end() :]
-            yield key[0].lower() if len(key[0]) == 1 else key[0].replace("\x1bO", "\x1b[")
+        if before is not None:
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

@@ -1,11 +1,10 @@
 """How several subcommands print: JSON, progress bars, commands to type."""
 
 import json
-import shutil
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from textwrap import fill, wrap
+from textwrap import wrap
 from typing import Any
 
 from rich.console import Console
@@ -30,8 +29,6 @@ def print_error(error: object) -> None:
         while len(wrap(text, WIDTH)) > 2 and len(shown) > 1:
             shown.pop()
             text = f"{start}allowed: {', '.join(shown)} and {names.count(', ') + 1 - len(shown)} more"
-    if sys.stderr.isatty():
-        text = fill(text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False)
     print(text, file=sys.stderr)
 
 

@@ -13,6 +13,7 @@ task is registered.
 """
 
 import os
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -86,27 +87,21 @@ def register_city(path: str | Path) -> TaskConfig:
         OSError: if the file cannot be read.
         InvalidTaskError: if it is no city that can be a task, or its name is that of another task.
     """
-    task = _register_city(path)
-    named = [name.strip() for name in plugin_names().split(",") if name.strip()]
-    absolute = str(Path(path).resolve())
+    from drone_env.city.city_file import city_task  # which few need
+
+    task = register_task(city_task(path))
+    named, absolute = plugin_names(), str(Path(path).resolve())
     if absolute not in named:
         os.environ[PLUGINS] = ",".join([*named, absolute])
     return task
 
 
-def _register_city(path: str | Path) -> TaskConfig:
-    from drone_env.city.city_file import city_task  # which few need
-
-    return register_task(city_task(path))
-
-
 def task_argument(task: TaskConfig) -> str:
     """The name of a task on the command line: its short name, or the file of a city if that is known."""
-    files = [Path(name.strip()) for name in plugin_names().split(",") if name.strip().endswith(".toml")]
-    named = [file for file in files if file.stem == task.id] if task.terrain is not None else []
-    if not named:
-        return task.short_name
-    return str(named[0].relative_to(Path.cwd()) if named[0].is_relative_to(Path.cwd()) else named[0])
+    for file in map(Path, plugin_names()):
+        if task.terrain is not None and file.suffix == ".toml" and file.stem == task.id:
+            return str(file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file)
+    return task.short_name
 
 
 def register_reward_profile(profile: RewardProfile) -> RewardProfile:
@@ -123,9 +118,9 @@ def register_reward_profile(profile: RewardProfile) -> RewardProfile:
     return profile
 
 
-def plugin_names() -> str:
-    """What `DRONE_ENV_PLUGINS` names, comma-separated; empty for nothing."""
-    return os.environ.get(PLUGINS, "")
+def plugin_names() -> tuple[str, ...]:
+    """The modules and cities that `DRONE_ENV_PLUGINS` names, comma-separated."""
+    return tuple(filter(None, map(str.strip, os.environ.get(PLUGINS, "").split(","))))
 
 
 def register_reward_file(path: str) -> RewardProfile:
@@ -140,22 +135,21 @@ def register_reward_file(path: str) -> RewardProfile:
     return register_reward_profile(load_reward_profile(path))
 
 
-def load_plugins(names: str | None = None) -> list[ModuleType]:
-    """Import the modules that `names` lists, comma-separated, in order; `DRONE_ENV_PLUGINS` if nothing is said.
-
-    Of a name that ends in .toml, the city is registered.
+def load_plugins(names: Iterable[str] | None = None) -> list[ModuleType]:
+    """Import these modules, or those that `DRONE_ENV_PLUGINS` names; a name that ends in .toml registers its city.
 
     Raises:
         InvalidValueError: if there is no such module.
     """
-    parts = [part.strip() for part in (plugin_names() if names is None else names).split(",")]
-    for city in (part for part in parts if part.endswith(".toml")):
-        _register_city(city)
-    modules = [part for part in parts if part and not part.endswith(".toml")]
-    for name in modules:
-        if name.startswith("."):  # which Python would take for a part of a package
-            raise InvalidValueError(f"{PLUGINS} takes modules and files that end in .toml, got {name!r}")
-    try:
-        return [import_module(name) for name in modules]
-    except ModuleNotFoundError as error:
-        raise InvalidValueError(f"{PLUGINS} takes modules that Python finds, comma-separated: {error}") from None
+    modules: list[ModuleType] = []
+    for name in plugin_names() if names is None else names:
+        if name.endswith(".toml"):
+            from drone_env.city.city_file import city_task  # which few need
+
+            register_task(city_task(name))
+            continue
+        try:
+            modules.append(import_module(name))
+        except (ModuleNotFoundError, TypeError) as error:  # a TypeError for a name that begins with a dot
+            raise InvalidValueError(f"{PLUGINS} takes modules and files that end in .toml: {error}") from None
+    return modules

@@ -87,13 +87,6 @@ class DroneDeliveryVecEnv(VecEnv):
         self._returns = np.zeros(self.num_envs)
         self._start = time.perf_counter()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_start": time.perf_counter() - self._start}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._start = time.perf_counter() - self._start  # clocks of processes start anywhere
-
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Choose the maps seed, seed + 1, ..., seed + N - 1 for the next reset; None draws the first at random.
 
@@ -103,15 +96,6 @@ class DroneDeliveryVecEnv(VecEnv):
         if seed is not None:
             check_seed(check_seed(seed) + self.num_envs - 1)
         return super().seed(seed)
-
-    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Take over the options of the next reset, of which there are none.
-
-        Raises:
-            InvalidValueError: if there are options.
-        """
-        if any([options] if isinstance(options, dict) else options or []):
-            raise InvalidValueError(f"a reset has no options, got {options}")
 
     def reset(self) -> Observations:
         """Begin all episodes: on the maps that `seed` chose, else each on its own next map.

@@ -85,7 +85,9 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         self._waits = self.autoreset_mode is AutoresetMode.DISABLED
         self.batch = Batch(self.task, num_envs, chosen_profile(reward_profile), same_step, num_threads)
         self.num_envs = self.batch.num_envs
-        self._pictures = None if render_mode is None else Pictures(self.batch)
+        # A batch stores no trails, so the episodes of pictures are also flown in plain Python.
+        drawn = 0 if render_mode is None else self.num_envs
+        self._episodes = [Episode(self.task, self.batch.reward_profile) for _ in range(drawn)]
         self.single_observation_space = observation_space(self.task)
         self.single_action_space = spaces.Discrete(N_ACTIONS)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -132,8 +134,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             if not self.batch.started and not mask.all():
                 raise EpisodeError("no episode has begun yet: the first reset() must begin all of them")
         self.batch.reset(self._seeds(seed), mask)
-        if self._pictures is not None:
-            self._pictures.follow()
+        self._follow([0] * self.num_envs)
         return self._observations(), self._info(self._everyone if mask is None else mask)
 
     def step(
@@ -169,8 +170,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             InvalidValueError, EpisodeError: as `step`.
         """
         self.batch.step(actions)
-        if self._pictures is not None:
-            self._pictures.follow(np.asarray(actions))
+        self._follow(actions)
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:  # type: ignore[override]  # it names one environment's
         """A picture of each episode, uint8[360, width, 3]; None without a render mode.
@@ -178,12 +178,22 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        if self._pictures is None:
+        if self.render_mode is None:
             gymnasium.logger.warn("render() was called without a render mode; make it with render_mode='rgb_array'")
             return None
         if not self.batch.started:
             raise ResetNeeded("there is nothing to show yet: call reset() before render()")
-        return self._pictures.draw()
+        return tuple(draw_picture(episode, SIZE) for episode in self._episodes)
+
+    def _follow(self, actions: Any) -> None:
+        """Bring the episodes of the pictures to where the batch is after a reset or a step with these actions."""
+        if self._episodes:
+            seeds, steps = self.batch.seeds.tolist(), self.batch.get_state()["states"][:, STEPS].tolist()
+            for episode, seed, step, action in zip(self._episodes, seeds, steps, actions, strict=True):
+                if step == 0:
+                    episode.reset(seed)
+                elif step > episode.steps:
+                    episode.step(action)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> npt.NDArray[np.int64]:
         if not self.batch.started:
@@ -238,37 +248,3 @@ def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     view = array.view()
     view.setflags(write=False)
     return view
-
-
-class Pictures:
-    """Pictures of the episodes of a batch. It stores no trails, so each episode is also flown in plain Python.
-
-    Args:
-        batch: The batch; call `follow` after each of its resets and steps.
-    """
-
-    def __init__(self, batch: Batch) -> None:
-        self.batch = batch
-        self.episodes = [Episode(batch.task, batch.reward_profile) for _ in range(batch.num_envs)]
-
-    def follow(self, actions: npt.NDArray[Any] | None = None) -> None:
-        """Bring the episodes to where the batch is.
-
-        Args:
-            actions: The actions of the last step, integer[N]; None after a reset.
-        """
-        seeds, steps = self.batch.seeds.tolist(), self.batch.get_state()["states"][:, STEPS].tolist()
-        flown = [0] * len(seeds) if actions is None else actions.tolist()
-        for episode, seed, step, action in zip(self.episodes, seeds, steps, flown, strict=True):
-            if step == 0:
-                episode.reset(seed)
-            elif step > episode.steps:
-                episode.step(action)
-
-    def draw(self) -> tuple[npt.NDArray[np.uint8], ...]:
-        """N pictures, uint8[360, width, 3], RGB.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
-        return tuple(draw_picture(episode, SIZE) for episode in self.episodes)

@@ -33,7 +33,7 @@ ENDING_SECONDS = 60.0
 @pytest.fixture(scope="session")
 def cluster() -> Generator[Any, None, None]:
     """A head without CPUs and two nodes with one each; a test that kills one puts another in its place."""
-    before = {name: os.environ.get(name) for name in STARTING}
+    before = dict(os.environ)
     os.environ.update(STARTING)
     from ray.cluster_utils import Cluster
 
@@ -44,26 +44,15 @@ def cluster() -> Generator[Any, None, None]:
             started.add_node(num_cpus=1, object_store_memory=MEMORY)
         yield started
     finally:
-        try:
-            started.shutdown()
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
-            assert not _end_all(), "processes of the cluster did not end"
-
-
-def _end_all() -> list[int]:
-    """Wait for the processes of the cluster to end; those that had to be killed."""
-    until = time.monotonic() + ENDING_SECONDS
-    while (left := _processes()) and time.monotonic() < until:
-        time.sleep(0.1)
-    for process in left:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(process, signal.SIGKILL)
-    return left
+        started.shutdown()
+        until = time.monotonic() + ENDING_SECONDS
+        while (left := _processes()) and time.monotonic() < until:
+            time.sleep(0.1)
+        for process in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _processes() -> list[int]:

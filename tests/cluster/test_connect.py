@@ -1,15 +1,12 @@
 """What stands before any work on a cluster: addresses, Ray itself, nodes that are none of the driver's."""
 
 import dataclasses
-import sys
 
 import pytest
 
 from drone_env.cli import main
-from drone_env.cluster.connect import connect
 from drone_env.cluster.nodes import check_node, failure, this_driver
 from drone_env.errors import ClusterError, InvalidValueError
-from drone_env.installer import install_command
 
 
 def test_where_nobody_listens_and_what_is_no_address(capsys: pytest.CaptureFixture[str]) -> None:
@@ -19,29 +16,6 @@ def test_where_nobody_listens_and_what_is_no_address(capsys: pytest.CaptureFixtu
         assert said in capsys.readouterr().err
     assert main([*evaluate, "--address", "auto"]) == 2
     assert "--engine ray" in capsys.readouterr().err
-
-
-def test_a_cluster_that_does_not_start_in_time_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    import ray
-
-    tries: list[str] = []
-
-    def time_out(address: str, **options: object) -> None:
-        tries.append(address)
-        # This and nothing more is what Ray raises.
-        raise Exception("The current node timed out during startup.")
-
-    monkeypatch.setattr(ray, "init", time_out)
-    with pytest.raises(ClusterError, match=r"in 3 tries: The current node timed out"), connect(cpus=1):
-        pass
-    assert tries == ["local"] * 3
-
-
-def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    monkeypatch.setenv("RAY_AUTH_TOKEN", "none is made")
-    assert main(["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray"]) == 2
-    assert install_command("cluster") in capsys.readouterr().err
 
 
 def test_a_node_with_another_package_is_refused() -> None:

@@ -1,7 +1,6 @@
 """Several servers behind nginx, configured as in `deploy`: one is killed, one is drained."""
 
 import asyncio
-import json
 import os
 from collections.abc import Iterator
 from contextlib import closing
@@ -10,7 +9,6 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.cluster.forgetful import Forgetful
 from tests.cluster.serving import Cluster, Nginx, cluster
 from tests.cluster.sessions import Client, HttpSession, SocketSession, fly_all
 from tests.tools import reserved_port
@@ -65,38 +63,6 @@ def test_new_sessions_are_opened_by_all_servers(running: Cluster) -> None:
     with httpx.Client(base_url=running.url, headers={"X-Session-Id": "new"}) as client:
         assert len({client.post("/reset").json()["session_id"] for _ in range(30)}) == 30
     assert max(running.answered(port, "/reset", since) for port, since in before.items()) < 30
-
-
-def test_the_request_log_comes_as_it_is_written(running: Cluster) -> None:
-    events = {"Accept": "text/event-stream"}
-    with httpx.stream("GET", f"{running.url}/terminal_logs", headers=events, timeout=30) as answer:
-        for port in running.servers:
-            running.latest(port)
-        for line in answer.iter_lines():
-            if line.startswith("data: ") and json.loads(line.removeprefix("data: "))["path"] == "/terminal_logs":
-                break
-
-
-def test_a_step_that_a_server_took_before_it_died_is_not_taken_twice(running: Cluster, tmp_path: Path) -> None:
-    real = next(iter(running.servers))
-
-    async def fly(url: str) -> int:
-        async with Client(running.url) as client:
-            sessions = [HttpSession(client, 6000 + seed, counts=seed % 2 > 0) for seed in range(16)]
-            await asyncio.gather(*[session.open() for session in sessions])
-            async with Client(url, at_once=1) as broken:
-                for session in sessions:
-                    session.steps = broken
-                for _ in range(4):
-                    await fly_all(sessions, 1)
-            await asyncio.gather(*[session.check() for session in sessions])
-            assert {session.reference.episode.steps for session in sessions} == {4}
-            return sum(session.unanswered for session in sessions)
-
-    with Forgetful(real) as forgetful, closing(Nginx(tmp_path, [forgetful.port, real], "max_fails=0")) as nginx:
-        unanswered = asyncio.run(fly(nginx.url))
-        # Without the count, nginx says that it does not know; with it, nobody hears of it.
-        assert 0 < unanswered < forgetful.taken
 
 
 async def busiest(running: Cluster, http: list[HttpSession]) -> int:

@@ -1,17 +1,14 @@
 """The evaluation of a model while it trains: by score, on the maps of validation."""
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import (
     BaseCallback,
-    StopTrainingOnNoModelImprovement,
     StopTrainingOnRewardThreshold,
 )
 from stable_baselines3.common.logger import Logger
@@ -19,8 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from drone_env import run_episodes, split_seeds, summarise
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError
-from drone_env.installer import pip
+from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.results.evaluate import episodes_key
 from drone_env.rl.sb3 import ScoreEvalCallback
 
@@ -86,7 +82,6 @@ def test_it_logs_keeps_and_saves_by_score(deterministic: bool, tmp_path: Path, m
         assert kept["results"].mean(axis=1) == pytest.approx(scores)
         assert kept["successes"].shape == kept["ep_lengths"].shape == (6, MAPS)
         best = kept["results"][int(np.argmax(scores))].tolist()
-        assert (kept["results"] <= kept["optimal_scores"]).all()
     name = f"{folder / 'best_model.zip'}:FlatObservation" + ("" if deterministic else ":sampled")
     assert run_episodes(episodes_key("easy", name, maps)).scores.tolist() == best
 
@@ -102,46 +97,15 @@ def test_callbacks_that_it_triggers_go_by_score_and_end_the_training(capsys: pyt
     model.learn(8 * 32 * 6, callback=judge(callback_on_new_best=StopTrainingOnRewardThreshold(0.01), verbose=1))
     assert model.num_timesteps == 8 * 32
     assert "256 steps: score 0." in capsys.readouterr().out
-    lost = judge(callback_on_new_best=StopTrainingOnRewardThreshold(0.99))
-    assert ppo().learn(8 * 32 * 2, callback=lost).num_timesteps == 8 * 32 * 2
-
-    class Worse(ScoreEvalCallback):
-        """Has seen a better one."""
-
-        def _init_callback(self) -> None:
-            super()._init_callback()
-            self.best_mean_reward = 1.0
-
-    worse = Worse(
-        "easy",
-        "FlatObservation",
-        callback_after_eval=StopTrainingOnNoModelImprovement(1),
-        n_eval_episodes=2,
-        eval_freq=32,
-        verbose=0,
-    )
-    assert ppo().learn(8 * 32 * 9, callback=worse).num_timesteps == 8 * 32 * 3
 
 
 def test_what_cannot_be_judged_is_refused_before_the_training() -> None:
-    for wrong in ("eval_freq", "n_eval_episodes"):
-        with pytest.raises(InvalidValueError, match=f"{wrong}=0"):
-            judge(**{wrong: 0})
-    with pytest.raises(UnknownNameError, match="unknown task"):
-        ScoreEvalCallback("trivial")
-    with pytest.raises(CheckpointError, match="behind FlatObservation it would fit"):
+    with pytest.raises(InvalidValueError, match="eval_freq=0"):
+        judge(eval_freq=0)
+    with pytest.raises(CheckpointError, match="behind the wrapper none is"):
         ppo().learn(8, callback=ScoreEvalCallback("easy"))
     env = DroneDeliveryVecEnv("easy", 8, observation="flat")
     network: Any = {"policy_kwargs": {"net_arch": [8]}, "device": "cpu"}
-    with pytest.raises(InvalidValueError, match="DQNPolicy has no probabilities of actions"):
-        DQN("MlpPolicy", env, buffer_size=100, **network).learn(8, callback=judge(deterministic=False))
     with pytest.raises(InvalidValueError, match="norm_obs=False"):
         PPO("MlpPolicy", VecNormalize(env), **network).learn(8, callback=judge())
     PPO("MlpPolicy", VecNormalize(env, norm_obs=False), n_steps=8, **network).learn(8, callback=judge())
-
-
-def test_without_stable_baselines3_the_import_says_what_to_install() -> None:
-    code = "import sys; sys.modules['stable_baselines3'] = None; import drone_env.rl.sb3"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert run.returncode == 1
-    assert f"drone_env.rl.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3" in run.stderr

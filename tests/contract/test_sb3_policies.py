@@ -1,6 +1,5 @@
 """Models of Stable-Baselines3 as agents: from memory, and from the files that they are saved in."""
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -134,10 +133,8 @@ def test_a_wrapper_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "model.zip"
     model_of(PPO, "flat").save(file)
-    with pytest.raises(CheckpointError, match=r"sees \(905,\), .* wrapper none .* behind FlatObservation it would fit"):
+    with pytest.raises(CheckpointError, match=r"sees Box.*, and 'easy_delivery' behind the wrapper none is"):
         make_agent(f"{file}", "easy")
-    with pytest.raises(CheckpointError, match="'skyline_easy' behind the wrapper FlatObservation is"):
-        make_agent(f"{file}:FlatObservation", "skyline_easy")
     with pytest.raises(UnknownNameError, match="'Flattened'; allowed: FlatObservation, MODULE:NAME, OneHotPlanes"):
         make_agent(f"{file}:Flattened", "easy")
     model_of(DQN, "flat").save(file)
@@ -146,16 +143,9 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     recurrent = RecurrentPPO("MlpLstmPolicy", DroneDeliveryVecEnv("easy", 2, observation="flat"), device="cpu")
     with pytest.raises(InvalidValueError, match="a recurrent policy keeps a state"):
         evaluate(recurrent, "easy", wrapper="FlatObservation")
-    for content in (b"no archive", None):
-        if content is None:
-            with zipfile.ZipFile(file, "w") as archive:
-                archive.writestr("data", "{}")
-        else:
-            file.write_bytes(content)
-        with pytest.raises(CheckpointError, match="holds no policy of Stable-Baselines3"):
-            make_agent(f"{file}:FlatObservation", "easy")
-    with pytest.raises(FileNotFoundError):
-        make_agent(f"{tmp_path / 'gone.zip'}:FlatObservation", "easy")
+    file.write_bytes(b"no archive")
+    with pytest.raises(CheckpointError, match="holds no policy of Stable-Baselines3"):
+        make_agent(f"{file}:FlatObservation", "easy")
 
 
 def test_the_command_says_that_it_trusts_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,10 +158,6 @@ def test_the_command_says_that_it_trusts_the_file(tmp_path: Path, capsys: pytest
         ["analyse-flight", "--task", "easy", "--agent"],
         ["evaluate", *maps, "--agents", "greedy"],
         ["compare", *maps, "greedy"],
-        ["dataset", "--out", str(tmp_path / "rows"), "--maps", "1", "--formats", "parquet", "--agents"],
     ):
         assert main([*command, f"{file}:FlatObservation"]) == 0
         assert capsys.readouterr().err.startswith(told)
-    skyline = ["evaluate", "--task", "skyline_easy", "easy", "--agents", f"{file}:FlatObservation", "--seeds", "3:5"]
-    assert main(skyline) == 0
-    assert "skyline_easy, " in capsys.readouterr().out

@@ -52,7 +52,7 @@ def blocks(page: Path) -> list[Block]:
     """All code blocks of a page, in their order.
 
     Raises:
-        ValueError: if there is an indented code block, a comment that is no mark or one that no block follows.
+        ValueError: if there is an indented code block, or a last comment that no block follows.
     """
     name = page.relative_to(ROOT) if page.is_relative_to(ROOT) else page.name
     found: list[Block] = []
@@ -63,32 +63,26 @@ def blocks(page: Path) -> list[Block]:
         if token.type == "code_block":
             raise ValueError(f"{where}: code that is indented; put it into a fence that names its language")
         if token.type == "html_block":
-            marks += _marks(token.content, where)
+            marks += _marks(token.content)
         elif token.type == "fence":
             block = Block(where, line, token.info.partition(" ")[0], token.content)
             _apply(block, marks)
             found.append(block)
             marks = []
-        elif marks and token.content:
-            raise ValueError(f"{where}: the comment above it is about a code block, and must stand right before one")
     if marks:
         raise ValueError(f"{name}: no code block follows the last comment")
     return found
 
 
-def _marks(html: str, where: str) -> Iterator[tuple[str, str, str]]:
+def _marks(html: str) -> Iterator[tuple[str, str, str]]:
     for comment in re.findall(r"<!--.*?-->", html, re.DOTALL):
         mark = MARK.fullmatch(comment)
         if mark:
             yield mark[1], mark[2] or "", " ".join(mark[3].split())
-        elif re.match(r"<!--\s*(not\s*run|output|file|skip)\b", comment, re.IGNORECASE):
-            raise ValueError(f"{where}: {comment} is none of the comments that tests/docs/pages.py knows")
 
 
 def _apply(block: Block, marks: list[tuple[str, str, str]]) -> None:
     for kind, command, text in marks:
-        if not text:
-            raise ValueError(f"{block.where}: the comment {kind!r} above it says nothing")
         if kind == "not run" and command:
             block.skipped[command] = text
         elif kind == "not run":

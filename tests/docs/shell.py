@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from drone_env import cli, get_task
-from drone_env.commands import named_files
-from drone_env.commands.arguments import parsed
+from drone_env.commands.arguments import REGISTERED, parsed
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
 
@@ -145,8 +144,6 @@ def check(command: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
             _check_targets(arguments, where)
         elif program in ("python", "python3") and arguments:
             _check_python(arguments, where, monkeypatch)
-        elif program in ("pip", "uv"):
-            _check_extras(arguments, where)
 
 
 def _simple_commands(command: str) -> Iterator[list[str]]:
@@ -175,9 +172,9 @@ def _check_path(word: str, where: str) -> None:
 def _check_options(arguments: list[str], where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(cli, "parsed", lambda *arguments: parsed(*arguments) and bool)  # parses, and calls nothing
-        for option in named_files.REGISTERED:  # the files are made when the page is run
+        for option in REGISTERED:  # the files are made when the page is run
             known = get_task("easy") if option == "--task" else get_reward_profile("aligned")
-            patch.setitem(named_files.REGISTERED, option, lambda file, known=known: known)
+            patch.setitem(REGISTERED, option, lambda file, known=known: known)
         try:
             status = cli.main(arguments)
         except SystemExit as error:
@@ -199,13 +196,6 @@ def _check_python(arguments: list[str], where: str, monkeypatch: pytest.MonkeyPa
     elif first == "-m" and arguments[1].startswith(("drone_env", "server")):
         module = arguments[1].partition(":")[0].replace(".", "/")
         assert (ROOT / f"{module}.py").is_file() or (ROOT / module).is_dir(), f"{where}: there is no {arguments[1]}"
-
-
-def _check_extras(arguments: list[str], where: str) -> None:
-    known = re.findall(r"^([a-z]+) = \[", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
-    for extras in (re.search(r"(?:drone-env|\.|\.whl)\[([\w,-]+)\]$", word) for word in arguments):
-        for extra in extras[1].split(",") if extras else ():
-            assert extra in known, f"{where}: there is no extra {extra}"
 
 
 def check_python(code: str, where: str) -> None:

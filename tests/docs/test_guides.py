@@ -1,7 +1,5 @@
 """The documents that were promised: the licence and the guides."""
 
-import subprocess
-
 import pytest
 
 from tests.docs.pages import ROOT
@@ -20,14 +18,3 @@ def test_the_licence_and_the_guides() -> None:
     guide = text_of("docs/deployment.md")
     assert "openenv push" in guide
     assert "git push" in guide
-
-
-def test_the_demo_ends_by_naming_what_serves_and_that_brings_its_extra() -> None:
-    def typed(target: str) -> list[str]:
-        dry = ["make", "--no-print-directory", "-n", "--always-make", target]
-        return subprocess.run(dry, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
-
-    assert "make serve, then open http://127.0.0.1:8000" in typed("demo")[-1]
-    *before, last = typed("serve")
-    assert any("'.[server]'" in line for line in before)
-    assert last.split()[0].endswith("drone-env")

@@ -168,18 +168,10 @@ def test_each_extra_alone_brings_what_its_part_imports(extras: tuple[str, ...]) 
     assert not_brought(extras) == []
 
 
-def test_what_is_not_brought_is_noticed() -> None:
-    assert not_brought(("train",), "httpx") == ["httpx: No module named 'httpx'"]
-
-
 def test_extras_bring_what_they_name_and_no_more() -> None:
-    assert brought() >= {"numpy", "gymnasium", "pydantic", "pydantic_core"}
     assert not brought() & {"httpx", "torch", "fastapi", "ray", "pytest"}
-    assert brought("server") >= {"fastapi", "starlette", "uvicorn", "uvloop", "websockets"}
     assert not brought("server") & {"torch", "pygame", "matplotlib"}
     assert not brought("llm", "server", "test") & set(LEFT_OUT)  # `make python` has uv install these
-    assert brought("inspect") >= brought("llm") >= {"httpx", "matplotlib", "dotenv"}
-    assert not brought("train") & {"fastapi", "httpx", "ray"}
     assert brought("all") >= brought(*(extra for extra in ("city", "data", "human", "server", "llm", "train")))
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
 
@@ -188,7 +180,6 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
     ("made_by", "where", "home", "command", "pip"),
     [
         ("uv = 0.13.9", "clone/.venv", "clone", "uv sync --extra train --inexact", "uv pip"),
-        ("uv = 0.13.9", "elsewhere", "clone", "uv pip install -e '.[train]'", "uv pip"),
         ("version = 3.11.2", "clone/.venv", "clone", "pip install -e '.[train]'", "pip"),
         ("uv = 0.13.9", "elsewhere", "elsewhere/lib", "uv pip install 'drone-delivery-env[train]'", "uv pip"),
         ("version = 3.11.2", "elsewhere", "elsewhere/lib", "pip install 'drone-delivery-env[train]'", "pip"),

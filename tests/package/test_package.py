@@ -13,7 +13,6 @@ import yaml
 
 from drone_env import __version__
 from drone_env.installer import DISTRIBUTION
-from tests.package.extras import PROJECT
 from tests.package.installed import ROOT, build, check, page_files
 
 NAME = f"{DISTRIBUTION.replace('-', '_')}-{__version__}"
@@ -80,15 +79,6 @@ def test_the_version_stands_in_one_place_and_in_files_that_agree() -> None:
         and literal.search((ROOT / name).read_bytes().decode("utf-8", "replace"))
     }
     assert told == VERSIONED, "read drone_env.__version__ there instead"
-
-
-def test_the_citation_is_that_of_the_package() -> None:
-    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
-    assert (cited["cff-version"], cited["type"], cited["license"]) == ("1.2.0", "software", PROJECT["license"])
-    assert (ROOT / "README.md").read_text("utf-8").startswith(f"# {cited['title']}\n")
-    assert [cited[name] for name in ("authors", "keywords", "abstract")] == [
-        PROJECT[name] for name in ("authors", "keywords", "description")
-    ]
 
 
 @pytest.mark.long

@@ -76,10 +76,13 @@ def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.Ca
     best = json.loads(capsys.readouterr().out)
     assert (best["task"], best["deliveries"]) == ("yard", 3)
     assert main(["fly", "--task", str(yard.with_name("none.toml"))]) == 2
-    said = (
-        "drone-env: --task takes a task or the file of a city, as `drone-env city` writes it; No such file or directory"
-    )
-    assert capsys.readouterr().err == f"{said}: {yard.with_name('none.toml')}\n"
+    assert f"No such file or directory: '{yard.with_name('none.toml')}'" in capsys.readouterr().err
+    # Other options name files of their own.
+    other = yard.with_name("other.toml")
+    other.write_bytes(yard.read_bytes())
+    assert main(["audit", "--task", "easy", "--reward", str(other), "--maps", "1"]) == 2
+    assert "reward profile" in capsys.readouterr().err
+    assert "other" not in TASKS
 
 
 def test_processes_that_are_started_know_the_city(yard: Path) -> None:
@@ -89,9 +92,9 @@ def test_processes_that_are_started_know_the_city(yard: Path) -> None:
 
 
 def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [module.__name__ for module in load_plugins(f"json, {yard}")] == ["json"]
-    with pytest.raises(InvalidValueError, match=r"modules and files that end in .toml, got '\./towns'"):
-        load_plugins("./towns")
+    assert [module.__name__ for module in load_plugins(["json", str(yard)])] == ["json"]
+    with pytest.raises(InvalidValueError, match=r"modules and files that end in .toml: "):
+        load_plugins(["./towns"])
     env = gymnasium.make("DroneDelivery-Yard-v1")
     assert env.reset(seed=3)[0]["grid"].shape == (4, 4)
 

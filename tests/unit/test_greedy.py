@@ -2,16 +2,11 @@
 
 import os
 
-import numpy as np
 import pytest
 
 from drone_env.agents import make_agent
-from drone_env.agents.simple import GreedyAgent
 from drone_env.core.actions import Action, Event
-from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
-from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import get_task
 from tests.toy import fly, toy_episode
 from tests.which_tasks import SMALL
 
@@ -49,18 +44,3 @@ def test_flies_the_cheapest_way(drawing: list[str], units: int, path: str) -> No
         fly(episode, flown[-1])
     assert flown == path
     assert episode.event == (Event.WAIT if "W" in path else Event.DELIVERY)
-
-
-@pytest.mark.parametrize("task", SKYLINE)
-def test_chooses_together_as_it_does_alone(task: str) -> None:
-    seeds = np.array(split_seeds("test", MAPS // 3), np.int64)
-    agent, batch = GreedyAgent(get_task(task)), Batch(task, len(seeds), same_step=True)
-    batch.reset(seeds)
-    agent.reset_batch(seeds)
-    draw = np.random.default_rng(0)
-    for _ in range(25):
-        chosen = agent.act_batch(batch.grids, batch.telemetry)
-        for i in range(len(seeds)):
-            assert agent.act({"grid": batch.grids[i], "telemetry": batch.telemetry[i]}) == chosen[i]
-        deviates = draw.random(len(seeds)) < 0.3
-        batch.step(np.where(deviates, draw.integers(5, size=len(seeds)), chosen))

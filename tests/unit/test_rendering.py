@@ -1,6 +1,5 @@
 """Pictures and text."""
 
-import math
 import unicodedata
 from dataclasses import replace
 from pathlib import Path
@@ -10,20 +9,18 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.envs import blocks, figures, rendering
+from drone_env.envs import figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
-from drone_env.envs.rendering import PANEL, TEXT, draw_picture, save_picture
-from drone_env.errors import EpisodeError, InvalidValueError
+from drone_env.envs.rendering import draw_picture, save_picture
+from drone_env.errors import EpisodeError
 from drone_env.planning.greedy import greedy_action
 from tests.toy import toy_episode
 
 EASY = get_task("easy")
 HARD = get_task("hard")
-EMPTY = replace(EASY, id="empty", buildings=0, trees=0, obstacles=0, deliveries=2)
 SMALLEST = replace(EASY, id="smallest", width=2, height=2, buildings=1, trees=0, obstacles=1)
 LARGEST = replace(
     HARD, id="largest", width=64, height=64, buildings=900, trees=500, obstacles=300, deliveries=16, pads=20
@@ -31,7 +28,6 @@ LARGEST = replace(
 WIDEST = replace(HARD, id="widest", width=64, height=2)
 TALLEST = replace(HARD, id="tallest", width=2, height=64)
 
-PALETTE = rendering.PALETTE | {"hull": "#2E3D4D", "box": "#F0A020", "done": "#237A45"}
 Picture = npt.NDArray[np.uint8]
 
 
@@ -55,34 +51,15 @@ def cell_of(picture: Picture, episode: Episode, x: float, y: float) -> Picture:
     return picture[row - reach : row + reach, column - reach : column + reach]
 
 
-def panel_of(picture: Picture, episode: Episode) -> Picture:
-    return picture[:, rendering._layout(episode.task, picture.shape[0]).city :]
-
-
 def count(picture: Picture, colour: str) -> int:
     """How many pixels have exactly this colour of the palette."""
-    return int((picture == np.frombuffer(bytes.fromhex(PALETTE[colour][1:]), np.uint8)).all(axis=2).sum())
-
-
-def flown_right(steps: int) -> tuple[Episode, int, int]:
-    """An episode of the empty city that has flown to the right from (x, y)."""
-    episode = next(e for e in (fresh(EMPTY, seed) for seed in range(99)) if e.position[0] + steps < 10)
-    x, y = episode.position
-    for _ in range(steps):
-        episode.step(Action.RIGHT)
-    return episode, x, y
-
-
-def has_trail(picture: Picture, episode: Episode, x: float, y: float) -> bool:
-    """Whether something in a cell is bluish, as neither streets nor lawns are."""
-    cell = cell_of(picture, episode, x, y).astype(int)
-    return (cell[:, :, 2] - cell[:, :, 0]).max() > 20
+    return int((picture == np.frombuffer(bytes.fromhex(rendering.PALETTE[colour][1:]), np.uint8)).all(axis=2).sum())
 
 
 class TestPicture:
     @pytest.mark.parametrize(
         ("task", "size"),
-        [(EASY, 720), (EASY, 241), *((task, 96) for task in (*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST))],
+        [(EASY, 241), *((task, 96) for task in (*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST))],
         ids=lambda value: getattr(value, "id", value),
     )
     def test_shape_and_type(self, task: TaskConfig, size: int) -> None:
@@ -98,13 +75,6 @@ class TestPicture:
         rendering._city.cache_clear()
         figures.draw_figure.cache_clear()
         assert np.array_equal(first, draw_picture(fly(fresh("hard", 3), 12)))
-
-    def test_leaves_the_episode_as_it_is(self) -> None:
-        episode = fly(fresh("hard"), 9)
-        before = episode.get_state()
-        draw_picture(episode, 200)
-        draw_text(episode)
-        assert episode.get_state() == before
 
     def test_every_kind_of_cell_looks_different(self) -> None:
         episode = fresh(replace(HARD, id="pads", pads=3))
@@ -126,82 +96,18 @@ class TestPicture:
         marks = count(draw_picture(episode)[:, : layout.city], "target")
         assert marks < 150, "only the lamps of the drone have this colour"
 
-    def test_delivered_parcel_turns_into_a_tick(self) -> None:
-        episode = fresh("medium", 3)
-        x, y = episode.target or (-1, -1)
-        waiting = cell_of(draw_picture(episode), episode, x, y)
-        assert count(waiting, "box") > 20
-        assert count(waiting, "done") == 0
-        while episode.deliveries_done == 0:
-            fly(episode, 1)
-        fly(episode, 4)
-        assert episode.position != (x, y)
-        delivered = cell_of(draw_picture(episode), episode, x, y)
-        assert count(delivered, "box") == 0
-        assert count(delivered, "done") > 20
-
-    def test_trail_leads_from_the_start_to_the_drone_and_fades(self) -> None:
-        episode, x, y = flown_right(6)
-        picture = draw_picture(episode)
-        assert all(has_trail(picture, episode, x + i + 0.6, y) for i in range(6))
-        assert not has_trail(picture, episode, x + 3, (y + 1) % 10)
-        assert cell_of(picture, episode, x + 1, y).min() > cell_of(picture, episode, x + 4, y).min()
-
-    def test_impassable_cells_are_marked(self) -> None:
-        marked = fresh(replace(EASY, impassable=frozenset({Cell.BUILDING})))
-        before, after = draw_picture(fresh()), draw_picture(marked)
-        layout = rendering._layout(EASY, 720)
-        for (y, x), kind in np.ndenumerate(marked.grid()):
-            column, row = (round(value) for value in layout.centre(x, y))
-            corner = np.s_[row - layout.cell * 2 // 5 : row, column : column + layout.cell * 2 // 5]
-            assert np.array_equal(before[corner], after[corner]) == (kind != Cell.BUILDING)
-
-    @pytest.mark.parametrize("deliveries", [1, 16])
-    @pytest.mark.parametrize("size", [480, 720])
-    def test_nothing_runs_out_of_the_panel(self, size: int, deliveries: int) -> None:
-        task = replace(
-            LARGEST,
-            id="a_task_with_quite_a_long_name_that_no_panel_was_ever_made_for",
-            deliveries=deliveries,
-            max_steps=32000,
-            battery_capacity=32000,
-            impassable=frozenset({Cell.TREE}),
-        )
-        episode = fresh(task, 2**53 - 1)
-        left = rendering._layout(task, size).city
-        picture = draw_picture(episode, size)
-        unit = size / 100
-        beside = np.s_[left + math.ceil((TEXT + 3.7) * unit) : left + math.floor((PANEL - 3.6) * unit)]
-        margin = picture[size // 14 : -size // 14, beside]
-        assert margin.size > 0
-        assert count(margin, "card") == margin.shape[0] * margin.shape[1]
-
-    @pytest.mark.parametrize("size", [0, 63, 4097, -720])
-    def test_size_out_of_range_is_refused(self, size: int) -> None:
-        with pytest.raises(InvalidValueError, match="size must be 64 to 4096"):
-            draw_picture(fresh(), size)
-
-    def test_needs_a_reset(self, tmp_path: Path) -> None:
-        for draw in (draw_picture, draw_text, lambda episode: save_picture(episode, tmp_path / "a.png")):
+    def test_needs_a_reset(self) -> None:
+        for draw in (draw_picture, draw_text):
             with pytest.raises(EpisodeError, match="reset"):
                 draw(Episode())
-        assert list(tmp_path.iterdir()) == []
-
-    def test_every_figure_can_be_drawn(self) -> None:
-        pictures = {figures.draw_figure(name, 40).tobytes() for name in figures.FIGURES}
-        assert len(pictures) == len(figures.FIGURES)
 
 
 class TestSaving:
     def test_writes_the_picture_and_its_folders(self, tmp_path: Path) -> None:
         episode = fly(fresh("medium"), 6)
         path = tmp_path / "some" / "where" / "mission.png"
-        for name in (path, str(path)):
-            save_picture(episode, name, size=128)
-            with Image.open(path) as image:
-                assert image.format == "PNG"
-                assert np.array_equal(np.asarray(image), draw_picture(episode, 128))
-            path.unlink()
+        save_picture(episode, path, size=128)
+        assert np.array_equal(np.asarray(Image.open(path)), draw_picture(episode, 128))
 
 
 def columns(text: str) -> int:
@@ -216,7 +122,7 @@ class TestText:
         rows = draw_text(episode).split("\n")[: task.height]
         assert {columns(row) for row in rows} == {2 * task.width}
 
-    @pytest.mark.parametrize("steps", [0, 9, 1000])
+    @pytest.mark.parametrize("steps", [9, 1000])
     def test_rows_hold_what_the_episode_holds(self, steps: int) -> None:
         episode = fly(fresh(LARGEST), steps)
         rows = "".join(draw_text(episode).split("\n")[:64])
@@ -233,14 +139,6 @@ class TestText:
         passed = [(1, 0), (2, 0), (1, 1)]
         assert draw_tour(episode, passed, [(2, 1), (0, 1)]) == f"🚁{WAY}🏢\n2 {WAY}1 "
 
-    def test_tells_how_the_flight_stands(self) -> None:
-        episode = fly(fresh("hard", 42), 7)
-        *_, status, message = draw_text(episode).split("\n")
-        score = f"score {100 * episode.score:.1f}/100"
-        for words in ("hard_delivery", "map 42", "step 7/160", "battery 153/160", "delivered 2/5", score):
-            assert words in status.split(" · ")
-        assert message == episode.message
-
 
 def test_whose_data_a_city_is_stands_below_it() -> None:
     task = get_task("city")
@@ -252,24 +150,3 @@ def test_whose_data_a_city_is_stands_below_it() -> None:
     assert rows.min() >= layout.top + task.height * layout.cell
     assert rows.max() > rows.min() + 3
     assert columns.max() < layout.city
-
-
-def test_cells_that_share_a_side_are_drawn_as_one_shape() -> None:
-    rows = ["BB..T", "B.BTT", "...XX"]
-    grid = np.array([[".BTX".index(letter) for letter in row] for row in rows], np.uint8)
-    grid = np.array([Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE], np.uint8)[grid]
-    drawn = np.array(blocks.draw_blocks(grid, 30, 3, 4))
-    assert drawn.shape == (3 * 30 + 6, 5 * 30 + 6, 3)
-
-    def looks(x: float, y: float) -> str:
-        """At a point given in cells, as high above it as roofs are."""
-        return "#{:02X}{:02X}{:02X}".format(*drawn[round(3 + 30 * y), round(3 + 30 * x)])
-
-    roof = looks(0.5, 0.5 - blocks.HEIGHT)
-    assert roof in blocks.ROOFS
-    assert looks(1.0, 0.5 - blocks.HEIGHT) == looks(0.5, 1.0 - blocks.HEIGHT) == roof
-    # Those that meet at a corner alone are two.
-    assert looks(2.0, 1.0) == blocks.SHADE
-    assert looks(1.5, 1.5) == blocks.STREET
-    assert {looks(4.5, 1.0), looks(4.0, 1.5)} <= {blocks.WOOD, blocks.CROWN}
-    assert {looks(4.0, 2.5), looks(3.5, 2.5)} <= {blocks.CLOSED, blocks.HATCH}

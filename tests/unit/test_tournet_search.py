@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drone_env.agents import make_agent
 from drone_env.agents.tour_encoder import FeatureEncoder
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tour_plans import Choices, sample_options
@@ -15,8 +14,7 @@ from drone_env.agents.tournet import TournetAgent, TournetSearchAgent, best_opti
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode, rollout
-from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import InvalidValueError
+from drone_env.core.tasks import TaskConfig
 from tests.toy import toy_episode
 from tests.unit.tour_features import EVERY_TASK, HARD, features_of
 
@@ -86,15 +84,6 @@ def test_together_and_alone_it_flies_the_same_plans(name: str, network: Path, mo
     assert alone[0] != flown(TournetSearchAgent(task, network, plans=5), 1).actions
 
 
-def test_another_seed_draws_other_plans(network: Path) -> None:
-    agent = TournetSearchAgent(HARD, network)
-    flights: list[list[int]] = []
-    for seed in range(6):
-        agent.reset(seed)
-        flights.append(rollout(Episode(HARD, seed=3), agent.act).actions)
-    assert len({tuple(actions) for actions in flights}) > 1
-
-
 def test_it_goes_on_from_wherever_it_is_put(network: Path) -> None:
     agent, episode = TournetSearchAgent(HARD, network), Episode(HARD, seed=3)
     agent.reset(3)
@@ -122,13 +111,3 @@ def test_options_are_drawn_by_their_logits() -> None:
         found = sample_options(choices, np.full(len(keys), state), keys, 0.7)
         assert np.bincount(found, minlength=3) / len(keys) == pytest.approx(expected, abs=0.01)
     assert sample_options(choices, np.ones(3, np.int64), keys[:3], 0.7).tolist() == [-1, -1, -1]
-
-
-def test_the_budget_is_part_of_what_it_is(network: Path) -> None:
-    few, many = (
-        dict(make_agent(f"{name}:{network}", "easy").config) for name in ("tournet-search", "tournet-search-64")
-    )
-    assert (few.pop("plans"), many.pop("plans")) == (8, 64)
-    assert few == many
-    with pytest.raises(InvalidValueError, match="plans must be at least 1, got 0"):
-        TournetSearchAgent(get_task("easy"), network, plans=0)

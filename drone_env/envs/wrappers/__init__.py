@@ -1,11 +1,10 @@
 """The optimum at the end of an episode, and other forms of the observation: planes, one vector, text."""
 
 import string
+from collections.abc import Callable
 from typing import Any, SupportsFloat, cast
 
 import gymnasium
-import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
 from drone_env.core.cells import SYMBOLS
@@ -13,7 +12,6 @@ from drone_env.core.episode import Observation
 from drone_env.envs.ansi import TARGET, draw_text
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.forms import planes_space, to_planes, to_vector, vector_space
-from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
 
 Env = gymnasium.Env[Observation, int]
@@ -49,30 +47,32 @@ def make(**options: Any) -> WithOptimum:
 make.metadata = DroneDeliveryEnv.metadata  # type: ignore[attr-defined]  # by which Gymnasium knows the render modes
 
 
-class OneHotPlanes(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
+class ObservationForm(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
+    """Base class of the wrappers that show a drone's observations in another form of `envs.forms`."""
+
+    form: Callable[[Observation], Any]
+    space_of: Callable[[Any], spaces.Space[Any]]
+
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self.observation_space = self.space_of(env.observation_space)
+
+    def observation(self, observation: Observation) -> Any:
+        """The observation in this form."""
+        return self.form(observation)
+
+
+class OneHotPlanes(ObservationForm):
     """`grid` becomes one-hot planes for convolutional networks: uint8[kinds, H, W]; `telemetry` stays."""
 
-    def __init__(self, env: Env) -> None:
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(_single(env, type(self)))
-        self.observation_space = planes_space(env.observation_space)
-
-    def observation(self, observation: Observation) -> dict[str, npt.NDArray[Any]]:
-        """The observation with planes for a grid."""
-        return to_planes(observation)
+    form, space_of = staticmethod(to_planes), staticmethod(planes_space)
 
 
-class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
+class FlatObservation(ObservationForm):
     """One vector for dense networks: the one-hot planes, row by row, then the telemetry; float32[kinds * H * W + n]."""
 
-    def __init__(self, env: Env) -> None:
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(_single(env, type(self)))
-        self.observation_space = vector_space(env.observation_space)
-
-    def observation(self, observation: Observation) -> npt.NDArray[np.float32]:
-        """The observation as one vector."""
-        return to_vector(observation)
+    form, space_of = staticmethod(to_vector), staticmethod(vector_space)
 
 
 class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymnasium.utils.RecordConstructorArgs):
@@ -90,11 +90,3 @@ class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymna
     def observation(self, observation: Observation) -> str:
         """The episode as text."""
         return draw_text(cast(DroneDeliveryEnv, self.unwrapped).episode)
-
-
-def _single(env: Env, wrapper: type[Any]) -> Env:
-    """The environment, which is to be a single one."""
-    if isinstance(env, gymnasium.vector.VectorEnv):
-        name = wrapper.__name__
-        raise InvalidValueError(f"for many drones take drone_env.envs.wrappers.vector.{name}; this {name} is for one")
-    return env

@@ -1,6 +1,5 @@
 """The wrappers of observations for many drones at once; they have the names of those for one drone."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -17,29 +16,25 @@ Observations = dict[str, Array]
 
 
 # Gymnasium's older versions have no type parameters here.
-class VectorForm(VectorWrapper, ABC):  # pyright: ignore[reportMissingTypeArgument]
+class VectorForm(VectorWrapper):  # pyright: ignore[reportMissingTypeArgument]
     """Shows the observations of many drones in another form, those that end episodes too.
 
     Args:
         env: What `make_vec` makes, or Gymnasium's own vectorisation of single environments, in any autoreset mode.
-        space_of: Makes the space of one drone's observations in this form from that of the plain ones.
     """
 
-    def __init__(
-        self, env: VectorEnv[Observations, Array, Array], space_of: Callable[[Any], spaces.Space[Any]]
-    ) -> None:
+    observations: Callable[[Observations], Any]
+    space_of: Callable[[Any], spaces.Space[Any]]
+
+    def __init__(self, env: VectorEnv[Observations, Array, Array]) -> None:
         super().__init__(env)
-        self.single_observation_space = space_of(env.single_observation_space)
+        self.single_observation_space = self.space_of(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
         """When an episode that ended is followed by the next one."""
         return self.metadata["autoreset_mode"]
-
-    @abstractmethod
-    def observations(self, observations: Observations) -> Any:
-        """The observations of any number of drones in this form."""
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin episodes, as the wrapped environments do."""
@@ -66,20 +61,10 @@ class VectorForm(VectorWrapper, ABC):  # pyright: ignore[reportMissingTypeArgume
 class OneHotPlanes(VectorForm):
     """`grid` becomes one-hot planes for convolutional networks: uint8[N, kinds, H, W]; `telemetry` stays."""
 
-    def __init__(self, env: VectorEnv[Observations, Array, Array]) -> None:
-        super().__init__(env, planes_space)
-
-    def observations(self, observations: Observations) -> Observations:
-        """The observations with planes for grids."""
-        return to_planes(observations)
+    observations, space_of = staticmethod(to_planes), staticmethod(planes_space)
 
 
 class FlatObservation(VectorForm):
     """One vector a drone for dense networks: the one-hot planes, then the telemetry; float32[N, kinds * H * W + n]."""
 
-    def __init__(self, env: VectorEnv[Observations, Array, Array]) -> None:
-        super().__init__(env, vector_space)
-
-    def observations(self, observations: Observations) -> npt.NDArray[np.float32]:
-        """The observations as one vector a drone."""
-        return to_vector(observations)
+    observations, space_of = staticmethod(to_vector), staticmethod(vector_space)
