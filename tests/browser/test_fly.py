@@ -12,7 +12,6 @@ from drone_env.results.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, posted
 from tests.browser.shown import (
-    changed,
     counter,
     expect_flying,
     expect_frame,
@@ -103,11 +102,6 @@ def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Serve
     (best, most), (second, less) = ranked[:2]
     expect(page.locator("#confidence")).to_have_text(f"The network's {best} leads {second} by {fixed(most - less, 3)}.")
     expect(thoughts.locator("tr:has(td.best)")).to_contain_text([best])
-    with_arrows, arrows = pictures(page), page.get_by_role("checkbox", name="What the network thinks")
-    page.keyboard.press("q")
-    expect(arrows).not_to_be_checked()
-    assert changed(page, with_arrows) == [2]
-    arrows.check()
 
 
 def test_the_graph_shows_what_was_possible_and_leads_to_each_moment(page: Page, server: Server) -> None:
@@ -140,18 +134,6 @@ def test_the_graph_shows_what_was_possible_and_leads_to_each_moment(page: Page, 
     marked = {at for at in range(1, last) if painted(graph, "--bad", "--warn", "--accent", across=at / last)}
     assert marked == {move["step"] for move in annotated if move["label"] not in ("best", "good")} - {last}
     assert painted(graph, "--map-box", across=1), "where the parcel is delivered"
-
-
-def test_a_map_that_is_typed_is_flown_and_its_legend_shows_what_can_be_met_on_it(page: Page) -> None:
-    over(page, 3, "/?task=easy&seed=3&pilot=optimal")
-    map_number(page).fill("7")
-    map_number(page).press("Enter")
-    drawn = page.locator("#boards canvas[role=img]")
-    expect(drawn).to_have_attribute("aria-label", re.compile("^City map of Easy, 10 by 10 cells, map 7, 1 parcel"))
-    pad = page.get_by_role("list", name="Legend").get_by_role("listitem").filter(has_text="Pad")
-    expect(pad).to_be_hidden()
-    page.get_by_role("radio", name="Skyline Easy").check()
-    expect(pad).to_be_visible()
 
 
 def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callable[..., Page]) -> None:
