@@ -68,13 +68,15 @@ docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
 # Tests on the lowest and the highest Python, without PyTorch: tests that need it are skipped. llm, parity and property
-# take too long for CI; the other folders need a browser, a cluster or programs of this Python.
+# take too long for CI, and so does api twice; the other folders need a browser, a cluster or programs of this Python.
 PYTHONS := python-3.10 python-3.13
+LEFT_OUT := browser cluster container docs llm package parity property
+python-3.13: LEFT_OUT += api
 python: $(PYTHONS)
 $(PYTHONS): python-%: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $*) && $$python -m venv $(VENV)/$*
 	$(BIN)/uv pip install --quiet --python $(VENV)/$*/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,browser cluster container docs llm package parity property)
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,$(LEFT_OUT))
 
 # The campaigns: many more cases, other Pythons, oldest dependencies, deliberate faults; takes hours.
 verify: $(VENV)/.dev

@@ -23,12 +23,12 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from drone_env.core.actions import Event
 from drone_env.core.rewards import PACKAGE_PROFILES, RewardProfile, get_reward_profile
-from drone_env.errors import InvalidTaskError, InvalidValueError, UnknownNameError, shown
+from drone_env.errors import InvalidTaskError, InvalidValueError, shown
 from drone_env.files import read_file
+from drone_env.models import EventName
 from drone_env.toml_text import read_toml
 
 MAX_FILE = 1 << 16
-EVENTS = {event.name.lower(): event for event in Event if event is not Event.NONE}
 
 
 def _number(value: object) -> Decimal:
@@ -36,12 +36,6 @@ def _number(value: object) -> Decimal:
     if type(value) not in (int, Decimal):
         raise ValueError(f"must be a number, got {shown(value)}")
     return Decimal(value)  # pyright: ignore[reportArgumentType]
-
-
-def _event(name: str) -> str:
-    if name not in EVENTS:
-        raise ValueError(str(UnknownNameError("event", name, EVENTS)))
-    return name
 
 
 def _free(name: str) -> str:
@@ -67,7 +61,7 @@ class RewardFile(BaseModel):
     shaping_gamma: Number | None = None
     pays_score: bool = False
     task_events: bool = False
-    events: dict[Annotated[str, AfterValidator(_event)], Number] = {}
+    events: dict[EventName, Number] = {}
 
 
 def chosen_profile(name: str | RewardProfile) -> RewardProfile:
@@ -95,5 +89,5 @@ def load_reward_profile(path: str | Path) -> RewardProfile:
     except InvalidValueError as error:
         message = str(error).removeprefix(f"{path} ")  # of a file that is too large, or none
         raise InvalidTaskError(f"reward profile {path}: {message}") from None
-    events: Any = tuple((EVENTS[name], pay) for name, pay in file.events.items())
+    events: Any = tuple((Event[name.upper()], pay) for name, pay in file.events.items())
     return RewardProfile(**{**dict(file), "events": events})

@@ -1,4 +1,4 @@
-"""What the agents reach on the test maps of every task, and what it costs them: the tables of README and docs/tasks.md.
+"""What the agents reach on the test maps of every task, and what it costs them: the table of docs/benchmark.md.
 
 What was flown is kept in results/agents, a file for each task and agent, so that a stopped run goes on; another network
 or another version of a task or agent is flown anew. Whoever changes how an agent flies without a new version removes
@@ -55,26 +55,15 @@ def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
     return {agent: json.loads(file.read_text(encoding="utf-8")) for agent, file in files.items()}
 
 
-def table_of(task: TaskConfig) -> str:
-    """How the agents fly a task: a table of docs/tasks.md."""
-    rows = [["agent", "mean score", "of the optimum", "all delivered", "mean steps"]]
-    for agent, of in figures_of(task).items():
-        shares = [f"{of['score_ratio']:.2%}", f"{of['success_rate']:.1%}"]
-        rows.append([agent, number(of["mean_score"]), *shares, f"{of['mean_steps']:.1f}"])
-    return table(rows)
-
-
 def table_of_all() -> str:
-    """How the agents fly all tasks: the table of README."""
+    """How the agents fly all tasks: the table of docs/benchmark.md."""
     head = [
-        "task", "agent", "score (95 % interval)", "optimum", "ratio", "delivered all", "steps", "excess",
-        "CPU ms per map",
+        "task", "agent", "score (95 %)", "ratio", "delivered all", "excess steps", "CPU ms",
     ]  # fmt: skip
     rows = [head]
     for task in (one for one in TASKS.values() if one.terrain is None):
         for agent, of in figures_of(task).items():
-            score = [with_interval(of["mean_score"], of["score_ci95"]), number(of["mean_optimal_score"])]
-            steps = [f"{of['mean_steps']:.1f}", number(of["mean_excess_steps"], ".2f"), f"{of['cpu_ms']:.3g}"]
-            share = f"{100 * of['success_rate']:.1f} %"
-            rows.append([task.id, agent, *score, number(of["score_ratio"]), share, *steps])
+            score = [with_interval(of["mean_score"], of["score_ci95"]), number(of["score_ratio"])]
+            steps = [f"{of['success_rate']:.1%}", number(of["mean_excess_steps"], ".2f"), f"{of['cpu_ms']:.3g}"]
+            rows.append([task.id, agent, *score, *steps])
     return table(rows)

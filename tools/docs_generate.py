@@ -1,7 +1,7 @@
 """Write the generated parts of the documentation, in some minutes.
 
-    tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png;
-            README.md: the table of what the agents reach
+    tasks   docs/tasks.md: the numbers and a picture of every task; docs/images/<task>.png;
+            docs/benchmark.md: the table of what the agents reach
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` beside `aligned`, all else equal
 
@@ -12,7 +12,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from docs_agents import table_of, table_of_all
+from docs_agents import table_of_all
 from docs_tables import between, numbers, put, table
 
 from drone_env.core.episode import Episode
@@ -24,14 +24,8 @@ from drone_env.planning.audit import audit_maps, audited_profile, summarise_audi
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
-README, REWARD = DOCS.parent / "README.md", DOCS / "reward.md"
-AUDITED = {
-    "easy_delivery": 1000,
-    "medium_delivery": 200,
-    "hard_delivery": 40,
-    "skyline_easy": 200,
-    "skyline_medium": 20,
-}
+BENCHMARK, REWARD = DOCS / "benchmark.md", DOCS / "reward.md"
+AUDITED = {"easy_delivery": 1000, "hard_delivery": 40, "skyline_easy": 200}
 """How many test maps the audits of a task run over."""
 CURVES, CURVES_EPISODES = "easy", 1_500
 """The task of the curves, and how many episodes are enough to see which way each goes."""
@@ -46,33 +40,28 @@ def picture(task: TaskConfig) -> None:
 
 INTRODUCTION = """# Tasks
 
-Written by `tools/docs_generate.py` from `TASKS` (`drone_env/core/tasks.py`); those over real places
-are told in [cities.md](cities.md). [rules.md](rules.md) says what the
-numbers mean. The pictures show a best flight over the first test map; the figures are means over the first 1,000 test
-maps.
+This page lists the numbers of each task. `tools/docs_generate.py` writes it from `TASKS` (`drone_env/core/tasks.py`).
+[cities.md](cities.md) has the tasks over real places, [rules.md](rules.md) explains the numbers, and
+[benchmark.md](benchmark.md) shows what the agents score. The pictures show a best flight over the first test map.
 
-On the three `delivery` tasks chasing the nearest parcel nearly reaches the optimum. The three `skyline` tasks are made
-so that it does not: the battery does not last for the tour, buildings cost extra, obstacles block the way, and a pilot
-that does not plan where to charge is left standing. In `skyline` a charge in time is worth more than the steps it
-takes: a best flight often tops up before the last delivery, so it can be longer than a shorter one that scores less.
-On a few maps nobody can deliver everything; there the optimum is what can be had.
-
-`tournet`, one network for all six tasks, plans parcels and charges; `tournet-search` and `tournet-search-64` fly the
-best of 8 and of 64 of its plans.
+The `delivery` tasks are easy to plan: flying to the nearest parcel is close to optimal. In the `skyline` tasks the
+battery does not last for the tour, buildings cost extra, obstacles block the way, and an agent has to plan where to
+charge. A charge before the last delivery can be worth more than its steps, so a best flight may be longer than one that
+scores less. On a few maps no flight delivers everything.
 """
 
 
 def write_tasks() -> None:
-    """Write docs/tasks.md with its pictures, and the table of README.md."""
+    """Write docs/tasks.md with its pictures, and the table of docs/benchmark.md."""
     parts = [INTRODUCTION]
     for task in TASKS.values():
         picture(task)
         if task.terrain is not None:
             continue
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
-        parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{table_of(task)}\n")
+        parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n")
     (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
-    README.write_text(put(README.read_text(encoding="utf-8"), "agents", table_of_all()), encoding="utf-8")
+    BENCHMARK.write_text(put(BENCHMARK.read_text(encoding="utf-8"), "agents", table_of_all()), encoding="utf-8")
 
 
 def audits(task: TaskConfig, maps: int) -> list[str]:
@@ -89,8 +78,8 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
         verdict = "aligned" if report["verdict"] == "aligned" else "**exploitable**"
         rows.append(
             f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {report['share_aligned']:.1%} "
-            f"| {report['mean_score']:.3f} | {report['mean_optimal_score']:.3f} | {mean['honest']:.2f} "
-            f"| {mean['stall']:.2f} | {mean['bump']:.2f} | {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
+            f"| {report['mean_score']:.3f} | {report['mean_optimal_score']:.3f} "
+            f"| {mean['honest']:.2f} | {mean['hover']:.2f} |"
         )
         print(rows[-1], file=sys.stderr)
     return rows
@@ -100,8 +89,8 @@ def write_audits() -> None:
     """Write the table of audits in docs/reward.md."""
     lines = [
         "| task | maps | reward | gamma | verdict | maps on which it reaches the optimum | score of the maximiser "
-        "| optimum | return: honest | stall | bump | oscillate | hover |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "| optimum | return: honest | hover |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for task_id, maps in AUDITED.items():
         lines += audits(TASKS[task_id], maps)

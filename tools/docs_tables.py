@@ -45,26 +45,6 @@ def kinds() -> str:
     return table([["id", "name", "", "on the map"], *rows])
 
 
-def standard_tasks() -> str:
-    """The three standard tasks side by side."""
-    rows: dict[str, list[str]] = {"": [f"`{task.id}`" for task in STANDARD]}
-    for task in STANDARD:
-        other = {getattr(task, f"r_{event.name.lower()}") for event in Event if event not in SPECIAL}
-        assert len(other) == 1, "the standard tasks pay the same for every event but a delivery"
-        cells = {
-            "grid": f"{task.width} x {task.height}",
-            "buildings / trees / obstacles": f"{task.buildings} / {task.trees} / {task.obstacles}",
-            "deliveries": str(task.deliveries),
-            "max_steps = battery capacity": str(task.max_steps),
-            "reward of a delivery": f"{task.r_delivery:.2f}",
-            "reward of every other event": f"{other.pop():.2f}",
-            "grader": f"`{task.grader}`",
-        }
-        for name, cell in cells.items():
-            rows.setdefault(name, []).append(cell)
-    return table([[name, *cells] for name, cells in rows.items()])
-
-
 def environments() -> str:
     """Every task under its Gymnasium id."""
     head = ["Gymnasium id", "grid", "parcels", "steps", "battery", "telemetry"]
@@ -142,7 +122,6 @@ def tables() -> dict[tuple[str, str], str]:
     return {
         ("rules.md", "kinds"): kinds(),
         ("cities.md", "layers"): of_cities(),
-        ("rules.md", "standard tasks"): standard_tasks(),
         ("gymnasium.md", "environments"): environments(),
         ("configuration.md", "settings of the server"): settings_table(Settings),
         ("configuration.md", "settings of language models"): settings_table(InferenceSettings),

@@ -1,11 +1,9 @@
 """`drone-env analyse-flight`: a flight move by move, beside the exact value of every state."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.text import Text
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
@@ -14,21 +12,7 @@ from drone_env.commands.printing import print_json
 from drone_env.core.episode import Episode, rollout
 from drone_env.errors import InvalidValueError
 
-if TYPE_CHECKING:
-    from drone_env.results.analysis import FlightAnalysis
-
 File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-
-STYLES = {
-    r"\A.+": "bold",
-    r"(?m)^step .*|^ +moves .*": "dim",
-    r"\bdelivery\b": "green",
-    r"(?m)^.* !!(?= |$).*": "bold green",
-    r"(?m)^.* \?!(?= |$).*": "yellow",
-    r"(?m)^.* \?(?= |$).*": "bold yellow",
-    r"(?m)^.* \?\?(?= |$).*": "bold red",
-}
-"""How the text of an analysis is coloured in a terminal: the title, the headings, then by what happened."""
 
 
 def analyse_flight(
@@ -75,11 +59,4 @@ def analyse_flight(
     if json:
         print_json(analysed.to_dict())
     else:
-        _show(analysed)
-
-
-def _show(analysis: "FlightAnalysis") -> None:
-    text = Text(analysis.to_text())
-    for pattern, style in STYLES.items():
-        text.highlight_regex(pattern, style)
-    Console(highlight=False).print(text, soft_wrap=True)
+        print(analysed.to_text())

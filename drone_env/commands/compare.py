@@ -12,11 +12,10 @@ from drone_env.commands.leaderboard import required_entries
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.results.result import Results
-from drone_env.results.statistics import compared, optimality_ratios, with_interval
+from drone_env.results.statistics import compared, with_interval
 from drone_env.results.tables import Table, percent, print_table
 
 Contenders = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar=f"{AGENT}|DIR...")]
-Plot = Annotated[Path | None, tyro.conf.arg(metavar="FILE.svg|FILE.png")]
 
 
 def compare(
@@ -27,7 +26,6 @@ def compare(
     seeds: SeedRange = None,
     repeats: int = 1,
     json: JsonFile = None,
-    plot: Plot = None,
 ) -> None:
     """Fly the same maps with two agents or more, and say how sure it is which of them is better.
 
@@ -48,8 +46,6 @@ def compare(
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: How often an agent that draws lots flies each map; the mean counts.
         json: Write the figures to this file; - prints only the JSON on standard output.
-        plot: Draw the performance profiles: of each agent, the share of maps on which it reaches more than a share of
-            the optimum. Needs the extra `train`.
     """
     stored = {
         agent: [(f"{entry.agent} ({Path(agent)})", entry) for entry in required_entries(Path(agent))]
@@ -66,10 +62,6 @@ def compare(
     else:
         chosen_split, maps = chosen_maps(seeds, split, episodes, 200)
     json_file(json)
-    if plot is not None:
-        from drone_env.results.profiles import check_plot
-
-        check_plot(plot)
     names = [agent for agent in agents if agent not in stored]
     flown = fly_grid(task, names, maps, chosen_split, repeats) if names else {}
     rows: dict[TaskConfig, dict[str, Results]] = {}
@@ -92,11 +84,6 @@ def compare(
         "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
         "unusable": unusable,
     }
-    if plot is not None:
-        from drone_env.results.profiles import draw_profiles
-
-        ratios = {t.short_name: {a: optimality_ratios(of) for a, of in row.items()} for t, row in rows.items()}
-        draw_profiles(ratios, plot)
     if write_report(report, json):
         _print(report)
         for t, row in flown.items():

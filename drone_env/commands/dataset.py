@@ -48,12 +48,12 @@ def dataset(
         formats: One or both. Minari takes some 45 to 80 KB a flight, Parquet some 25 bytes a step.
     """
     from drone_env.datasets.build import build_dataset  # compiles, which only those who solve should wait for
-    from drone_env.datasets.config import dataset_config
+    from drone_env.datasets.config import DatasetConfig
 
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
     say_trusted(agents)
-    config = dataset_config(get_task(task), split_seeds(split, maps, offset), split, agents, epsilon, reward_profile)
+    config = DatasetConfig(get_task(task), split_seeds(split, maps, offset), split, agents, epsilon, reward_profile)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
         rows = build_dataset(config, out, formats, on_map=advance)
     print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")

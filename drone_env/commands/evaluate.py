@@ -1,6 +1,5 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -200,28 +199,19 @@ def _fly(
         from drone_env.results.folder import ResultsFolder  # loads Pydantic
 
         folder = ResultsFolder(out, keys)
-    flights, stored = sum(key.seeds[1] - key.seeds[0] for key in keys), 0
-    with progress_bar("maps", flights) as advance:
+    with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
 
         def arrived(piece: Results) -> None:
-            nonlocal stored
-            stored += len(piece.seeds)
             advance(len(piece.seeds), f"{get_task(piece.key.task).short_name} {piece.key.agent}")
 
-        try:
-            if engine == "local":
-                return evaluate_keys(keys, partial(local_engine, agents=made), folder, arrived)
-            from drone_env.cluster.connect import connect
+        if engine == "local":
+            return evaluate_keys(keys, partial(local_engine, agents=made), folder, arrived)
+        from drone_env.cluster.connect import connect
 
-            with connect(address):
-                from drone_env.cluster.episodes import fly_on_nodes
+        with connect(address):
+            from drone_env.cluster.episodes import fly_on_nodes
 
-                return evaluate_keys(keys, fly_on_nodes, folder, arrived)
-        except BaseException:
-            if folder is not None and folder.own:
-                told = f"stopped: {stored:,} of {flights:,} flights are kept in {out}; the same command goes on there"
-                print(f"{told}, with agents as they are (one that is mended needs a new folder)", file=sys.stderr)
-            raise
+            return evaluate_keys(keys, fly_on_nodes, folder, arrived)
 
 
 def json_file(json: str | None) -> Path | None:

@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import SupportsIndex
 
 from drone_env.core.actions import Action
@@ -43,17 +42,12 @@ def prepare_file(option: str, path: Path) -> None:
     """Make the folder of a file that an option names, so that it need not fail after the flight.
 
     Raises:
-        InvalidValueError: if it names a folder, or no file can be made beside it.
+        InvalidValueError: if it names a folder.
         OSError: if the folder cannot be made.
     """
     if path.is_dir():
         raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.is_file() or not path.exists():  # else a device or a pipe, which is written to as it stands
-        try:
-            TemporaryFile(dir=path.parent).close()
-        except OSError as error:
-            raise InvalidValueError(f"{option}: no file can be made in {path.parent}: {error.strerror}") from None
 
 
 def prepare_film(path: Path | None) -> None:

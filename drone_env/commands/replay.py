@@ -90,7 +90,7 @@ def _show(episode: Episode, actions: Iterable[int]) -> None:
 def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
     """Each record with what to call it."""
     from drone_env.files import data_folder
-    from drone_env.results.record import load_record, numbered_records
+    from drone_env.results.record import load_record, read_records
     from drone_env.results.sessions import EPISODE_ID
     from drone_env.results.store import FILE_NAME, Store
 
@@ -102,7 +102,7 @@ def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
         with Store(folder) as store:
             yield f"episode {source}", store.episode(source).record
     elif path.suffix == ".jsonl":
-        for number, record in numbered_records(path):
+        for number, record in enumerate(read_records(path), 1):
             yield f"line {number} of {path}", record
     else:
         yield str(path), load_record(path)

@@ -19,15 +19,12 @@ from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.datasets.config import DatasetConfig
 from drone_env.datasets.trajectories import Trajectory
-from drone_env.errors import MissingPackageError, needs
+from drone_env.errors import needs
 from drone_env.installer import DISTRIBUTION
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
 PARQUET_FILE, MINARI_FOLDER = "steps.parquet", "minari"
-OLDEST_MINARI = "0.5.4"
-"""Earlier versions store every grid as a JPEG picture, which loses cells."""
-NEEDED_MINARI = f"minari[hdf5] {OLDEST_MINARI} or newer, which asks for Python 3.11,"
 
 
 @dataclass(frozen=True)
@@ -137,18 +134,13 @@ def minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None,
     actions, the last entry is NaN, False or -1.
 
     Raises:
-        MissingPackageError: if Minari from 0.5.4 on or h5py is not installed.
+        MissingPackageError: if Minari, which asks for Python 3.11, or h5py is not installed.
     """
-    try:
+    with needs("data"):
         import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari asks for it only when it writes
         import minari
         from minari.data_collector import EpisodeBuffer
         from minari.dataset.minari_storage import MinariStorage
-        from packaging.version import Version
-    except ImportError as error:
-        raise MissingPackageError(NEEDED_MINARI, "data") from error
-    if Version(minari.__version__) < Version(OLDEST_MINARI):
-        raise MissingPackageError(f"{NEEDED_MINARI} (but {minari.__version__})", "data")
     # Declared to take lists, which it does not need: arrays are written faster.
     buffer: Any = EpisodeBuffer
     env = gymnasium.make(config.task.gym_id, reward_profile=config.reward_profile)

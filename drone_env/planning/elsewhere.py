@@ -68,7 +68,7 @@ def places_of(episode: Episode) -> Places:
 
 
 def places_in_parts(episode: Episode) -> Iterator[Places]:
-    """The same in parts of at most `PLACES_AT_ONCE` cells, which take little memory at a time. Raises as `places_of`."""
+    """The same in parts of at most `PLACES_AT_ONCE` cells, to save memory. Raises as `places_of`."""
     cells = _open_cells(episode)
     for first in range(0, len(cells), PLACES_AT_ONCE):
         yield _places(episode, cells[first : first + PLACES_AT_ONCE])

@@ -56,7 +56,7 @@ def episodes_key(
     made = made or make_agent(agent, task)
     if get_task(task.id, task.version) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
-    if not seeds or seeds.step != 1:
+    if not isinstance(seeds, range) or not seeds or seeds.step != 1:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InvalidValueError(f"seeds must be a range of at least one, with step 1; got {seeds}")
     check_seed(seeds.start)
     check_seed(seeds.stop - 1)
@@ -240,8 +240,7 @@ def evaluate_keys(
         arrived: Called once with each piece.
 
     Raises:
-        OSError, InvalidValueError: from the folder; the latter, too, if another version of this package began it and
-            pieces are missing.
+        OSError, InvalidValueError: from the folder.
         ClusterError: from an engine on a cluster.
     """
     pieces = {key: key.pieces() for key in keys}
@@ -259,8 +258,6 @@ def evaluate_keys(
             missing.append(piece)
         else:
             count(stored)
-    if missing and folder is not None:
-        folder.require_own(len(missing), sum(map(len, pieces.values())))
     for results in engine(missing) if missing else ():
         if results.key not in flown:
             if folder is not None:

@@ -1,12 +1,15 @@
 """The folder of an evaluation: its configuration, and one file per piece of its results."""
 
 import os
-import re
+import zlib
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from zipfile import BadZipFile
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
@@ -18,7 +21,6 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError, shown
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
 from drone_env.models import Message
-from drone_env.npz import unpack_arrays
 from drone_env.results.result import COLUMNS, PIECE, EpisodesKey, Results, concatenate
 
 CONFIG, PIECES = "evaluation.json", "pieces"
@@ -38,7 +40,7 @@ class EvaluationConfig(Message):
     split: Name
     seeds: list[Annotated[int, Field(ge=0, le=N_SEEDS)]] = Field(min_length=2, max_length=2)
     repeats: dict[Name, Annotated[int, Field(ge=2, le=MOST_PIECES)]] = Field(default_factory=dict)
-    tasks: list[Name]
+    tasks: list[Annotated[Name, Field(pattern="^.+ v[0-9]{1,9}$")]]
     agents: dict[Name, Annotated[str, Field(pattern="^[0-9a-f]{16}$")]]
 
     @classmethod
@@ -78,16 +80,9 @@ class EvaluationConfig(Message):
         return self
 
     def versions(self) -> dict[str, int]:
-        """The version of each task by its id.
-
-        Raises:
-            ValueError: if a task does not name its version.
-        """
-        named = [(task, re.fullmatch("(.+) v([0-9]{1,9})", task)) for task in self.tasks]
-        wrong = [task for task, parts in named if parts is None]
-        if wrong:
-            raise ValueError(f"tasks: {shown(wrong[0])} is not 'TASK vVERSION'")
-        return {parts[1]: int(parts[2]) for _, parts in named if parts}
+        """The version of each task by its id."""
+        named = [task.rpartition(" v") for task in self.tasks]
+        return {task: int(version) for task, _, version in named}
 
 
 class ResultsFolder:
@@ -101,43 +96,20 @@ class ResultsFolder:
 
     Raises:
         OSError: if it cannot be made or read.
-        InvalidValueError: if it holds another evaluation, or anything else; the message says what differs.
-
-    Attributes:
-        package: The version of this package that began it, which alone continues it; a later one shows it if it is
-            complete.
+        InvalidValueError: if it holds another evaluation, one of another version of this package, or anything else;
+            the message says what differs.
     """
 
     def __init__(self, path: Path, keys: Sequence[EpisodesKey]) -> None:
         self._pieces, config = path / PIECES, EvaluationConfig.of(keys)
-        self.package: str = __version__
         if is_begun(path, CONFIG, "an evaluation"):
-            before = EvaluationConfig.load(path)
-            changed = differences(before.model_dump(exclude={"package"}), config.model_dump(exclude={"package"}))
+            changed = differences(EvaluationConfig.load(path).model_dump(), config.model_dump())
             if changed:
                 raise InvalidValueError(f"{path} holds another evaluation: {'; '.join(changed)}")
-            self.package = before.package
         else:
             path.mkdir(parents=True, exist_ok=True)
             write_json(path / CONFIG, config.model_dump())
         self._pieces.mkdir(exist_ok=True)
-
-    @property
-    def own(self) -> bool:
-        """Whether this version of the package began the evaluation, so that it can continue it."""
-        return self.package == __version__
-
-    def require_own(self, missing: int, pieces: int) -> None:
-        """Refuse to fly missing pieces of an evaluation that another version began.
-
-        Raises:
-            InvalidValueError: if another version began it.
-        """
-        if not self.own:
-            raise InvalidValueError(
-                f"{missing} of {pieces} pieces are missing in the folder, and only the drone-env that began it goes on "
-                f"with it: {self.package}, this is {__version__}"
-            )
 
     def load(self, key: EpisodesKey) -> Results | None:
         """The results of a piece; None if it has not been flown yet.
@@ -210,13 +182,24 @@ def _file(pieces: Path, key: EpisodesKey) -> Path:
     return pieces / f"{key.task}-v{key.version}-{key.config_hash}-{key.seeds[0]}-{key.seeds[1]}{again}.npz"
 
 
+def _columns(content: bytes) -> dict[str, Any]:
+    with NpzFile(BytesIO(content), allow_pickle=False) as archive:
+        zipped: Any = archive.zip
+        # Checked first: an entry that is packed may be many times as large as the file.
+        if sum(entry.file_size for entry in zipped.infolist()) > MOST_BYTES:
+            raise ValueError(f"unpacked it would have more than {MOST_BYTES} bytes")
+        if zipped.testzip():
+            raise ValueError("a checksum is wrong")
+        if archive.files != list(COLUMNS):
+            raise ValueError(f"it holds {shown(archive.files)} instead of {', '.join(COLUMNS)}")
+        return {name: archive[name] for name in COLUMNS}
+
+
 def _load(path: Path, key: EpisodesKey) -> Results | None:
     if not path.exists():
         return None
     try:
-        columns: dict[str, Any] = unpack_arrays(read_file(path, MOST_BYTES), MOST_BYTES)
-        if columns.keys() != COLUMNS.keys():
-            raise ValueError(f"it holds {shown(sorted(columns))} instead of {', '.join(COLUMNS)}")
+        columns = _columns(read_file(path, MOST_BYTES))
         for name, kind in COLUMNS.items():
             column = columns[name]
             if column.dtype != kind or column.shape != (key.seeds[1] - key.seeds[0],):
@@ -231,7 +214,7 @@ def _load(path: Path, key: EpisodesKey) -> Results | None:
         done = ((results.deliveries >= 0) & (results.deliveries <= task.deliveries)).all()
         if not (scores and steps and done and (results.success == (results.deliveries == task.deliveries)).all()):
             raise ValueError("scores, steps, deliveries or success are out of range")
-    except ValueError as error:
+    except (ValueError, KeyError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
         why = str(error).removeprefix(f"{path} ")
         raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {why}") from None
     return results

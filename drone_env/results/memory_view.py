@@ -82,7 +82,7 @@ class MemoryView:
         try:
             self._keep_what_is_not_ours()
             write_text(self._path, text)
-        except OSError as error:
+        except (OSError, InvalidValueError) as error:
             # The episode is safe in the store: its caller must not get an error.
             log.warning("%s could not be written: %s", self._path, error)
 
@@ -93,33 +93,15 @@ class MemoryView:
                 head = file.read(len(MARK))
         except FileNotFoundError:
             return
-        except InvalidValueError as error:
-            raise OSError(str(error)) from None
         if head in (b"", MARK.encode()):
             return
-        aside = self._make_aside()
-        try:
-            self._path.replace(aside)
-        except OSError:
-            aside.unlink()
-            raise
+        aside = self._path.with_name(f"{self._path.stem}.kept-{time.time_ns()}{self._path.suffix}")
+        self._path.rename(aside)
         log.warning("%s was not written by drone-env: it is kept as %s", self._path, aside)
-
-    def _make_aside(self) -> Path:
-        """An empty file beside this one, where there was none."""
-        number = 0
-        while True:
-            number += 1
-            path = self._path.with_name(f"{self._path.stem}.kept-{number}{self._path.suffix}")
-            with suppress(FileExistsError):
-                path.touch(exist_ok=False)
-                return path
 
     def _remove_leftovers(self) -> None:
         """Remove what killed processes left of views that they were writing."""
         for path in self._path.parent.glob(f"{self._path.name}.*.part"):
-            try:
+            with suppress(FileNotFoundError):  # another process was faster
                 if time.time() - path.stat().st_mtime > LEFTOVER_SECONDS:
                     path.unlink()
-            except FileNotFoundError:
-                continue  # another process was faster

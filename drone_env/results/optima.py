@@ -46,8 +46,8 @@ class Optima:
 
     def __init__(self, database: Database, submit: Submit | None = None) -> None:
         self._database = database
-        self._thread = ThreadPoolExecutor(1, "drone_env-optima") if submit is None else None
-        self._submit = submit or self._in_thread
+        self._thread = ThreadPoolExecutor(1, "drone_env-optima")
+        self._submit = submit or partial(self._thread.submit, solve_maps)
         self._wanted: dict[TaskConfig, dict[int, None]] = {}
         """The maps to solve, by task."""
         self._solving: set[TaskConfig] = set()
@@ -81,12 +81,7 @@ class Optima:
     def close(self) -> None:
         """Stop; what is being solved is not stored."""
         self._closed = True
-        if self._thread is not None:
-            self._thread.shutdown(cancel_futures=True)
-
-    def _in_thread(self, task: TaskConfig, seeds: Sequence[int]) -> "Future[Scores]":
-        assert self._thread is not None
-        return self._thread.submit(solve_maps, task, seeds)
+        self._thread.shutdown(cancel_futures=True)
 
     def _start(self, task: TaskConfig) -> None:
         """Start the next job of a task, holding the lock."""
@@ -103,7 +98,10 @@ class Optima:
         """Store what a job has found, and start the next."""
         scores: Scores = []
         try:
-            scores = self._scores(job)
+            try:
+                scores = job.result()
+            except TooLargeError:
+                scores = [None]
             if not self._closed:
                 rows = [(task.id, task.version, seed, score) for seed, score in zip(seeds, scores, strict=False)]
                 with self._database.writing() as connection:
@@ -124,10 +122,3 @@ class Optima:
                 self._wanted[task] = left
                 self._start(task)
             self._changed.notify_all()
-
-    @staticmethod
-    def _scores(job: "Future[Scores]") -> Scores:
-        try:
-            return job.result()
-        except TooLargeError:
-            return [None]

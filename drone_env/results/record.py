@@ -248,27 +248,18 @@ class RecordWriter:
 
 
 def read_records(path: str | Path) -> Iterator[EpisodeRecord]:
-    """The records of a JSONL file, one at a time; empty lines are passed over.
+    """The records of a JSONL file, one line each.
 
     Raises:
         OSError: if the file cannot be read.
         InvalidValueError: at the first line that is not a record, with its number; the records before it have been
             given out by then. A last line that is cut is said to be so.
     """
-    for _, record in numbered_records(path):
-        yield record
-
-
-def numbered_records(path: str | Path) -> Iterator[tuple[int, EpisodeRecord]]:
-    """As `read_records`, each with the number of its line, from 1."""
     for number, line in enumerate(read_lines(path, LONGEST_RECORD), 1):
-        if not line.strip():
-            continue
         name = f"line {number} of {path}"
         try:
-            record = parse_record(line, name)
+            yield parse_record(line, name)
         except InvalidValueError as error:
             if line.endswith(b"\n"):
                 raise
             raise InvalidValueError(f"the last line is cut, and all before it are whole: {error}") from None
-        yield number, record

@@ -1,9 +1,9 @@
 """The statistics of results: means over maps, their 95 % intervals, and comparisons of two agents map by map.
 
 Flights over one map are averaged first, then the maps. An interval is Student's t over maps, cut to the range that the
-figure can have. Interquartile mean, probability of improvement and performance profile are those of rliable (Agarwal et
-al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice", 2021); rliable samples runs of given tasks,
-we sample maps, and two agents fly the same ones.
+figure can have. Interquartile mean and probability of improvement are those of rliable (Agarwal et al., "Deep
+Reinforcement Learning at the Edge of the Statistical Precipice", 2021); rliable samples runs of given tasks, we sample
+maps, and two agents fly the same ones.
 """
 
 import math
@@ -84,12 +84,6 @@ def interquartile_mean(scores: Floats) -> Interval:
     freedom = len(middle) - 1
     error = winsorised * n * (n - 1) / (len(middle) * freedom)
     return _of_errors(fmean(middle), [(error, freedom)], SCORES)
-
-
-def profile(scores: Floats, thresholds: Floats) -> tuple[Floats, Floats, Floats]:
-    """The performance profile: of float64[n] the share above each threshold, with both ends of its interval."""
-    share, low, high = np.array([interval(scores > threshold, SHARES) for threshold in thresholds]).T
-    return share, low, high
 
 
 def _error_of(values: Values) -> tuple[float, int]:
@@ -317,9 +311,3 @@ def compared(agents: Mapping[str, Results]) -> dict[str, Any]:
         if agent != first
     }
     return {"first": first, "agents": alone, "others": others}
-
-
-def optimality_ratios(results: Results) -> Floats:
-    """Score / optimum of each map, float64[n]; the scores if the optimum of one of them is not known."""
-    rows = results.by_map()
-    return rows.scores if np.isnan(rows.optimal_scores).any() else rows.scores / rows.optimal_scores

@@ -139,18 +139,14 @@ def _describe(settings: Settings) -> bytes:
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
     """End what is idle, forever."""
     interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
-    failing = ""
     while True:
         await asyncio.sleep(interval)
         try:
             await socket.close_idle()
             await run_in_threadpool(live.keep_sessions)
             await run_in_threadpool(shared.sessions.expire)
-            failing = ""
         except DroneEnvError as error:
-            if str(error) != failing:
-                failing = str(error)
-                log.error("idle sessions could not be ended; tried again every %g s: %s", interval, failing)
+            log.error("idle sessions could not be ended; tried again every %g s: %s", interval, error)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -12,12 +12,12 @@ from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE, get_reward_profile
 from drone_env.core.tasks import MAX_UNITS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError, text_of
-from drone_env.models import DIRECTIONS, Direction
+from drone_env.models import DIRECTIONS, Direction, Seed
 from drone_env.planning.optimal import best_of
 from drone_env.results.finished import check_agent
 from drone_env.results.record import EpisodeRecord, fly_directions, replay_steps
 from drone_env.server.jobs import bench
-from drone_env.server.live.commands import MOST_EPISODES, Fork, MapNumber
+from drone_env.server.live.commands import MOST_EPISODES, Fork
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.pilots import HUMAN, PILOTS, Credit, agent_of, called
 from drone_env.server.state import LONGEST_ID
@@ -34,7 +34,7 @@ class Link(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     task: str = Field(default=DEFAULT_TASK, max_length=100, description="Id or short name of the task.")
-    seed: MapNumber | None = Field(default=None, description="Number of the map.")
+    seed: Seed | None = Field(default=None, description="Number of the map.")
     pilot: str = Field(default="", max_length=100, description="Who flies.")
     pilots: str | None = Field(default=None, max_length=400, description="Who race, up to four, separated by commas.")
     profile: str = Field(default=ORIGINAL_PROFILE, max_length=100, description="What the steps pay.")

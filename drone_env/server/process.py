@@ -1,7 +1,6 @@
 """The process of a server: its start, where it listens, how many connections it may have, and with whom it ends."""
 
 import asyncio
-import errno
 import logging
 import multiprocessing
 import os
@@ -11,13 +10,12 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from drone_env import __version__
 from drone_env.envs.registry import register_reward_file
-from drone_env.errors import InvalidValueError, StoreError
+from drone_env.errors import InvalidValueError
 from drone_env.results.store import Store
 from drone_env.server.incoming import LARGE
 from drone_env.server.predict import Networks
@@ -101,18 +99,12 @@ def run(
     import uvicorn
     from uvicorn.supervisors import Multiprocess
 
-    with ExitStack() as opened:
-        sockets = [opened.enter_context(sock) for sock in listen(settings.host, settings.port)]
-        try:
-            # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
-            Store(settings.data).close()
-        except StoreError:
-            raise
-        except OSError as error:
-            raise StoreError(f"the data folder {settings.data} cannot be used: {error}") from None
+    with listen(settings.host, settings.port) as listening:
+        # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
+        Store(settings.data).close()
         for name, meant in misspelt_variables().items():
             print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
-        url = f"http://{settings.host}:{sockets[0].getsockname()[1]}"
+        url = f"http://{settings.host}:{listening.getsockname()[1]}"
         folder = settings.data.resolve()
         print(f"drone-env {__version__}: {url}, docs at {url}/docs, files in {folder}", file=sys.stderr, flush=True)
         for line in Networks(settings.weights, settings.data).described():
@@ -139,50 +131,29 @@ def run(
         # As `uvicorn.run` does, which would bind by itself.
         with suppress(KeyboardInterrupt):
             if settings.workers > 1:
-                Multiprocess(config, sockets).run()
+                Multiprocess(config, [listening]).run()
             else:
                 server = uvicorn.Server(config)
-                server.run(sockets)
+                server.run([listening])
                 if not server.started:
                     sys.exit(STARTUP_FAILED)
 
 
-def listen(host: str, port: int) -> list[socket.socket]:
-    """Listen on every address of a name.
+def listen(host: str, port: int) -> socket.socket:
+    """Listen on an address.
 
     Args:
-        host: A name or an address.
+        host: The address, or a name that stands for an IPv4 address.
         port: The port; 0 for any that is free.
 
     Raises:
         InvalidValueError: if one cannot listen there.
     """
-    sockets: list[socket.socket] = []
-    refused: OSError | None = None
-    with ExitStack() as opened:
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-            for family, _, _, _, address in found:
-                chosen = sockets[0].getsockname()[1] if sockets else port
-                try:
-                    sockets.append(opened.enter_context(_listening(family, (address[0], chosen, *address[2:]))))
-                except OSError as error:
-                    # Python has put the address after what the system says.
-                    refused = OSError(error.errno, os.strerror(error.errno or 0))
-                    # A name may stand for several addresses, some of which this machine lacks.
-                    if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-                        raise refused from None
-            if refused is not None and not sockets:
-                raise refused
-        except OSError as error:
-            message = f"cannot listen on {host}, port {port}: {error.strerror or error}"
-            raise InvalidValueError(f"{message}; --host and --port choose another address") from None
-        opened.pop_all()
-    return sockets
-
-
-def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
-    sock = socket.create_server(address, family=family)
+    try:
+        sock = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        message = f"cannot listen on {host}: {error.strerror}; --host and --port choose another address"
+        raise InvalidValueError(message) from None
     # Linux has connections inherit these.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT)

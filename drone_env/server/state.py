@@ -40,6 +40,11 @@ class Shared:
         clock: Gives the time, in seconds since 1970; None for the store's own.
     """
 
+    store: Store
+    workers: Workers
+    steps: ThreadPoolExecutor
+    """Flies the steps of HTTP sessions. One thread: the store has one writer anyway."""
+
     def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
         self.settings = settings
         self._clock = clock
@@ -48,9 +53,6 @@ class Shared:
         self.runs = ModelRuns(settings.data / RUNS)
         self.maps = DrawnMaps(settings.data / MAPS, settings.maps)
         self._sessions: Sessions | None = None
-        self.steps: ThreadPoolExecutor | None = None
-        """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""
-        self._workers: Workers | None = None
 
     async def work(
         self, request: Request, function: Callable[..., Result], *arguments: object, task: str | None = None
@@ -87,17 +89,6 @@ class Shared:
         return Response(made, media_type="application/json")
 
     @property
-    def workers(self) -> Workers:
-        """The worker processes.
-
-        Raises:
-            RequestError: if the server has not started, or has ended.
-        """
-        _ = self.sessions
-        assert self._workers is not None
-        return self._workers
-
-    @property
     def sessions(self) -> Sessions:
         """The HTTP sessions.
 
@@ -109,35 +100,26 @@ class Shared:
             raise RequestError(503, "not_started", message)
         return self._sessions
 
-    @property
-    def store(self) -> Store:
-        """The store.
-
-        Raises:
-            RequestError: if the server has not started, or has ended.
-        """
-        return self.sessions.store
-
     def open(self) -> None:
         """Open what is kept in the data folder.
 
         Raises:
             OSError: if it cannot be opened.
         """
-        self._workers = Workers(self.settings)
-        store = Store(self.settings.data, self._clock, submit=self._workers.solve)
+        self.workers = Workers(self.settings)
+        self.store = Store(self.settings.data, self._clock, submit=self.workers.solve)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
-        self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
+        self._sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds)
         FINDERS.append(self.maps.find)
 
     def close(self) -> None:
         """Close it, and drop all long work."""
-        if self._sessions is not None and self.steps is not None and self._workers is not None:
+        if self._sessions is not None:
+            self._sessions = None
             self.steps.shutdown()
             FINDERS.remove(self.maps.find)
-            self._sessions.store.close()
-            self._sessions = None
-            self._workers.close()
+            self.store.close()
+            self.workers.close()
 
 
 def caller_address(connection: HTTPConnection) -> str:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Generator
+from http.cookiejar import DefaultCookiePolicy
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,9 @@ from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.serving import Server, serving
 
+NO_COOKIES = DefaultCookiePolicy(allowed_domains=())
+"""Keeps none, so that sessions are named by their header alone."""
+
 
 @pytest.fixture
 def settings(tmp_path: Path) -> dict[str, Any]:
@@ -21,9 +25,9 @@ def settings(tmp_path: Path) -> dict[str, Any]:
 
 @pytest.fixture
 def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
-    """A client that keeps no cookies, so that sessions are named by their header alone."""
+    """A client that keeps no cookies."""
     with TestClient(create_app(Settings(**settings))) as running:
-        running.cookies.jar.set_policy(NoCookies())
+        running.cookies.jar.set_policy(NO_COOKIES)
         yield running
 
 
@@ -53,7 +57,7 @@ def clock() -> Clock:
 def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestClient, None, None]:
     """The same of the usual settings, for all tests of a module that mind nothing but their own session."""
     with TestClient(create_app(Settings(data=tmp_path_factory.mktemp("shared") / "data"))) as running:
-        running.cookies.jar.set_policy(NoCookies())
+        running.cookies.jar.set_policy(NO_COOKIES)
         yield running
 
 
@@ -61,25 +65,6 @@ def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestCli
 def shared_session(shared_client: TestClient) -> dict[str, str]:
     """The header of a session of `shared_client` on easy map 7."""
     return {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
-
-
-class NoCookies:
-    """A cookie policy that keeps none."""
-
-    netscape = True
-    rfc2965 = hide_cookie2 = False
-
-    def set_ok(self, *_: object) -> bool:
-        return False
-
-    def return_ok(self, *_: object) -> bool:
-        return False
-
-    def domain_return_ok(self, *_: object) -> bool:
-        return False
-
-    def path_return_ok(self, *_: object) -> bool:
-        return False
 
 
 @pytest.fixture

@@ -28,7 +28,6 @@ from drone_env.server.settings import Settings
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
-JSON = "application/json"
 
 
 class TestLogs:
@@ -37,11 +36,8 @@ class TestLogs:
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
         assert TrainLog(tmp_path).tail(LINES) == ["short"] * 3
 
-    def test_the_curve_of_a_long_training_is_thinned_and_other_lines_are_no_part_of_it(self, tmp_path: Path) -> None:
+    def test_the_curve_of_a_long_training_is_thinned(self, tmp_path: Path) -> None:
         path, log = tmp_path / "train.log", TrainLog(tmp_path)
-        assert log.curve() == {}
-        path.write_text("episode 1 reward 3\n<b>x</b>\n")
-        assert log.curve() == {}
         lines = [f"episode={n} loss={'-' if n < 10 else n / 2} score=nan" for n in range(1, 2001)]
         path.write_text("\n".join(["started", *lines, "episode=2001 loss="]))
         curve = log.curve()
@@ -49,7 +45,6 @@ class TestLogs:
         episodes = curve["episode"]
         assert len(episodes) <= POINTS
         assert {b - a for a, b in pairwise(episodes)} == {episodes[1] - episodes[0]}
-        assert episodes[-1] >= 1990
         assert curve["loss"] == [None if n < 10 else n / 2 for n in episodes]
         assert set(curve["score"]) == {None}
 
@@ -106,21 +101,11 @@ class TestPredictions:
         untold = client.post("/predict", json=reset)
         if config.pads:
             assert (untold.status_code, untold.json()["code"]) == (422, "invalid_request")
-            assert untold.json()["detail"].startswith("cell_below is missing: in 'skyline_easy' one of road, delivered")
             values = [client.post("/predict", json=reset | {"cell_below": kind}).json() for kind in (below, "pad")]
             assert values[0] == answer.json() != values[1], "the network is given what the request says"
-            for kind in ("obstacle", "delivery"):
-                detail = client.post("/predict", json=reset | {"cell_below": kind}).json()["detail"]
-                assert detail.startswith(f"cell_below cannot be {kind}: in 'skyline_easy' one of road, delivered, bui")
+            assert client.post("/predict", json=reset | {"cell_below": "obstacle"}).status_code == 422
         else:
             assert untold.json() == answer.json(), "older clients were never told, and nothing depends on it"
-
-    def test_a_task_without_a_network_is_told(self, client: TestClient) -> None:
-        session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
-        answer = client.post("/predict", headers=session)
-        assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
-        assert "hard_delivery_v1.safetensors" in answer.json()["detail"]
-        assert "Retry-After" not in answer.headers
 
     def test_what_was_trained_here_goes_before_what_is_shipped(
         self, client: TestClient, settings: dict[str, Any], session: Header
@@ -146,16 +131,17 @@ class TestPredictions:
         file.unlink()
         assert told() == shipped
 
-    def test_a_broken_file_is_refused_by_name_and_nothing_flies_in_its_stead(
+    def test_without_a_readable_file_nothing_flies_in_its_stead(
         self, client: TestClient, settings: dict[str, Any], session: Header
     ) -> None:
+        other = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
+        missing = client.post("/predict", headers=other)
+        assert (missing.status_code, "Retry-After" in missing.headers) == (503, False)
         (settings["data"] / "easy.safetensors").write_bytes(b"nothing")
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
         assert "easy.safetensors is not an exported network" in answer.json()["detail"]
-        assert {pilot["id"] for pilot in client.get("/pilots").json()["pilots"]} == {
-            "pathqnet", "tournet", "tournet-search", "greedy", "optimal", "random", "human",
-        }  # fmt: skip
+        assert "trained" not in [pilot["id"] for pilot in client.get("/pilots").json()["pilots"]]
 
     def test_a_tour_network_flies_every_task_and_one_of_a_single_task_goes_before(
         self, client: TestClient, settings: dict[str, Any]
@@ -169,7 +155,6 @@ class TestPredictions:
         assert pilots()["tournet"] == pilots()["tournet-search"] == []
         put_tour(settings["weights"] / "tournet_v1.safetensors")
         assert pilots()["tournet"] == pilots()["tournet-search"] == list(TASKS)
-        assert "trained-tournet" not in pilots()
         alone = put_tour(settings["data"] / "tournet_hard.safetensors", 1)
         assert pilots()["trained-tournet"] == ["hard_delivery"]
         every = put_tour(settings["data"] / "tournet.safetensors", 2)
@@ -180,7 +165,6 @@ class TestPredictions:
         assert pilots()["trained-tournet"] == ["hard_delivery"]
         with pytest.raises(CheckpointError, match=r"tournet\.safetensors holds a network of 'pathqnet', not"):
             flown_by("easy")
-        assert "trained" not in pilots()
 
     def test_after_the_end_there_is_nothing_to_predict(self, client: TestClient, session: Header) -> None:
         observation: dict[str, Any] = {"done": False}
@@ -213,37 +197,16 @@ def test_an_observation_from_the_wire_becomes_what_agents_see(task: str) -> None
 
 
 def test_openenvs_routes(client: TestClient) -> None:
-    about = client.get("/metadata").json()
-    assert (about["name"], about["version"]) == ("drone-env", __version__)
+    assert client.get("/metadata").json()["version"] == __version__
     assert client.get("/openapi.json").json()["info"]["version"] == __version__
-    assert client.get("/list_environments").json() == ["drone-env"]
     assert len(client.get("/Drone-Env/splits").json()) == 3 * len(TASKS)
     test = {"split": "hard_delivery/test"}
-    assert client.post("/drone-env/num_tasks", json=test).json() == {"num_tasks": 2**51}
-    assert len(client.post("/drone-env/tasks", json=test).json()["tasks"]) == 1000
     one = client.post("/drone-env/task", json=test | {"index": 2}).json()["task"]
     assert (one["seed"], one["id"]) == (2**52 + 2**51 + 2, "hard_delivery/test/2")
     assert client.post("/drone-env/task_range", json=test | {"start": 2, "stop": 3}).json() == {"tasks": [one]}
     assert client.post("/drone-env/task", json=test | {"index": -1}).status_code == 400
     assert client.post("/drone-env/task_range", json=test | {"start": 0, "stop": 1001}).status_code == 422
-    assert client.post("/drone-env/num_tasks", json={"split": "test"}).status_code == 422
     assert client.get("/other/splits").status_code == 404
-
-
-def test_every_route_describes_its_answers_and_its_errors(client: TestClient) -> None:
-    paths = client.get("/openapi.json").json()["paths"]
-    for path, methods in paths.items():
-        for method, route in methods.items():
-            assert route["description"], (path, method)
-            for status, answer in route["responses"].items():
-                if status == "204":
-                    continue
-                content = answer["content"]["image/png" if status == "200" and path.endswith(".png") else JSON][
-                    "schema"
-                ]
-                assert content, (path, method, status)
-                if status.startswith(("4", "5")):
-                    assert content == {"$ref": "#/components/schemas/Problem"}, (path, method, status)
 
 
 def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient) -> None:
@@ -270,14 +233,13 @@ def test_what_tasks_tell_of_reward_profiles_is_what_they_pay(shared_client: Test
     told = {profile["id"]: profile for profile in answer["reward_profiles"]}
     assert list(told) == list(REWARD_PROFILES)
     rewards = answer["tasks"][0]["rewards"]
+    assert [profile["shaping_gamma"] for profile in told.values()] == [None, None, 0.99, None]
     for profile in ("tiered", "composite"):
         farther, level, closer = rewards[profile]["step"]
         assert closer - level == pytest.approx(told[profile]["shaping"])
         low, high = told[profile]["clamp"]
         assert farther == max(low, level - told[profile]["shaping"])
         assert rewards[profile]["delivery"][2] == high
-    assert [profile["shaping_gamma"] for profile in told.values()] == [None, None, 0.99, None]
-    assert [profile["pays_score"] for profile in told.values()] == [False, False, True, True]
 
 
 class TestClientInProcess:
@@ -292,26 +254,10 @@ class TestClientInProcess:
             assert drone.solution()["optimal_score"] >= result["score"]
             assert [task["id"] for task in drone.tasks()["tasks"]] == list(TASKS)
 
-    def test_what_the_server_refuses_is_an_error_that_says_why(self, client: TestClient) -> None:
-        drone = DroneEnvClient(http=client)
-        with pytest.raises(ServerError, match="POST /reset") as early:
-            drone.step("UP")
-        assert (early.value.status, early.value.code) == (409, "no_session")
-        drone.reset("easy", seed=7)
-        with pytest.raises(ServerError, match=r"body\.direction"):
-            drone.step("SIDEWAYS")
-        assert drone.state()["step_count"] == 0
-
-    @pytest.mark.parametrize(
-        "answer",
-        [
-            httpx.Response(200, text="<html>another server</html>"),
-            httpx.Response(200, json=["another server"]),
-            httpx.Response(307, headers={"Location": "/"}),
-            httpx.Response(500, json="another server"),
-        ],
-    )
-    def test_what_no_server_of_ours_answers_is_an_error(self, answer: httpx.Response) -> None:
+    @pytest.mark.parametrize("status", [200, 307, 500])
+    @pytest.mark.parametrize("text", ["<html>another server</html>", '["another server"]'])
+    def test_what_no_server_of_ours_answers_is_an_error(self, status: int, text: str) -> None:
+        answer = httpx.Response(status, text=text)
         http = httpx.Client(base_url="http://other", transport=httpx.MockTransport(lambda _: answer))
         with pytest.raises(ServerError, match="GET /health") as wrong:
             DroneEnvClient(http=http).health()
@@ -319,6 +265,9 @@ class TestClientInProcess:
 
     def test_it_ends_its_session_when_it_is_closed_unless_it_is_to_keep_it(self, client: TestClient) -> None:
         kept, ended = DroneEnvClient(http=client), DroneEnvClient(http=client)
+        with pytest.raises(ServerError, match="POST /step") as early:
+            kept.step("UP")
+        assert (early.value.status, early.value.code) == (409, "no_session")
         for drone in (kept, ended):
             drone.reset("easy", seed=7)
         client.cookies.clear()
@@ -334,17 +283,12 @@ class TestClientInProcess:
         for token, sent in ((None, "Bearer found"), ("given", "Bearer given")):
             with DroneEnvClient("http://other", token=token) as drone:
                 assert drone._http.headers["Authorization"] == sent
-        monkeypatch.delenv("DRONE_ENV_TOKEN")
-        with DroneEnvClient("http://other") as drone:
-            assert "Authorization" not in drone._http.headers
 
 
 def test_an_application_that_is_not_running_says_so(tmp_path: Path) -> None:
     client = TestClient(create_app(Settings(data=tmp_path / "data")))
     refused = client.post("/reset")
     assert (refused.status_code, refused.json()["code"]) == (503, "not_started")
-    assert "`with TestClient(app) as client:`" in refused.json()["detail"]
-    assert "Retry-After" not in refused.headers
     with pytest.raises(ServerError, match="with TestClient"):
         DroneEnvClient(http=client).reset()
     assert not (tmp_path / "data").exists()

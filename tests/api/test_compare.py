@@ -75,18 +75,10 @@ def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[
     assert (answer["task"], answer["forks"]) == (TASK, 1)
     assert [row["regret"] for row in answer["rows"]] == sorted(row["regret"] for row in rows.values())
     mine, maps = rows["human with values"], flights["human with values"]
-    assert (mine["flights"], mine["maps"], mine["regret_maps"]) == (3, 2, 2)
+    assert (mine["flights"], mine["maps"], mine["regret_maps"], mine["success_rate"]) == (3, 2, 2, 0.75)
     assert mine["score"] == pytest.approx(mean(mean(one.record.score for one in of_map) for of_map in maps.values()))
-    assert mine["success_rate"] == 0.75
-    assert {agent: row["kind"] for agent, row in rows.items()} == {
-        "greedy": "pilot",
-        "random": "pilot",
-        "human with values": "person",
-        "somebody else": "other",
-        "scripted": "model",
-        "scripted/waits": "model",
-        "scripted/lies": "model",
-    }
+    kinds = [rows[agent]["kind"] for agent in ("greedy", "human with values", "somebody else", "scripted/lies")]
+    assert kinds == ["pilot", "person", "other", "model"]
 
 
 def test_rewards_of_different_profiles_have_no_mean(tmp_path: Path) -> None:
@@ -104,8 +96,6 @@ def test_an_agents_maps_are_those_that_it_flew(client: TestClient, flights: dict
         (seed, solve("easy", seed).score, of_map[-1].id, len(of_map))
         for seed, of_map in sorted(flights["human with values"].items())
     ]
-    ids = [one["id"] for one in get(client, "/episodes", task="easy", agent="human with values", seed="4")["episodes"]]
-    assert ids == [one.id for one in reversed(flights["human with values"][4])]
 
 
 def test_two_agents_are_paired_by_the_maps_that_both_flew(
@@ -116,8 +106,6 @@ def test_two_agents_are_paired_by_the_maps_that_both_flew(
         (seed, flights["random"][seed][-1].id) for seed in range(2, 6)
     ]
     assert (answer["maps"], answer["wins"], answer["ties"], answer["losses"]) == (4, 0, 0, 4)
-    turned = get(client, "/paired/easy", a="greedy", b="random")
-    assert (turned["wins"], turned["difference"]) == (4, -answer["difference"])
     alone = get(client, "/paired/easy", a="somebody else", b="scripted")
     assert (alone["maps"], alone["difference"], alone["ci95"], alone["pairs"]) == (0, None, None, [])
 
@@ -127,9 +115,6 @@ def test_whom_nobody_knows_is_told_with_those_who_flew(client: TestClient) -> No
         answer = client.get(path)
         assert (answer.status_code, answer.json()["code"]) == (404, "unknown_name")
         assert "greedy" in answer.json()["detail"]
-    for path in ("/leaderboard/none", "/leaderboard/none/runs", "/paired/none?a=greedy&b=random"):
-        assert client.get(path).status_code == 404
-    assert get(client, "/leaderboard/skyline_easy")["rows"] == []
 
 
 def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
@@ -137,7 +122,6 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
 ) -> None:
     answer = get(client, "/leaderboard/easy/runs")
     (board,) = answer["boards"]
-    assert board["maps"] == "maps 14 to 15 (custom)"
     assert [(row["run"], row["kind"], row["agent"], row["flights"]) for row in board["rows"]] == [
         ("good", "model", "scripted", 4),
         ("bad", "model", "scripted/waits", 2),
@@ -161,20 +145,13 @@ def test_a_models_flight_has_its_prompts_and_answers_by_step(
     answer = get(client, f"/episodes/{first.id}/calls")
     assert (answer["run"], answer["model"], answer["prompt"]) == ("good", "scripted", "minimal-2")
     calls = [call for _, call in read_calls(data / "llm" / "good" / "calls.jsonl") if call.flight == 0]
-    assert [(call["step"], call["attempt"]) for call in answer["calls"]][:3] == [(1, 1), (1, 2), (2, 1)]
-    assert [call["outcome"] for call in answer["calls"]][:3] == ["illegal", "ok", "ok"]
+    first_calls = [(call["step"], call["attempt"], call["outcome"]) for call in answer["calls"]][:3]
+    assert first_calls == [(1, 1, "illegal"), (1, 2, "ok"), (2, 1, "ok")]
     assert [call["messages"] for call in answer["calls"]] == [call.messages for call in calls]
-    said = [call["answer"] for call in answer["calls"]]
-    assert said == ["Hm.", *first.record.actions]
-    last = next(reversed([one for one in flights["scripted"][15] if one.record.success]))
-    assert [call["answer"] for call in get(client, f"/episodes/{last.id}/calls")["calls"]] == last.record.actions
-
-
-def test_a_flight_of_no_model_has_no_calls(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:
-    answer = get(client, f"/episodes/{flights['greedy'][0][0].id}/calls")
-    assert answer == {"run": None, "model": None, "prompt": None, "calls": []}
-    unknown = client.get(f"/episodes/{'0' * 16}/calls")
-    assert (unknown.status_code, unknown.json()["code"]) == (404, "unknown_name")
+    assert [call["answer"] for call in answer["calls"]] == ["Hm.", *first.record.actions]
+    none = get(client, f"/episodes/{flights['greedy'][0][0].id}/calls")
+    assert none == {"run": None, "model": None, "prompt": None, "calls": []}
+    assert client.get(f"/episodes/{'0' * 16}/calls").status_code == 404
 
 
 def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -> None:

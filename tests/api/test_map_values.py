@@ -1,7 +1,5 @@
 """`POST /values`: what can still be reached from a moment of a flight, beside the solver and the networks."""
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,14 +57,12 @@ def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
         if step % 8 == 0:
             answer = ask(shared_client, task, 7, flown.actions[:step])
             assert answer["value"] == analysis.values[step] == told["moves"][step]["value"]
-            assert answer["optimum"] == analysis.optimum
             assert answer["regret"] == analysis.optimum - analysis.values[step]
             assert answer["best_actions"] == told["moves"][step]["best_actions"]
             assert answer["q_values"] == dict(zip(DIRECTIONS, solver.q_values(flight).tolist(), strict=True))
             x, y = answer["position"]
             assert answer["cells"]["values"][y][x] == answer["value"]
             assert answer["cells"]["best_actions"][y][x] == answer["best_actions"]
-            assert (answer["step_count"], answer["battery_units"]) == (step, flight.battery_units)
         flight.step(Action[action])
     ended = ask(shared_client, task, 7, flown.actions)
     assert (ended["done"], ended["value"], ended["regret"]) == (True, flown.score, analysis.regret)
@@ -101,12 +97,9 @@ def test_where_the_drone_cannot_be_there_is_nothing_and_ranges_are_told_from_her
     flight = Episode("skyline_medium", seed=4).fly([Action.UP, Action.LEFT])
     answer = ask(shared_client, "skyline_medium", 4, ["UP", "LEFT"])
     width, grid = flight.task.width, flight.grid()
-    closed = [(x, y) for y in range(width) for x in range(width) if int(grid[y, x]) in flight.task.impassable]
-    assert closed
-    for rows in (*answer["cells"].values(), answer["range"]):
-        assert [(x, y) for x, y in closed if rows[y][x] is not None] == []
-    for values in answer["cells"].values():
-        assert sum(item is None for row in values for item in row) == len(closed)
+    closed = {(x, y) for y in range(width) for x in range(width) if int(grid[y, x]) in flight.task.impassable}
+    for rows in answer["cells"].values():
+        assert {(x, y) for y, row in enumerate(rows) for x, item in enumerate(row) if item is None} == closed
 
     def told(cell: int, units: int) -> list[list[int | None]]:
         most = battery_range(flight, cell, units).tolist()
@@ -121,15 +114,13 @@ def test_where_the_drone_cannot_be_there_is_nothing_and_ranges_are_told_from_her
     assert len(answer["pads"]) == 4
 
 
-@pytest.mark.parametrize("task", ["skyline_easy", "hard"])
 def test_the_network_says_at_the_drone_what_it_flies_and_disagrees_where_that_is_not_best(
-    shared_client: TestClient, task: str
+    shared_client: TestClient,
 ) -> None:
-    flown = record(task, agent="tournet")
+    flown = record("hard", agent="tournet")
     disagreed = 0
     for step in range(0, len(flown.actions), 6):
-        answer = ask(shared_client, task, 7, flown.actions[:step])
-        assert (answer["network"]["pilot"], answer["network"]["file"]) == ("tournet", "tournet_v1.safetensors")
+        answer = ask(shared_client, "hard", 7, flown.actions[:step])
         assert answer["network"]["digest"] == TournetAgent(TASKS[answer["task"]]).config["network"]
         x, y = answer["position"]
         cells = answer["cells"]
@@ -141,33 +132,25 @@ def test_the_network_says_at_the_drone_what_it_flies_and_disagrees_where_that_is
     assert disagreed
 
 
-@contextmanager
-def serving(folder: Path, weights: Path) -> Generator[TestClient, None, None]:
-    with TestClient(create_app(Settings(data=folder, weights=weights))) as client:
-        yield client
-
-
 def test_which_network_is_asked(tmp_path: Path) -> None:
     easy, data, weights = TASKS["easy_delivery"], tmp_path / "data", tmp_path / "weights"
     weights.mkdir()
 
-    def asked(client: TestClient) -> tuple[object, bool]:
+    def asked(client: TestClient) -> object:
         answer = ask(client, "easy", 7, [])
-        assert answer["value"] is not None
-        cells = answer["cells"]
-        assert (cells["network_actions"] is None) == (cells["disagree"] is None)
-        return answer["network"] and answer["network"]["pilot"], cells["network_actions"] is not None
+        assert (answer["network"] is None) == (answer["cells"]["disagree"] is None)
+        return answer["network"] and answer["network"]["pilot"]
 
-    with serving(data, weights) as client:
-        assert asked(client) == (None, False)
+    with TestClient(create_app(Settings(data=data, weights=weights))) as client:
+        assert asked(client) is None
         put_network(easy, weights)
-        assert asked(client) == ("pathqnet", True)
+        assert asked(client) == "pathqnet"
         put_trained(easy, data)
-        assert asked(client) == ("trained", True)
+        assert asked(client) == "trained"
         put_tour(weights / "tournet_v1.safetensors")
-        assert asked(client) == ("tournet", True)
+        assert asked(client) == "tournet"
         put_tour(data / "tournet.safetensors")
-        assert asked(client) == ("trained-tournet", True)
+        assert asked(client) == "trained-tournet"
 
 
 def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(
@@ -180,8 +163,6 @@ def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(
     cells = answer["cells"]
     assert (cells["values"], cells["best_actions"], cells["disagree"]) == (None, None, None)
     assert all(flies in DIRECTIONS for row in cells["network_actions"] for flies in row)
-    x, y = answer["position"]
-    assert answer["range"][y][x] == 599
 
 
 HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
@@ -190,10 +171,7 @@ HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"task": "nowhere"}, "nowhere"),
         ({"task_version": 9}, "version of task 'easy_delivery'"),
-        ({"reward_profile": "generous"}, "generous"),
-        ({"seed": -1}, "greater than or equal to 0"),
         ({"seed": 1 << 53}, "less than or equal to"),
         ({"actions": ["WAIT"] * 61}, "the flight ends after 60 steps, but there are 61 actions"),
     ],
@@ -202,4 +180,3 @@ def test_a_flight_that_cannot_be_is_refused(shared_client: TestClient, change: A
     refused = shared_client.post("/values", json=HEAD | change)
     assert refused.status_code == 422
     assert told in refused.json()["detail"]
-    assert shared_client.post("/values", json={"task": "easy"}).json()["detail"] == "body.seed: Field required"

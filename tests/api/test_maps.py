@@ -1,6 +1,5 @@
 """Maps that are drawn: what they are worth, and how they are kept."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,6 @@ from pydantic import SecretStr
 from starlette.testclient import TestClient
 
 from drone_env.city.city_file import City, city_task, city_text, read_city, write_city
-from drone_env.core.tasks import get_task
-from drone_env.errors import UnknownNameError
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
@@ -43,8 +40,6 @@ def test_a_drawing_is_worth_what_its_file_is(client: TestClient, tmp_path: Path)
     told = answer(client, "/maps/worth", YARD)
     file = tmp_path / f"{told['name']}.toml"
     file.write_text(told["toml"], encoding="utf-8")
-    write_city(read_city(file), tmp_path / "again.toml")
-    assert (tmp_path / "again.toml").read_bytes() == file.read_bytes()
     task = city_task(file)
     best = solve(task, 0)
     assert told["optimum"].pop("path")[0] == YARD["start"]
@@ -61,8 +56,6 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
     drawn = client.get("/maps/skyline_medium/43").json()
     best = solve("skyline_medium", 43)
     assert answer(client, "/maps/worth", drawn)["optimum"]["score"] == best.score
-    drawn = answer(client, "/maps/file", {"toml": f"{HALF}\n[task]\ndeliveries = 2"})
-    assert (len(drawn["parcels"]), drawn["licence"], drawn["numbers"]) == (2, "CC0-1.0", {})
     largest = np.ones((128, 128), np.uint8)
     largest[0, :2] = 0
     drawn = answer(client, "/maps/file", {"toml": city_text(City(largest, start=(0, 0), parcels=((1, 0),)))})
@@ -76,12 +69,8 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
         ({"cells": [[0, 4], [0, 0]]}, "0 road, 1 building, 2 tree, 3 obstacle, 8 pad; got 4"),
         ({"cells": [[0] * 129] * 3}, "cells.0: List should have at most 128 items"),
         ({"start": [1, 1]}, "start [1, 1] must be on a road, there is an obstacle"),
-        ({"start": [0, 0], "parcels": [[0, 0]]}, "parcel 0 is where start is"),
-        ({"cells": [[0, 3, 0, 0], [0, 3, 0, 8], [0, 3, 2, 0]]}, "parcel 0 [2, 0] cannot be reached from start"),
-        ({"numbers": {"max_steps": 0}}, "max_steps must be 1 to 32000, got 0"),
         ({"numbers": {"max_steps": 141}}, "max_steps must be at most 140 on a drawn map of 4 x 3 cells, got 141"),
         ({"numbers": {"deliveries": 2}}, "deliveries"),
-        ({"attribution": "a\nb"}, "attribution must be one printable line of at most 200 characters"),
     ],
 )
 def test_a_bad_drawing_is_refused_with_what_is_allowed(
@@ -96,30 +85,24 @@ def test_a_bad_drawing_is_refused_with_what_is_allowed(
 @pytest.mark.parametrize(
     ("toml", "detail"),
     [
-        ("format = 2", "format: Input should be 1"),
         ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 1024 keys and numbers"),
         (f"{HALF}\n[task]\nmax_steps = 121", "max_steps must be at most 120 on a drawn map of 3 x 3 cells"),
     ],
 )
 def test_a_file_that_is_no_map_is_refused(shared_client: TestClient, toml: str, detail: str) -> None:
-    # Sent as bytes: a lone surrogate has no UTF-8, but JSON escapes it.
-    body = json.dumps({"toml": toml})
-    refused = shared_client.post("/maps/file", content=body, headers={"Content-Type": "application/json"})
+    refused = shared_client.post("/maps/file", json={"toml": toml})
     assert refused.status_code == 422
     assert detail in refused.json()["detail"]
 
 
 def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient, settings: dict[str, Any]) -> None:
     told = answer(client, "/maps/worth", YARD)
-    with pytest.raises(UnknownNameError, match=told["name"]):
-        get_task(told["name"])
     kept = answer(client, "/maps", YARD)
     task = kept["task"]["id"]
     assert (task, kept["pilots"][:2]) == (told["name"], ["tournet", "greedy"])
     assert answer(client, "/maps", YARD) == kept
     files = list((settings["data"] / "maps").iterdir())
     assert [(file.name, file.read_text(encoding="utf-8")) for file in files] == [(f"{task}.toml", told["toml"])]
-    assert task not in [known["id"] for known in client.get("/tasks").json()["tasks"]]
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         page.start("optimal", task=task, seed=0)
@@ -131,10 +114,6 @@ def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient
         record = again.get(f"/episodes/{flown['id']}").json()
         assert answer(again, "/replay", record)["opening"]["start"] == YARD["start"]
         assert again.get(f"/tasks/{task}").json() == kept
-        drawn = again.get(f"/preview.png?task={task}&seed=0&pilot=greedy")
-        assert drawn.status_code == 200, drawn.text
-        session = {"X-Session-Id": answer(again, "/reset", {"task_name": task, "seed": 0})["session_id"]}
-        assert again.get(f"/grade/{kept['task']['grader']}", headers=session).json()["task"] == task
 
 
 def at(start: int) -> dict[str, Any]:
@@ -154,11 +133,8 @@ def test_the_map_that_was_not_used_for_longest_makes_room_and_is_unknown_from_th
         answer(client, "/maps", at(2))
         assert [client.get(f"/tasks/{task}").status_code for task in (first, second)] == [200, 404]
     with TestClient(create_app(few)) as again:
-        for path, body in (("/step", {"direction": "UP"}), ("/reset", {"task_name": second})):
-            refused = again.post(path, json=body, headers=session)
-            assert (refused.status_code, refused.json()["code"]) == (422, "unknown_name"), path
-            assert second in refused.json()["detail"]
-        assert again.get("/state", headers=session).status_code == 404
+        refused = again.post("/step", json={"direction": "UP"}, headers=session)
+        assert (refused.status_code, refused.json()["code"]) == (422, "unknown_name")
         # Drawing it again brings it back, and the session with it.
         assert answer(again, "/maps", at(1))["task"]["id"] == second
         assert again.post("/step", json={"direction": "UP"}, headers=session).status_code == 200
@@ -183,10 +159,8 @@ def test_one_stranger_keeps_a_tenth_of_the_maps(settings: dict[str, Any]) -> Non
 @pytest.mark.parametrize(
     ("host", "client", "headers", "token", "status"),
     [
-        ("127.0.0.1", "127.0.0.1", {}, None, 200),
         ("127.0.0.1", "127.0.0.1", {"Origin": "http://127.0.0.1", "Sec-Fetch-Site": "same-origin"}, None, 200),
         ("127.0.0.1", "127.0.0.1", {"X-Forwarded-For": "192.0.2.1"}, None, 403),
-        ("0.0.0.0", "127.0.0.1", {}, None, 403),
         ("0.0.0.0", "192.0.2.1", {}, None, 403),
         ("0.0.0.0", "192.0.2.1", {"Authorization": "Bearer secret"}, "secret", 200),
     ],

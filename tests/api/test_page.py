@@ -1,7 +1,6 @@
 """The page as sites see it that show links to it: its head, the picture of a link, and the flight before any script."""
 
 import io
-import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -86,37 +85,18 @@ class TestPreview:
         words += [("Greedy", True), ("step 21", False)]
         start = Episode("hard", "tiered", 7)
         assert answer.content == draw_card(start.fly(episode.actions[:21]), words)
-        whole = shared_client.get(f"/preview.png?{query}")
-        other = shared_client.get(f"/preview.png?{query.replace('WU&', 'UW&')}")
-        assert len({picture.content for picture in (answer, whole, other)}) == 3
         head = told(shared_client, f"/?{query}")
         assert head["og:title"] == "A person from step 20 of Greedy: Hard, map 7"
-        assert shared_client.get(head["og:image"]).content == whole.content
-
-    def test_what_a_person_has_flown_so_far_is_not_shown(self, shared_client: TestClient) -> None:
-        query = "task=hard&seed=7&pilots=human,greedy&step=2"
-        answer = shared_client.get(f"/preview.png?{query}&actions=WW&of=human with undo")
-        assert answer.content == shared_client.get(f"/preview.png?{query}").content
+        assert shared_client.get(head["og:image"]).content == shared_client.get(f"/preview.png?{query}").content
 
     @pytest.mark.parametrize(
         ("query", "status", "says"),
         [
             ("task=hard", 422, "task=hard&seed=7"),
             ("task=nowhere&seed=7", 404, "unknown task 'nowhere'; allowed: "),
-            ("task=hard&seed=7&pilot=nobody", 404, "unknown pilot 'nobody'"),
-            ("task=hard&seed=x", 422, "the number of a map is a whole number from 0 to"),
-            ("task=hard&seed=7&pilots=greedy,greedy,greedy,greedy,greedy", 422, "at most 4 pilots"),
-            ("task=hard&seed=7&pilot=human&fork=1&actions=U", 422, "a fork needs all of pilot=human&fork=3&"),
-            (
-                "task=hard&seed=7&pilot=human&fork=1&actions=Ux&of=a",
-                422,
-                "actions are letters of U, D, L, R, W, got 'x'",
-            ),
-            (
-                "task=skyline_easy&seed=7&pilot=pathqnet",
-                422,
-                "'pathqnet' has no skyline_easy_v2.safetensors; it flies easy, medium, hard",
-            ),
+            ("task=hard&seed=7&pilot=human&fork=1&actions=U", 422, "a fork needs all of"),
+            ("task=hard&seed=7&pilot=human&fork=1&actions=Ux&of=a", 422, "got 'x'"),
+            ("task=skyline_easy&seed=7&pilot=pathqnet", 422, "'pathqnet' has no skyline_easy_v2.safetensors"),
             ("episode=nothing", 404, "there is no episode 'nothing'"),
         ],
     )
@@ -137,11 +117,9 @@ class TestHead:
     @pytest.mark.parametrize(
         ("query", "title"),
         [
-            ("task=hard&seed=7&pilot=pathqnet", "PathQNet: Hard, map 7"),
             ("task=hard&seed=7&pilot=pathqnet&step=38", "PathQNet: Hard, map 7, step 38"),
             ("task=skyline_medium&seed=43&pilots=tournet,greedy", "Tournet against Greedy: Skyline Medium, map 43"),
             ("task=easy&seed=7&pilot=human", "Fly it yourself: Easy, map 7"),
-            ("task=easy&seed=7", "Easy, map 7"),
         ],
     )
     def test_it_tells_of_the_flight_that_the_address_asks_for(
@@ -149,19 +127,17 @@ class TestHead:
     ) -> None:
         head = told(shared_client, f"/?{query}")
         assert head["og:title"] == title
-        assert head["twitter:card"] == "summary_large_image"
         where, _, asked = head["og:image"].partition("?")
         assert where == "http://testserver/preview.png"
         assert set(asked.split("&")) == set(query.split("&"))
 
-    @pytest.mark.parametrize("query", ["", "?task=<b>&seed=7", "?seed=x", "?task=hard", "?episode=nothing"])
+    @pytest.mark.parametrize("query", ["", "?task=<b>&seed=7", "?episode=nothing"])
     def test_what_leads_to_no_flight_has_the_picture_of_the_flight_on_the_page(
         self, shared_client: TestClient, query: str
     ) -> None:
         head = told(shared_client, f"/{query}")
         assert head["og:title"] == "Drone Delivery"
         assert head["og:image"] == f"http://testserver/preview.png?{HELLO.query()}"
-        assert shared_client.get(head["og:image"]).status_code == 200
 
     def test_what_callers_write_is_text_there(self, client: TestClient) -> None:
         name = '"><script>alert(1)</script>'
@@ -170,47 +146,29 @@ class TestHead:
         assert "<script>alert" not in client.get(f"/?episode={stored}").text
         assert told(client, f"/?episode={stored}")["og:title"] == f"{name}: Easy, map 5"
 
-    def test_addresses_are_those_that_callers_see(self, tmp_path: Path) -> None:
-        with TestClient(
-            create_app(Settings(data=tmp_path)), root_path="/drones", base_url="https://a.example"
-        ) as client:
-            assert told(client, "/")["og:image"].startswith("https://a.example/drones/preview.png?task=")
-
     def test_without_the_token_nothing_is_told_or_shown_of_any_flight(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings.model_validate({"data": tmp_path, "token": "s3cret"}))) as client:
             record = record_of(flown("easy", 5, "random"), "somebody")
             stored = client.app.state.shared.store.add_episode(record)  # pyright: ignore
             head = told(client, f"/?episode={stored}")
-            assert (head["og:title"], head["twitter:card"]) == ("Drone Delivery", "summary")
-            assert "og:image" not in head
-            for query in (f"episode={stored}", "task=easy&seed=7"):
-                assert client.get(f"/preview.png?{query}").status_code == 401
-            allowed = client.get("/preview.png?task=easy&seed=7", headers={"Authorization": "Bearer s3cret"})
-            assert allowed.status_code == 200
+            assert (head["og:title"], "og:image" in head) == ("Drone Delivery", False)
+            assert client.get(f"/preview.png?episode={stored}").status_code == 401
 
 
 class TestHello:
     def test_the_flight_is_as_good_as_can_be_where_greedy_loses_most_of_it(self) -> None:
         record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "")
         task, seed, best = record.task, record.seed, solve(record.task, record.seed).score
-        assert seed < 100
         assert (task, seed, record.agent) == (get_task(HELLO.task).id, HELLO.seed, HELLO.pilot)
-        assert record.score == best
-        assert flown(task, seed, record.agent).score == best
+        assert record.score == best == flown(task, seed, record.agent).score
         assert flown(task, seed, "greedy").score < best / 2
 
     def test_it_stands_on_the_page_of_the_bare_address_alone(self, shared_client: TestClient) -> None:
         html = shared_client.get("/").text
         assert html.count('<section id="hello"') == html.count("/css/hello.css") == 1
-        for query in ("?task=easy&seed=7&pilot=greedy", "?episode=nothing"):
-            html = shared_client.get(f"/{query}").text
-            assert not any(part in html for part in ('id="hello"', "hello.css"))
+        html = shared_client.get("/?task=easy&seed=7&pilot=greedy").text
+        assert not any(part in html for part in ('id="hello"', "hello.css"))
 
     def test_its_files_are_drawn_from_the_record(self) -> None:
         for path, text in draw().items():
             assert path.read_text(encoding="utf-8") == text, "python -m tools.hello draws them again"
-
-    def test_the_policy_lets_all_of_it_through(self, shared_client: TestClient) -> None:
-        section = re.search('<section id="hello".*?</section>', shared_client.get("/").text, re.DOTALL)
-        assert section
-        assert not re.search(r"<style|<script|style=|\son\w+=", section[0])

@@ -39,7 +39,6 @@ def test_a_registered_agent_flies_on_the_page(client: TestClient) -> None:
         assert mine == greedy
         page.send("start", task="skyline_easy", seed=7, pilots=["homebrew"])
         assert "it does not know pads" in socket.receive_text()
-    assert {row["kind"] for row in client.get("/leaderboard/easy").json()["rows"]} == {"pilot"}
     assert client.get("/preview.png?task=easy&seed=7&pilot=homebrew").status_code == 200
 
 

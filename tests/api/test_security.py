@@ -1,7 +1,6 @@
 """Who may call, and with what."""
 
 import asyncio
-import re
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
 from drone_env.server.incoming import LIMIT, SMALL, JsonRequest, parse_json
 from drone_env.server.problems import RequestError
-from drone_env.server.settings import Settings, load_settings, misspelt_variables
+from drone_env.server.settings import Settings, load_settings
 
 JSON = {"Content-Type": "application/json"}
 
@@ -95,32 +94,24 @@ class TestJson:
 
 
 class TestOrigins:
-    @pytest.mark.parametrize(
-        ("origin", "allowed"),
-        [
-            ("http://testserver", True),
-            ("https://testserver", True),
-            ("https://page.example", True),
-            ("http://page.example", False),
-            ("http://testserver.evil", False),
-            ("http://testserver:8001", False),
-            ("http://evil/testserver", False),
-            ("null", False),
-            ("", False),
-        ],
-    )
-    def test_pages_of_other_origins_are_refused(self, tmp_path: Path, origin: str, allowed: bool) -> None:
+    FOREIGN = ("http://page.example", "http://testserver.evil", "http://testserver:8001", "http://evil/testserver")
+
+    @pytest.mark.parametrize("origin", ["http://testserver", "https://testserver", "https://page.example"])
+    def test_pages_of_this_server_and_those_listed_may_call(self, tmp_path: Path, origin: str) -> None:
         with app_with(tmp_path, allowed_origins=("https://page.example",)) as client:
             answer = client.post("/reset", headers={"Origin": origin})
-            assert answer.status_code == (200 if allowed else 403)
+            assert answer.status_code == 200
             assert "Access-Control-Allow-Origin" not in answer.headers
-            try:
-                with client.websocket_connect("/ws", headers={"Origin": origin}) as socket:
-                    socket.send_json({"type": "reset"})
-                    assert socket.receive_json()["type"] == "observation"
-                    assert allowed
-            except WebSocketDisconnect:
-                assert not allowed
+            with client.websocket_connect("/ws", headers={"Origin": origin}) as socket:
+                socket.send_json({"type": "reset"})
+                assert socket.receive_json()["type"] == "observation"
+
+    @pytest.mark.parametrize("origin", [*FOREIGN, "null", ""])
+    def test_pages_of_other_origins_are_refused(self, tmp_path: Path, origin: str) -> None:
+        with app_with(tmp_path, allowed_origins=("https://page.example",)) as client:
+            assert client.post("/reset", headers={"Origin": origin}).status_code == 403
+            with pytest.raises(WebSocketDisconnect), client.websocket_connect("/ws", headers={"Origin": origin}):
+                pass
 
 
 EVIL = ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.1", "[::1"]
@@ -176,29 +167,19 @@ class TestToken:
         assert "secret" not in repr(Settings(token="secret"))  # pyright: ignore[reportArgumentType]
 
 
-class TestHeaders:
-    def test_every_answer_carries_them(self, client: TestClient) -> None:
-        for answer in (
-            client.get("/health"),
-            client.get("/nowhere"),
-            client.post("/step"),
-            client.get("/openapi.json"),
-        ):
-            policy = answer.headers["Content-Security-Policy"]
-            assert "frame-ancestors 'self' https://huggingface.co https://*.hf.space" in policy
-            assert answer.headers["X-Content-Type-Options"] == "nosniff"
-            assert answer.headers["Referrer-Policy"] == "no-referrer"
-            assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
-            assert answer.headers["Cache-Control"] == "no-store"
-            assert "X-Frame-Options" not in answer.headers
-
-    def test_no_page_takes_scripts_from_elsewhere_or_from_its_own_text(self, client: TestClient) -> None:
-        for path in ("/", "/docs"):
-            policy = client.get(path).headers["Content-Security-Policy"]
-            assert policy.startswith("default-src 'self';")
-            assert "unsafe" not in policy
-            assert "http" not in policy.partition("frame-ancestors")[0]
-            assert not re.search(r"\bwss?:", policy)
+@pytest.mark.parametrize("path", ["/health", "/nowhere", "/", "/docs"])
+def test_every_answer_limits_what_browsers_do_with_it(client: TestClient, path: str) -> None:
+    headers = client.get(path).headers
+    policy, _, framing = headers["Content-Security-Policy"].partition("frame-ancestors ")
+    assert policy.startswith("default-src 'self';")
+    assert framing.startswith("'self' https://huggingface.co https://*.hf.space")
+    assert "unsafe" not in policy + framing
+    assert "http" not in policy
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Referrer-Policy"] == "no-referrer"
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert headers["Cache-Control"] == ("no-cache" if path in ("/", "/docs") else "no-store")
+    assert "X-Frame-Options" not in headers
 
 
 def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:
@@ -222,19 +203,6 @@ class TestSettings:
         settings = load_settings()
         assert (settings.port, settings.token, settings.host) == (9000, None, "127.0.0.1")
         assert settings.allowed_origins == ("https://a.example", "https://b.example")
-
-    def test_a_misspelt_one_is_noticed(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("DRONE_ENV_TOKN", "secret")
-        monkeypatch.setenv("DRONE_ENV_EXAMPLES", "9")
-        assert misspelt_variables() == {"DRONE_ENV_TOKN": "DRONE_ENV_TOKEN"}
-
-    @pytest.mark.parametrize("name", ["DRONE_ENV_CACHE", "DRONE_ENV_PLUGINS"])
-    def test_those_that_are_read_elsewhere_are_known(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-        monkeypatch.setenv(name, "right")
-        assert misspelt_variables() == {}
-        misspelt = name[:-2] + name[-1]
-        monkeypatch.setenv(misspelt, "wrong")
-        assert misspelt_variables() == {misspelt: name}
 
     @pytest.mark.parametrize(
         ("name", "value"),

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import math
 import sqlite3
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic_core import to_json
 from starlette.testclient import TestClient, WebSocketTestSession
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocketDisconnect
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
@@ -19,10 +18,8 @@ from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.incoming import SMALL
-from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.sessions import openenv_json
 from drone_env.server.settings import Settings
-from drone_env.server.state import Shared
 from tests.api.conftest import Clock
 from tests.cluster.sessions import openenv_result
 
@@ -37,15 +34,11 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
     [
         ("", "INVALID_JSON"),
         ('{"type": "reset", "data": {"seed": NaN}}', "INVALID_JSON"),
-        ("[" * 5000, "INVALID_JSON"),
-        ("[" * 250 + "]" * 250, "INVALID_JSON"),
         ("[]", "VALIDATION_ERROR"),
         ({"type": "reset", "data": []}, "VALIDATION_ERROR"),
         ({"type": "reset", "extra": 1}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"seed": -1}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"colour": "red"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"task_name": "none"}}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"\ud800": 1}}, "INVALID_JSON"),
         ({"type": "step"}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
@@ -57,6 +50,7 @@ def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
     shared_client: TestClient, frame: Any, code: str
 ) -> None:
     with shared_client.websocket_connect("/ws") as socket:
+        assert ask(socket, {"type": "state"})["data"]["code"] == "EXECUTION_ERROR"
         ask(socket, {"type": "reset", "data": {"seed": 7}})
         ask(socket, {"type": "step", "data": {"direction": "UP"}})
         before = ask(socket, {"type": "state"})
@@ -64,13 +58,6 @@ def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
         assert (answer["type"], answer["data"]["code"]) == ("error", code)
         assert answer["data"]["message"]
         assert ask(socket, {"type": "state"}) == before
-
-
-def test_before_the_first_reset_a_step_is_an_error(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/ws") as socket:
-        for frame in ({"type": "step", "data": {"direction": "UP"}}, {"type": "state"}):
-            assert ask(socket, frame)["data"]["code"] == "EXECUTION_ERROR"
-        assert ask(socket, {"type": "reset"})["type"] == "observation"
 
 
 @pytest.mark.parametrize("frame", ['{"type": "reset"}'.ljust(SMALL + 1), "🚁" * (SMALL // 4 + 1)])
@@ -118,31 +105,6 @@ def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: C
             assert not app.state.socket.touched
 
 
-def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
-    told = 0
-
-    async def receive() -> Any:
-        return {"type": "websocket.connect"}
-
-    async def send(message: Any) -> None:
-        nonlocal told
-        if message["type"] == "websocket.close":
-            told += 1
-            while told < 2:
-                await asyncio.sleep(0.01)
-
-    async def sweep() -> None:
-        endpoint = OpenEnvSocket(Shared(Settings(idle_seconds=1)))
-        for _ in range(2):
-            socket = WebSocket({"type": "websocket"}, receive, send)
-            await socket.accept()
-            endpoint.touched[socket] = -math.inf
-        await asyncio.wait_for(endpoint.close_idle(), 10)
-        assert not endpoint.touched
-
-    asyncio.run(sweep())
-
-
 @pytest.mark.parametrize("kind", ["/ws", "/live"])
 def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind: str) -> None:
     frames = iter([{"type": "websocket.connect"}, *[{"type": "websocket.receive", "text": '{"type":"none"}'}] * 200])
@@ -168,25 +130,6 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind
     asyncio.run(asyncio.wait_for(fly(), 60))
     assert answers == 200
     assert turns >= 200
-
-
-def test_a_session_of_another_connection_cannot_be_taken_over(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/ws?session_id=1") as socket:
-        assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
-
-
-def test_a_finished_episode_is_kept_before_it_is_answered(client: TestClient) -> None:
-    with client.websocket_connect("/ws") as socket:
-        for seed in range(3):
-            reset = {"task_name": "medium", "seed": seed, "agent": "tester"}
-            ask(socket, {"type": "reset", "data": reset})
-            for action in solve("medium", seed).actions:
-                answer = ask(socket, {"type": "step", "data": {"direction": action.name}})
-            assert answer["data"]["done"]
-            kept = client.get("/memory_logs").json()["episodes"]
-            assert (len(kept), kept[0]["seed"], kept[0]["agent"]) == (seed + 1, seed, "tester")
-            ask(socket, {"type": "step", "data": {"direction": "UP"}})
-    assert client.get("/analyse/medium").json()["episodes_total"] == 3
 
 
 def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_again(

@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -12,11 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from drone_env import client
-from drone_env.core.tasks import get_task
-from drone_env.results.store import FILE_NAME, Store
+from drone_env.results.store import Store
 from drone_env.server import app
-from tests.api.networks import put_trained
 from tests.api.serving import ROOT, Server, serving
 from tests.tools import find_uv, reserved_port
 
@@ -55,11 +51,6 @@ os.execv(uv, [uv, run, "--no-sync", *rest])
         ("uv run server", signal.SIGTERM, 128 + signal.SIGTERM),
         ("python -m uvicorn server.app:app --host 0.0.0.0", signal.SIGTERM, -signal.SIGTERM),
         ("python drone_env/server/app.py --host 0.0.0.0", signal.SIGINT, 0),
-        pytest.param("python server/app.py", signal.SIGTERM, -signal.SIGTERM, marks=pytest.mark.long),
-        pytest.param("python -m drone_env.cli serve", signal.SIGINT, 0, marks=pytest.mark.long),
-        pytest.param(
-            "python -m uvicorn drone_env.server.app:app", signal.SIGTERM, -signal.SIGTERM, marks=pytest.mark.long
-        ),
     ],
 )
 def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
@@ -69,7 +60,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
     if first == "uv":
         # In the environment of the tests, as it is: what `uv run` would install is there.
         rest = ["-c", RUN_UV, find_uv(), sys.prefix, *rest]
-    put_trained(get_task("medium"), tmp_path / "data")
+    (tmp_path / "data").mkdir()
     (tmp_path / "data/easy.safetensors").write_bytes(b"nothing")
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
@@ -81,14 +72,10 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
             assert http.post("/reset", json={"seed": 14}).status_code == 200
             http.cookies.clear()
             assert http.get("/state").status_code == 200, "callers who name no session"
-        # Which network flies which task, the trained one before the shipped, and which file is none.
         told = server.log.read_text()
-        for line in (
-            rf"easy: refused, and so is /predict: {tmp_path}/data/easy\..* is not .*; 'pathqnet' flies by .*easy_del",
-            rf"medium: 'trained' flies by {tmp_path}/data/medium\..* \(trained here\); 'pathqnet' flies by .*medium_d",
-            r"hard: 'pathqnet' flies by .*hard_delivery_v1.safetensors \(shipped\)",
-        ):
-            assert len(re.findall(line, told)) == 1, told
+        assert re.search(
+            r"easy: refused, and so is /predict: .*easy\.safetensors .*'pathqnet' flies by .*easy_del", told
+        )
         server.process.send_signal(asked)
         assert server.process.wait(timeout=60) == status
         assert "Traceback" not in server.log.read_text()
@@ -114,32 +101,18 @@ class TestWhereItCannotBe:
         for name, value in {"DATA": tmp_path / "data", "PORT": reserved_port(), "HOST": "", "WORKERS": ""}.items():
             monkeypatch.setenv(f"DRONE_ENV_{name}", str(value))
 
-    def test_a_wrong_setting(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-        monkeypatch.setenv("DRONE_ENV_CAPACITY", "none")
-        with pytest.raises(SystemExit, match=r"^server: DRONE_ENV_CAPACITY: [^\n]+$"):
-            app.main([])
-        assert not (tmp_path / "data").exists()
-
     def test_a_data_folder_that_is_a_file(self) -> None:
-        told = re.escape(f"server: the data folder {__file__} cannot be used: ") + r"[^\n]+$"
-        with pytest.raises(SystemExit, match=told):
+        with pytest.raises(SystemExit, match=rf"^server: [^\n]*{__file__}[^\n]*$"):
             app.main(["--data", __file__, "--workers", "2"])
 
-    def test_a_store_that_a_newer_version_has_made(self, tmp_path: Path) -> None:
-        Store(tmp_path / "data").close()
-        file = sqlite3.connect(tmp_path / "data" / FILE_NAME)
-        file.execute("PRAGMA user_version = 99")
-        file.close()
-        with pytest.raises(SystemExit, match=r"^server: .*has version 99, this drone-env reads version 1: "):
-            app.main([])
-
-    @pytest.mark.parametrize("workers", ["1", "2"])
-    def test_a_port_that_is_taken(self, tmp_path: Path, workers: str) -> None:
+    def test_a_port_that_is_taken(self, tmp_path: Path) -> None:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             port = taken.getsockname()[1]
-            told = rf"^server: cannot listen on 127\.0\.0\.1, port {port}: Address already in use; --host and --port "
+            told = (
+                r"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
+            )
             with pytest.raises(SystemExit, match=told):
-                app.main(["--port", str(port), "--workers", workers])
+                app.main(["--port", str(port), "--workers", "2"])
         assert not (tmp_path / "data").exists()
 
     def test_the_process_says_it_in_one_line_and_fails(self, tmp_path: Path) -> None:
@@ -156,6 +129,7 @@ class TestWhereItCannotBe:
         assert (run.returncode, run.stdout) == (1, "")
         (line,) = run.stderr.splitlines()
         assert line.startswith("server: DRONE_ENV_IDLE_SECONDS: ")
+        assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.feature("H14")
@@ -179,10 +153,3 @@ def test_the_client_as_a_command_flies_a_smoke_mission(server: Server) -> None:
     flown = re.search(r"^score: 0\.\d{4} in (\d+) steps$", run.stdout, re.MULTILINE)
     assert flown is not None
     assert run.stdout.count("step ") == int(flown[1]) <= 60
-
-
-def test_the_smoke_flight_fails_where_there_is_no_server(capsys: pytest.CaptureFixture[str]) -> None:
-    assert client.main([f"http://127.0.0.1:{reserved_port()}"]) == 1
-    told = capsys.readouterr()
-    assert (told.out, told.err.partition(":")[0]) == ("", "drone_env.client")
-    assert told.err.startswith("drone_env.client: GET /health: ")

@@ -129,7 +129,7 @@ def test_a_link_that_is_refused_says_why_and_offers_another(page: Page, shared: 
     shared.expect("404")
     problem, start = page.get_by_role("alert"), page.get_by_role("button", name="Start", exact=True)
     for link, why in (
-        ("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human", "at most 4 fly at once, not 5"),
+        ("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human", "pilots: List should have at most 4 items"),
         ("/?episode=nothing", "nothing"),
     ):
         page.goto(link)

@@ -67,11 +67,3 @@ def test_a_build_that_is_stopped_is_recorded_as_failed(docker: Commands, tmp_pat
         process.kill()
         process.wait()
     assert [status for status, *_ in records(log)] == ["FAILED"]
-
-
-def test_without_the_builder_nothing_is_recorded(docker: Commands, tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    done = docker.run(sys.executable, TOOL, "--log", str(log), "--builder", "podman")
-    assert done.returncode == 2
-    assert "podman is not installed; --builder takes docker, podman, buildah, here is: docker" in done.stderr
-    assert not log.exists()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.api.serving import Server
-from tests.tools import missing_tool, reserved_port
+from tests.tools import missing_tool
 
 from .commands import ROOT, Commands, linter
 
@@ -23,7 +23,6 @@ BANNER = """
   Your submission is ready to submit.
 ========================================
 """
-GONE = "http://127.0.0.1:{}"
 
 
 @contextmanager
@@ -87,66 +86,30 @@ def failure(done: "subprocess.CompletedProcess[str]", passed: int = 2) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    ("status", "hint"),
-    [(404, "https://USER-NAME.hf.space, not the page"), (503, "building, asleep")],
-)
-def test_a_space_that_refuses_fails_the_first_check(commands: Commands, status: int, hint: str) -> None:
-    with answering(status) as url:
+def test_a_space_that_refuses_fails_the_first_check(commands: Commands) -> None:
+    with answering(404) as url:
         shown = failure(commands.run(SCRIPT, url))
-    assert f"FAILED: it answers {status}: this isthe answer" in shown
-    assert hint in shown
+    assert "FAILED: it answers 404: this isthe answer" in shown
 
 
 INFO = '[ "$1" = info ] && exit 0; '
 FAILURES = {
-    "no docker": ("docker", None, {}, "docker is not installed\n  Hint: https://docs.docker.com"),
-    "no daemon": ("docker", 'echo "no daemon" >&2; exit 1', {}, "does not work: no daemon"),
-    "failed build": ("docker", f'{INFO}echo "no such package" >&2; exit 7', {},
-                     "  | no such package\n  FAILED: the build ended with status 7"),
-    "slow build": ("docker", f"{INFO}sleep 30", {"BUILD_TIMEOUT": "1"}, "the build takes longer than 1 s"),
-    "openenv fails": ("openenv", 'echo "FAIL static.manifest"; exit 1', {},
-                      "  | FAIL static.manifest\n  FAILED: openenv validate"),
-}  # fmt: skip
+    "no docker": ("docker", None, "docker is not installed"),
+    "no daemon": ("docker", 'echo "no daemon" >&2; exit 1', "does not work: no daemon"),
+    "failed build": ("docker", f"{INFO}exit 7", "FAILED: the build ended with status 7"),
+    "slow build": ("docker", f"{INFO}sleep 30", "the build takes longer than 1 s"),
+    "openenv fails": ("openenv", 'echo "FAIL static.manifest"; exit 1', "FAILED: openenv validate"),
+}
 
 
 @pytest.mark.parametrize("case", FAILURES)
 def test_one_check_that_fails_leaves_the_others_alone(space: str, commands: Commands, case: str) -> None:
-    command, script, variables, said = FAILURES[case]
+    command, script, said = FAILURES[case]
     if script is None:
         (commands.folder / command).unlink()
     else:
         commands.add(command, script)
-    assert said in failure(commands.run(SCRIPT, space, **variables))
-
-
-def test_all_may_fail(commands: Commands, tmp_path: Path) -> None:
-    (commands.folder / "openenv").unlink()
-    shown = failure(commands.run(SCRIPT, GONE.format(reserved_port()), str(tmp_path)), passed=0)
-    assert "FAILED: no answer: curl:" in shown
-    assert f"FAILED: there is no Dockerfile in {tmp_path}" in shown
-
-
-def test_podman_builds_if_it_is_chosen(space: str, commands: Commands) -> None:
-    (commands.folder / "docker").rename(commands.folder / "podman")
-    done = commands.run(SCRIPT, space, BUILDER="podman")
-    assert done.returncode == 0, done.stdout
-    assert "podman build ." in done.stdout
-
-
-def test_what_openenv_refuses_without_a_name_is_named(space: str, commands: Commands, tmp_path: Path) -> None:
-    clone = tmp_path / "a clone"
-    (clone / ".venv" / "bin").mkdir(parents=True)
-    (clone / ".venv" / "bin" / "python").symlink_to("/usr/bin/python3")
-    (clone / "Dockerfile").touch()
-    link = clone / "a link"
-    link.symlink_to("Dockerfile")
-    commands.add("openenv", "exit 1")
-    assert f"or put files in their place:\n  | {link}\n  Hint: (cd" in failure(commands.run(SCRIPT, space, str(clone)))
-    openenv = (commands.folder / "openenv").rename(clone / ".venv" / "bin" / "openenv")
-    assert f"run '. {clone}/.venv/bin/activate', and this" in failure(commands.run(SCRIPT, space, str(clone)))
-    openenv.unlink()
-    assert "pip install 'openenv>=0.10'" in failure(commands.run(SCRIPT, space, str(clone)))
+    assert said in failure(commands.run(SCRIPT, space, BUILD_TIMEOUT="1" if case == "slow build" else "60"))
 
 
 @pytest.mark.feature("P3")
@@ -156,18 +119,10 @@ def test_the_guide_has_the_same_steps_for_powershell() -> None:
     assert any("Invoke-RestMethod -Method Post" in block and "openenv validate" in block for block in blocks)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "variables", "said"),
-    [
-        (["user-name.hf.space"], {}, "must start with https:// or http://, got user-name.hf.space"),
-        (["https://x.hf.space", "/no/such/folder"], {}, "there is no folder /no/such/folder"),
-        (["https://x.hf.space"], {"BUILDER": "make"}, "BUILDER must be docker or podman, got make"),
-    ],
-)
-def test_a_wrong_call_is_told(commands: Commands, arguments: list[str], variables: dict[str, str], said: str) -> None:
-    done = commands.run(SCRIPT, *arguments, **variables)
+def test_a_wrong_call_is_told(commands: Commands) -> None:
+    done = commands.run(SCRIPT, "user-name.hf.space")
     assert (done.returncode, done.stdout) == (2, "")
-    assert said in done.stderr
+    assert "must start with https:// or http://, got user-name.hf.space" in done.stderr
     assert "Usage:" in done.stderr
 
 

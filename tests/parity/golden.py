@@ -1,7 +1,6 @@
 """Hashes of the maps and trajectories of all tasks: what must never change, on any platform or Python.
 
     python tests/parity/golden.py              print them, computed by plain Python
-    python tests/parity/golden.py --compiled   print them, computed by the compiled batch
     python tests/parity/golden.py --write      make them the ones that the test expects
 
 Needs NumPy and Gymnasium, with `drone_env` on the path. A change of a hash means a new version of the task.
@@ -21,8 +20,8 @@ processes and other Pythons are asked for where there is little time.
 import argparse
 import hashlib
 import json
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +29,10 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import observation, rules
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards
-from drone_env.core.seeds import SPLITS
-from drone_env.core.tables import CELL, OUTCOME, PARCELS, UNDER, interpreted, state_size
+from drone_env.core.seeds import SPLITS, next_seed
+from drone_env.core.tables import CELL, DELIVERIES_DONE, OUTCOME, PARCELS, STEPS, UNDER, interpreted, state_size
 from drone_env.core.tasks import TASKS, TaskConfig
 
 GOLDEN_FILE = Path(__file__).with_name("golden.json")
@@ -41,8 +41,8 @@ N_SEEDS = 1000
 N_FIRST = 150
 
 Hashes = dict[str, dict[str, Any]]
-Way = Callable[[TaskConfig], Callable[[list[int]], Iterator[tuple[bytes, bytes]]]]
-"""Of a task, and then of seeds: the bytes of each map and of the flights over it."""
+Make = Callable[[TaskConfig, int, str], Any]
+"""Makes N episodes of a task under a reward profile: a `Batch`, or a `Reference` to it."""
 
 
 def golden_seeds(count: int) -> list[int]:
@@ -67,87 +67,96 @@ def little(array: npt.NDArray[Any]) -> bytes:
     return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
-class Interpreted:
-    """Maps and flights of one task in plain Python, as bytes."""
+class Reference:
+    """Episodes flown one by one by the rules in plain Python, begun anew as `Batch` does."""
 
-    def __init__(self, task: TaskConfig) -> None:
-        self.task = task
+    def __init__(self, task: TaskConfig, n: int, profile: str, same_step: bool = False) -> None:
         self.tables = interpreted(task)
-        self.rewards = [interpreted_rewards(task, REWARD_PROFILES[name]) for name in PROFILES]
-        self.grid = np.zeros(self.tables.cells, np.uint8)
-        self.state = np.zeros(state_size(self.tables), np.uint16)
-        self.telemetry = np.zeros(self.tables.telemetry_size, np.float32)
-        self.views = memoryview(self.grid), memoryview(self.state)
+        self.rewards_of = interpreted_rewards(task, REWARD_PROFILES[profile])
+        self.same_step = same_step
+        self.grids = np.zeros((n, self.tables.cells), np.uint8)
+        self.states = np.zeros((n, state_size(self.tables)), np.uint16)
+        self.telemetry = np.zeros((n, task.telemetry_size), np.float32)
+        self.open_actions = np.zeros((n, 1), np.dtype("<i8"))
+        self.action_masks = self.open_actions.view(np.int8)[:, :N_ACTIONS]
+        self.seeds = np.zeros(n, np.int64)
+        self.rewards = np.zeros(n)
+        self.terminated = np.zeros(n, np.bool_)
+        self.finals: list[dict[str, Any]] = []
+        self.episodes = [
+            tuple(map(memoryview, row)) for row in zip(self.grids, self.states, self.telemetry, strict=True)
+        ]
 
-    def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
-        for seed in seeds:
-            rules.reset(self.tables, *self.views, seed)
-            yield map_bytes(self.grid, self.state), self.trajectory(seed)
+    def reset(self, seeds: Sequence[int]) -> None:
+        for i, seed in enumerate(seeds):
+            self.begin(i, int(seed))
 
-    def trajectory(self, seed: int) -> bytes:
-        actions = [pattern(seed, step) for step in range(self.task.max_steps)]
-        states = [self.observed()]
-        paid = []
-        for rewards in self.rewards:
-            rules.reset(self.tables, *self.views, seed)
-            for action in actions:
-                paid.append(rules.step(self.tables, rewards, *self.views, action))
-                if rewards is self.rewards[0]:
-                    states.append(self.observed())
-                if self.views[1][OUTCOME]:
-                    break
-        return b"".join([*(b"".join(column) for column in zip(*states, strict=True)), little(np.array(paid))])
+    def begin(self, i: int, seed: int) -> None:
+        self.seeds[i] = seed
+        rules.reset(self.tables, *self.episodes[i][:2], seed)
+        self.observe(i)
 
-    def observed(self) -> tuple[bytes, bytes, bytes, bytes]:
-        observation.write_telemetry(self.tables, self.views[1], memoryview(self.telemetry))
-        mask = observation.open_actions(self.tables, *self.views)
-        graded = rules.score(self.tables, self.views[1])
-        return self.grid.tobytes(), little(self.telemetry), mask.to_bytes(8, "little")[:5], struct.pack("<d", graded)
+    def observe(self, i: int) -> None:
+        grid, state, telemetry = self.episodes[i]
+        observation.write_telemetry(self.tables, state, telemetry)
+        self.open_actions[i] = observation.open_actions(self.tables, grid, state)
+
+    def step(self, actions: Sequence[int]) -> None:
+        self.finals = []
+        for i, (grid, state, _) in enumerate(self.episodes):
+            self.rewards[i], self.terminated[i] = 0.0, False
+            if state[OUTCOME]:
+                self.begin(i, next_seed(int(self.seeds[i])))
+                continue
+            self.rewards[i] = rules.step(self.tables, self.rewards_of, grid, state, int(actions[i]))
+            self.observe(i)
+            if state[OUTCOME]:
+                self.terminated[i] = True
+                self.finals.append(
+                    {
+                        "episode": i,
+                        "score": rules.score(self.tables, state),
+                        "steps": state[STEPS],
+                        "deliveries": state[DELIVERIES_DONE],
+                        "seed": int(self.seeds[i]),
+                        "grid": self.grids[i].tobytes(),
+                        "telemetry": self.telemetry[i].tobytes(),
+                    }
+                )
+                if self.same_step:
+                    self.begin(i, next_seed(int(self.seeds[i])))
+
+    def get_state(self) -> dict[str, npt.NDArray[Any]]:
+        return {name: getattr(self, name).copy() for name in ("grids", "states", "telemetry")}
 
 
-class Compiled:
-    """The same maps and flights by the compiled batch, many seeds together."""
-
-    def __init__(self, task: TaskConfig) -> None:
-        self.task = task
-
-    def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
-        # All that is seen is held in memory.
-        most = max(1, 400_000 // (self.task.width * self.task.height))
-        for first in range(0, len(seeds), most):
-            yield from self.flown(seeds[first : first + most])
-
-    def flown(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
-        from drone_env.core.batch import Batch
-
-        n, tables = len(seeds), interpreted(self.task)
-        actions = np.array([[pattern(seed, step) for seed in seeds] for step in range(self.task.max_steps)])
-        logs: list[list[Any]] = [[] for _ in range(5)]
-        for profile in PROFILES:
-            batch = Batch(self.task, n, profile)
-            batch.reset(np.array(seeds, np.int64))
-            paid, ends = [], np.zeros(n, np.int64)
-            for step, chosen in enumerate([*actions, None]):
-                if profile == PROFILES[0]:
-                    batched = batch.get_state()
-                    graded = np.array([rules.score(tables, state) for state in batched["states"].tolist()])
-                    masks = batch.copy_action_masks()
-                    for log, array in zip(
-                        logs, (batched["grids"], batched["telemetry"], masks, graded, batched["states"]), strict=True
-                    ):
-                        log.append(array)
-                if chosen is None or ends.all():
-                    break
-                batch.step(chosen)
-                paid.append(batch.rewards.copy())
-                ends[batch.terminated & (ends == 0)] = step + 1
-            logs.append(paid)
-        *seen, states = (np.array(log) for log in logs[:5])
-        payments = [np.array(log) for log in logs[5:]]
-        for i, steps in enumerate(ends.tolist()):
-            parts = [little(array[: steps + 1, i]) for array in seen]
-            parts += [little(array[:steps, i]) for array in payments]
-            yield map_bytes(seen[0][0, i], states[0, i]), b"".join(parts)
+def flown(make: Make, task: TaskConfig, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
+    """The bytes of each map and of the flights over it."""
+    n, tables = len(seeds), interpreted(task)
+    logs: list[list[Any]] = [[] for _ in range(5)]
+    for profile in PROFILES:
+        batch = make(task, n, profile)
+        batch.reset(np.array(seeds, np.int64))
+        paid, ends = [], np.zeros(n, np.int64)
+        for step in range(task.max_steps + 1):
+            if profile == PROFILES[0]:
+                seen = batch.get_state()
+                graded = np.array([rules.score(tables, state) for state in seen["states"].tolist()])
+                arrays = seen["grids"], seen["telemetry"], batch.action_masks.copy(), graded, seen["states"]
+                for log, array in zip(logs, arrays, strict=True):
+                    log.append(array)
+            if ends.all():
+                break
+            batch.step(np.array([pattern(seed, step) for seed in seeds]))
+            paid.append(batch.rewards.copy())
+            ends[batch.terminated & (ends == 0)] = step + 1
+        logs.append(paid)
+    *columns, states = (np.array(log) for log in logs[:5])
+    payments = [np.array(log) for log in logs[5:]]
+    for i, steps in enumerate(ends.tolist()):
+        parts = [little(array[: steps + 1, i]) for array in columns]
+        parts += [little(array[:steps, i]) for array in payments]
+        yield map_bytes(columns[0][0, i], states[0, i]), b"".join(parts)
 
 
 def map_bytes(grid: Any, state: Any) -> bytes:
@@ -156,12 +165,15 @@ def map_bytes(grid: Any, state: Any) -> bytes:
     return little(uncovered) + little(state[[CELL]]) + little(state[PARCELS:])
 
 
-def golden_hashes(way: Way, seeds: list[int]) -> Hashes:
+def golden_hashes(make: Make, seeds: list[int], at_once: int) -> Hashes:
+    """The hashes, of so many cells at once: everything that is seen is held in memory."""
     hashes = {}
     for name, task in TASKS.items():
         maps, trajectories = hashlib.sha256(), hashlib.sha256()
         first: dict[str, str] = {}
-        for n, (of_map, of_flight) in enumerate(way(task)(seeds), 1):
+        most = max(1, at_once // (task.width * task.height))
+        parts = (flown(make, task, seeds[i : i + most]) for i in range(0, len(seeds), most))
+        for n, (of_map, of_flight) in enumerate(chain.from_iterable(parts), 1):
             maps.update(of_map)
             trajectories.update(of_flight)
             if n == N_FIRST:
@@ -177,12 +189,10 @@ def golden_hashes(way: Way, seeds: list[int]) -> Hashes:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--compiled", action="store_true", help="run the compiled batch")
     parser.add_argument("--seeds", type=int, default=N_SEEDS, help="how many seeds to hash")
     parser.add_argument("--write", action="store_true", help=f"write {GOLDEN_FILE.name}")
     arguments = parser.parse_args()
-    way = Compiled if arguments.compiled else Interpreted
-    text = json.dumps(golden_hashes(way, golden_seeds(arguments.seeds)), indent=2)
+    text = json.dumps(golden_hashes(Reference, golden_seeds(arguments.seeds), at_once=1), indent=2)
     if arguments.write:
         GOLDEN_FILE.write_text(text + "\n", encoding="utf-8")
     print(text)

@@ -2,24 +2,19 @@
 
 import os
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from drone_env.core import rules
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import OWN_CACHE, Batch
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.observation import open_actions, write_telemetry
-from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
-from drone_env.core.rules import score
-from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.tables import DELIVERIES_DONE, OUTCOME, interpreted, state_size
-from drone_env.core.tables import STEPS as STEPS_TAKEN
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import MAX_SIDE, MAX_UNITS, TASKS, TaskConfig
 from drone_env.core.terrain import Terrain
+from tests.parity.golden import Reference
 
 STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "250000"))
 """Steps in all, over every combination of task, profile and mode."""
@@ -76,92 +71,36 @@ N = 16
 EDGES = [edge for start, stop in SPLITS.values() for edge in (start, stop - 1)]
 
 
-class Reference:
-    """Episodes flown one by one by the rules in plain Python, begun anew as the batch does."""
-
-    def __init__(self, task: TaskConfig, profile: str, same_step: bool, n: int = N) -> None:
-        self.tables = interpreted(task)
-        self.rewards_of = interpreted_rewards(task, get_reward_profile(profile))
-        self.same_step = same_step
-        self.grids = np.zeros((n, self.tables.cells), np.uint8)
-        self.telemetry = np.zeros((n, task.telemetry_size), np.float32)
-        self.masks = np.zeros((n, 1), np.int64)
-        self.seeds = [0] * n
-        self.rewards = [0.0] * n
-        self.terminated = [False] * n
-        self.finals: list[dict[str, Any]] = []
-        self.states = np.zeros((n, state_size(self.tables)), np.uint16)
-        self.episodes = [
-            tuple(map(memoryview, arrays)) for arrays in zip(self.grids, self.states, self.telemetry, strict=True)
-        ]
-
-    def reset(self, i: int, seed: int) -> None:
-        grid, state, _ = self.episodes[i]
-        self.seeds[i] = seed
-        rules.reset(self.tables, grid, state, seed)
-        self.observe(i)
-
-    def observe(self, i: int) -> None:
-        grid, state, telemetry = self.episodes[i]
-        write_telemetry(self.tables, state, telemetry)
-        self.masks[i] = open_actions(self.tables, grid, state)
-
-    def step(self, actions: list[int]) -> None:
-        self.finals = []
-        for i, (grid, state, _) in enumerate(self.episodes):
-            self.rewards[i], self.terminated[i] = 0.0, False
-            if state[OUTCOME]:
-                self.reset(i, next_seed(self.seeds[i]))
-                continue
-            self.rewards[i] = rules.step(self.tables, self.rewards_of, grid, state, actions[i])
-            self.observe(i)
-            if state[OUTCOME]:
-                self.terminated[i] = True
-                self.finals.append(
-                    {
-                        "episode": i,
-                        "score": score(self.tables, state),
-                        "steps": state[STEPS_TAKEN],
-                        "deliveries": state[DELIVERIES_DONE],
-                        "seed": self.seeds[i],
-                        "grid": self.grids[i].tobytes(),
-                        "telemetry": self.telemetry[i].tobytes(),
-                    }
-                )
-                if self.same_step:
-                    self.reset(i, next_seed(self.seeds[i]))
-
-    def assert_equals(self, batch: Batch) -> None:
-        """Bit by bit: rewards and telemetry are compared as bytes, so that 0.0 is not -0.0."""
-        assert batch.grids.tobytes() == self.grids.tobytes()
-        assert batch.get_state()["states"].tobytes() == self.states.tobytes()
-        assert batch.telemetry.tobytes() == self.telemetry.tobytes()
-        assert batch.action_masks.tobytes() == self.masks.view(np.int8)[:, :N_ACTIONS].tobytes()
-        assert batch.seeds.tolist() == self.seeds
-        assert batch.rewards.tobytes() == np.array(self.rewards).tobytes()
-        assert batch.terminated.tolist() == self.terminated
-        assert batch.ended.tolist() == [final["episode"] for final in self.finals]
-        if not self.finals:
-            return
-        observed = batch.finals()
-        for name in ("score", "steps", "deliveries", "seed"):
-            assert observed[name].tolist() == [final[name] for final in self.finals]
-        for k, final in enumerate(self.finals):
-            assert batch.final_grids[k].tobytes() == final["grid"]
-            assert batch.final_telemetry[k].tobytes() == final["telemetry"]
+def assert_equal(reference: Reference, batch: Batch) -> None:
+    """Bit by bit: rewards and telemetry are compared as bytes, so that 0.0 is not -0.0."""
+    assert batch.grids.tobytes() == reference.grids.tobytes()
+    assert batch.get_state()["states"].tobytes() == reference.states.tobytes()
+    assert batch.telemetry.tobytes() == reference.telemetry.tobytes()
+    assert batch.action_masks.tobytes() == reference.action_masks.tobytes()
+    assert batch.seeds.tobytes() == reference.seeds.tobytes()
+    assert batch.rewards.tobytes() == reference.rewards.tobytes()
+    assert batch.terminated.tobytes() == reference.terminated.tobytes()
+    assert batch.ended.tolist() == [final["episode"] for final in reference.finals]
+    if not reference.finals:
+        return
+    observed = batch.finals()
+    for name in ("score", "steps", "deliveries", "seed"):
+        assert observed[name].tolist() == [final[name] for final in reference.finals]
+    for k, final in enumerate(reference.finals):
+        assert batch.final_grids[k].tobytes() == final["grid"]
+        assert batch.final_telemetry[k].tobytes() == final["telemetry"]
 
 
 def assert_parity(task: TaskConfig, profile: str, same_step: bool, steps: int, n: int = N) -> None:
     """For so many steps, and until as many episodes have ended as fly together."""
     rng = np.random.default_rng(len(profile) + task.width)
     batch = Batch(task, n, profile, same_step=same_step, num_threads=2 if same_step else 1)
-    reference = Reference(task, profile, same_step, n)
+    reference = Reference(task, n, profile, same_step)
     seeds = rng.integers(2**53, size=n)
     seeds[: len(EDGES)] = EDGES
     batch.reset(seeds)
-    for i, seed in enumerate(seeds.tolist()):
-        reference.reset(i, seed)
-    reference.assert_equals(batch)
+    reference.reset(seeds.tolist())
+    assert_equal(reference, batch)
     ended = flown = 0
     while flown < steps or ended < n:
         # Straight legs reach further than single random steps.
@@ -169,7 +108,7 @@ def assert_parity(task: TaskConfig, profile: str, same_step: bool, steps: int, n
         for _ in range(rng.integers(1, 4)):
             batch.step(actions)
             reference.step(actions.tolist())
-            reference.assert_equals(batch)
+            assert_equal(reference, batch)
             flown += n
             ended += len(reference.finals)
 
@@ -208,8 +147,8 @@ def test_a_batch_whose_grids_are_fetched_early_flies_as_its_two_halves_do(same_s
 
 def test_the_single_episode_is_that_reference() -> None:
     for task in ALL_TASKS.values():
-        reference, episode = Reference(task, "aligned", same_step=True, n=1), Episode(task, "aligned")
-        reference.reset(0, 7)
+        reference, episode = Reference(task, 1, "aligned", same_step=True), Episode(task, "aligned")
+        reference.reset([7])
         episode.reset(7)
         for step in range(3 * task.max_steps):
             action = (step * step // 3) % N_ACTIONS

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
+from drone_env.core.batch import Batch
 from drone_env.core.tasks import TASKS
 from tests.parity.golden import (
     GOLDEN_FILE,
     N_FIRST,
     N_SEEDS,
-    Compiled,
     Hashes,
-    Interpreted,
+    Reference,
     golden_hashes,
     golden_seeds,
 )
@@ -63,16 +63,16 @@ def test_names_every_task() -> None:
 
 
 def test_in_plain_python() -> None:
-    assert golden_hashes(Interpreted, golden_seeds(N_FIRST)) == FIRST
+    assert golden_hashes(Reference, golden_seeds(N_FIRST), at_once=1) == FIRST
 
 
 @pytest.mark.long
 def test_all_of_them_in_plain_python() -> None:
-    assert golden_hashes(Interpreted, golden_seeds(N_SEEDS)) == GOLDEN
+    assert golden_hashes(Reference, golden_seeds(N_SEEDS), at_once=1) == GOLDEN
 
 
 def test_compiled() -> None:
-    assert golden_hashes(Compiled, golden_seeds(N_SEEDS)) == GOLDEN
+    assert golden_hashes(Batch, golden_seeds(N_SEEDS), at_once=400_000) == GOLDEN
 
 
 @pytest.mark.long

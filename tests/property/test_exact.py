@@ -5,7 +5,6 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -152,16 +151,3 @@ def test_the_optimal_agent_makes_the_best_of_where_it_is_put(number: int) -> Non
         assert reference.q_values(episode)[action] == best
         episode.step(action)
     assert episode.score == best
-
-
-def test_the_small_tasks_have_every_mechanic() -> None:
-    tasks = [small_task(number) for number in range(2000)]
-    assert {(task.uniform, task.efficiency_needs_all, task.street_spacing > 0) for task in tasks} == {
-        (a, b, c) for a in (False, True) for b in (False, True) for c in (False, True)
-    }
-    for mechanic in ("drain", "impassable", "charge_rate", "pads"):
-        assert 0.1 < np.mean([bool(getattr(task, mechanic)) for task in tasks]) < 0.9
-    assert {(kind, units) for task in tasks for kind, units in task.drain} == {
-        (kind, units) for kind in DRAINED for units in range(5)
-    }
-    assert {task.deliveries for task in tasks} == {1, 2, 3}

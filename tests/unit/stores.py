@@ -2,13 +2,10 @@
 
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import RewardProfile
-from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.planning.optimal import solve
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store, StoredEpisode
@@ -46,19 +43,3 @@ def eventually(holds: Any) -> None:
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.01)
-
-
-def mine() -> RewardProfile:
-    return RewardProfile(id="mine", summary="")
-
-
-def unlike() -> TaskConfig:
-    return replace(TASKS["easy_delivery"], max_steps=30)
-
-
-def flying(task: str | TaskConfig = "easy", profile: str | RewardProfile = "tiered", steps: int = 0) -> Episode:
-    episode = Episode(task, profile)
-    episode.reset(7)
-    for _ in range(steps):
-        episode.step(4)
-    return episode

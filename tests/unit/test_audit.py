@@ -15,14 +15,9 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import InvalidTaskError, InvalidValueError, TooLargeError, UnknownNameError
+from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.planning.audit import HACKS, audit_map, audited_profile
-from drone_env.planning.optimal import solve
-from drone_env.results.record import load_record, replay
 from drone_env.reward_file import chosen_profile, load_reward_profile
-from tests.which_tasks import SMALL
-
-STANDARD = ("easy", "medium", "hard")
 
 
 def tiny_task(rng: random.Random) -> TaskConfig:
@@ -80,14 +75,14 @@ def test_the_maximiser_is_the_best_of_all_flights(profile: str, seed: int) -> No
     assert (earned, episode.score) == (pytest.approx(highest, abs=1e-9), audited.score)
 
 
-# An audit of the hard task takes a second: one of the two discounts has to do there.
-DISCOUNTED = [(task, gamma) for task in STANDARD for gamma in (1.0, 0.99) if (task, gamma) != ("hard", 0.99)]
+# An audit of the hard task takes a second.
+SEEDS = [("easy", seed) for seed in split_seeds("test", 8)] + [("medium", 0), ("medium", 1), ("hard", 0)]
 
 
-@pytest.mark.parametrize(("task", "gamma"), DISCOUNTED)
+@pytest.mark.parametrize("gamma", [1.0, 0.99])
 @pytest.mark.parametrize("profile", ["tiered", "composite"])
-def test_rewards_that_pay_for_time_are_exploitable(task: str, profile: str, gamma: float) -> None:
-    for seed in split_seeds("test", 1 if task == "hard" else 3):
+def test_rewards_that_pay_for_time_are_exploitable(profile: str, gamma: float) -> None:
+    for task, seed in SEEDS[::4]:
         audited = audit_map(task, seed, profile, gamma)
         assert not audited.aligned
         assert audited.score < 0.81
@@ -96,11 +91,10 @@ def test_rewards_that_pay_for_time_are_exploitable(task: str, profile: str, gamm
             assert audited.returns["stall"] > audited.returns["honest"]
 
 
-@pytest.mark.parametrize(("task", "gamma"), DISCOUNTED)
 @pytest.mark.parametrize("profile", ["aligned", "score"])
-def test_rewards_that_pay_the_score_are_aligned(task: str, profile: str, gamma: float) -> None:
-    for seed in split_seeds("test", {"easy": 20, "medium": 4, "hard": 1}[task]):
-        audited = audit_map(task, seed, audited_profile(profile, gamma), gamma)
+def test_rewards_that_pay_the_score_are_aligned(profile: str) -> None:
+    for task, seed in SEEDS:
+        audited = audit_map(task, seed, audited_profile(profile, 0.99), 0.99)
         assert audited.score == audited.optimum
         assert audited.maximum >= max(audited.returns.values()) - 1e-9
 
@@ -121,19 +115,6 @@ def test_hacks_of_one_easy_map_by_hand() -> None:
     assert audited.score == 0.8
 
 
-@pytest.mark.parametrize("task", SMALL)
-def test_hacks_fly_to_the_end(task: str) -> None:
-    seed = split_seeds("test", 1)[0]
-    solution = solve(task, seed)
-    start = Episode(task, seed=seed)
-    for name, hack in HACKS.items():
-        episode = start.copy().fly(hack(start, solution))
-        assert episode.ended, name
-        if name == "hover":
-            assert episode.deliveries_done == solution.deliveries
-            assert episode.score < solution.score
-
-
 def test_a_flight_for_a_reward_of_ones_own_can_be_analysed_and_replayed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,15 +127,6 @@ def test_a_flight_for_a_reward_of_ones_own_can_be_analysed_and_replayed(
     assert "unknown reward profile 'mine'" in capsys.readouterr().err
     assert cli.main(["replay", str(worst), "--reward", str(mine)]) == 0
     assert "[END]" in capsys.readouterr().out
-
-
-def test_gamma_out_of_range_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="gamma must be in"):
-        audited_profile("tiered", 1.5)
-    with pytest.raises(UnknownNameError, match="allowed: aligned"):
-        audited_profile("generous", 1.0)
-    with pytest.raises(InvalidValueError, match="has no shaping"):
-        audited_profile("tiered", 1.0, shaping_gamma=0.5)
 
 
 def test_a_map_too_large_is_refused() -> None:
@@ -196,22 +168,14 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("summary = 'x'", "id: Field required"),
         ("id = 'x'\nbonus = 1", "unknown key 'bonus'; allowed: id, summary"),
         ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
-        ("id = 'x'\nshaping = true", "shaping: must be a number"),
-        ("id = 'x'\npays_score = 1", "pays_score: Input should be a valid boolean"),
-        ("id = 'x'\nclamp = [1]", r"clamp\.1: Field required"),
         ("id = 'x'\nclamp = [2, 1]", "no room"),
         ("id = 'x'\nshaping = nan", "finite number"),
-        ("id = 'x'\nshaping = 1e400", "from -1000000 to 1000000"),
         ("id = 'x'\nshaping = 1e999999999", "from -1000000 to 1000000"),
-        ("id = 'x'\nshaping = 1e99999999999999999999", "exponent of a number is too large"),
         ("id = 'x'\nshaping_gamma = 1e-999999999", "400 decimal places at most"),
         (f"id = 'x'\nshaping = 0.{'1' * 5001}", "a word of more than 64 characters"),
-        (f"id = 0x{'f' * 5001}", "a word of more than 64 characters"),
-        (f"id = 'x'\nclamp = {'[' * 9999}", "not TOML"),
         ("id = 'score'", "taken by a profile of the package"),
         ('id = "a\\u001b"', "must be printable"),
         ("id = 'x'\n[events]\ncrash = 1", "unknown event 'crash'; allowed: battery_dead"),
-        ("id = 'x'\n[events]\nstep = 'x'", r"events\.step: must be a number"),
     ],
 )
 def test_a_file_that_is_no_reward_profile_says_why(tmp_path: Path, text: str, message: str) -> None:
@@ -224,16 +188,6 @@ def test_a_file_that_is_no_reward_profile_says_why(tmp_path: Path, text: str, me
 # The command
 
 
-def test_the_command_tells_by_its_exit_status(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    worst = tmp_path / "worst.json"
-    assert cli.main(["audit", "--task", "easy", "--reward", "tiered", "--maps", "3", "--replay", str(worst)]) == 1
-    assert "exploitable" in capsys.readouterr().out
-    flight = replay(load_record(worst))
-    assert flight.score == 0.8
-    assert cli.main(["audit", "--task", "easy", "--reward", "aligned", "--maps", "3"]) == 0
-    assert "aligned" in capsys.readouterr().out
-
-
 def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(MINE)
@@ -242,14 +196,5 @@ def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFix
     assert (status, report["verdict"], report["share_aligned"]) == (0, "aligned", 1)
     assert (report["reward"], report["maps"], report["gamma"]) == ("mine", 2, 0.99)
     assert set(report["mean_returns"]) == {"maximiser", "honest", *HACKS}
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [["--reward", "generous"], ["--reward", "gone.toml"], ["--maps", "0"], ["--gamma", "2"], ["--jobs", "0"]],
-)
-def test_the_command_refuses(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["audit", *arguments]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("drone-env: ")
+    assert cli.main(["audit", "--gamma", "2"]) == 2
+    assert "gamma must be in [0, 1], got 2" in capsys.readouterr().err

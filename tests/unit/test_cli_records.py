@@ -9,7 +9,7 @@ import pytest
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.results.analysis import analyse_flight
-from drone_env.results.record import load_record, read_records, record_of, save_record
+from drone_env.results.record import load_record, record_of, save_record
 from drone_env.results.store import Store
 from drone_env.reward_file import load_reward_profile
 
@@ -36,7 +36,6 @@ def stopped(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     "options",
     [
-        ["--task", "easy", "--agent", "greedy"],
         ["--task", "hard", "--agent", "random", "--reward-profile", "aligned"],
         ["--task", "skyline_easy", "--agent", "optimal"],
     ],
@@ -48,32 +47,16 @@ def test_a_recorded_flight_replays_to_the_same_log(
     assert main(["fly", *options, "--seed", "7", "--record", str(file)]) == 0
     first = capsys.readouterr()
     assert all(line.startswith(("[START]", "[STEP]", "[END]")) for line in first.out.splitlines())
-    assert [path.name for path in file.parent.iterdir()] == ["flight.json"]
-    assert load_record(file).agent == options[3]
     assert main(["replay", str(file)]) == 0
     again = capsys.readouterr()
     assert again.out == first.out
     assert again.err == first.err.replace(f"record: {file}\n", "")
 
 
-@pytest.mark.parametrize(("options", "line"), [([], "[STEP]"), (["--verify"], "verified: ")])
-def test_replay_shows_maps_beside_its_lines(
-    options: list[str], line: str, flight: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["replay", str(flight), "--render", *options]) == 0
-    captured = capsys.readouterr()
-    assert captured.err.count("🚁") == len(load_record(flight).actions) + 1
-    assert line in captured.out
-    assert "🚁" not in captured.out
-
-
 def test_replay_of_an_unfinished_flight_counts_the_waiting(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(stopped)]) == 0
     captured = capsys.readouterr()
-    assert captured.out.splitlines()[-2:] == [
-        "[STEP] step=1 action=WAIT reward=0.10 done=false error=null",
-        "[END] success=false steps=1 score=0.010 rewards=0.10",
-    ]
+    assert captured.out.endswith("[END] success=false steps=1 score=0.010 rewards=0.10\n")
     assert "unfinished" in captured.err
 
 
@@ -82,14 +65,11 @@ def test_a_tampered_record_is_refused_before_anything_is_printed(
     command: str, flight: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record = json.loads(flight.read_text())
-    for text, told in (
-        (json.dumps(record | {"score": 0.99}), "score 0.99 where the flight gives"),
-        ("{}", flight.name),
-    ):
-        flight.write_text(text)
-        assert main([command, str(flight)]) == 2
-        captured = capsys.readouterr()
-        assert (captured.out, told in captured.err) == ("", True)
+    flight.write_text(json.dumps(record | {"score": 0.99}))
+    assert main([command, str(flight)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "score 0.99 where the flight gives" in captured.err
 
 
 def test_a_flight_is_the_same_recorded_or_flown_first(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,26 +81,11 @@ def test_a_flight_is_the_same_recorded_or_flown_first(flight: Path, capsys: pyte
         assert capsys.readouterr() == (f"{shown}\n" * 2, "")
 
 
-def test_analyse_flight_colours_blunders_in_a_terminal(
-    flight: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm-256color")
-    assert main(["analyse-flight", str(flight)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert any("??" in line for line in lines)
-    assert all(("??" in line) == line.startswith("\x1b[1;31m") for line in lines)
-
-
 @pytest.mark.parametrize(
     ("arguments", "allowed"),
     [
         (["analyse-flight"], "got neither"),
-        (["analyse-flight", "flight.json", "--task", "easy"], "got both"),
         (["analyse-flight", "flight.json", "--seed", "7"], "without --agent and --seed"),
-        (["analyse-flight", "--task", "easy", "--agent", "ace"], "greedy, optimal, pathqnet, random"),
-        (["analyse-flight", "--task", ""], "easy, hard, medium"),
-        (["replay"], "FILE"),
         (["replay", "missing.json"], "missing.json"),
         (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
@@ -130,9 +95,7 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     arguments: list[str], allowed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
-    captured = capsys.readouterr()
-    assert allowed in captured.err
-    assert captured.out == ""
+    assert allowed in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -151,21 +114,11 @@ def spoil(file: Path, line: int, **fields: object) -> None:
     file.write_text("\n".join(lines) + "\n")
 
 
-def test_fly_appends_to_jsonl_and_replay_flies_all(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert [record.seed for record in read_records(flights)] == [7, 8, 9]
-    assert main(["replay", str(flights)]) == 0
-    again = capsys.readouterr().out
-    for seed in (7, 8, 9):
-        main(["fly", "--agent", "random", "--seed", str(seed)])
-    assert capsys.readouterr().out == again
-
-
 def test_replay_stops_at_the_first_line_that_does_not_fit(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spoil(flights, 2, deliveries=2)
     assert main(["replay", str(flights)]) == 2
     captured = capsys.readouterr()
     assert captured.out.count("[START]") == captured.out.count("[END]") == 1
-    assert "line 2 of" in captured.err
     assert "deliveries 2 where the flight gives" in captured.err
     flights.write_bytes(flights.read_bytes()[:-100])
     assert main(["replay", str(flights), "--verify"]) == 2
@@ -174,11 +127,8 @@ def test_replay_stops_at_the_first_line_that_does_not_fit(flights: Path, capsys:
 
 def test_verify_says_it_of_every_line(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(flights), "--verify"]) == 0
-    captured = capsys.readouterr()
-    assert re.fullmatch(
-        r"(verified: line \d of .*flights.jsonl: easy_delivery map \d, \d+ rewards, score 0\.\d+\n){3}", captured.out
-    )
-    assert captured.err == ""
+    line = r"verified: line \d of .*flights.jsonl: easy_delivery map \d, \d+ rewards, score 0\.\d+\n"
+    assert re.fullmatch(f"({line}){{3}}", capsys.readouterr().out)
     spoil(flights, 2, rewards=[0.5] * 60)
     assert main(["replay", str(flights), "--verify"]) == 1
     lines = capsys.readouterr().out.splitlines()
@@ -203,9 +153,6 @@ def test_verify_with_a_reward_of_ones_own(tmp_path: Path, capsys: pytest.Capture
     assert "unknown reward profile 'mine'" in capsys.readouterr().out
     assert main(["replay", str(file), "--verify", "--reward", "aligned"]) == 2
     assert "--reward cannot be 'aligned'" in capsys.readouterr().err
-    mine.write_text('id = "mine"\n[events]\nwait = 0.5\n')
-    assert main(["replay", str(file), "--verify", "--reward", str(mine)]) == 1
-    assert "reward 0.25 of step 1 where the flight pays 0.5" in capsys.readouterr().out
 
 
 def test_replay_of_a_stored_episode(
@@ -214,10 +161,6 @@ def test_replay_of_a_stored_episode(
     monkeypatch.setenv("DRONE_ENV_DATA", str(tmp_path / "kept"))
     with Store(tmp_path / "kept") as store:
         episode_id = store.add_episode(load_record(flight))
-    assert main(["replay", str(flight)]) == 0
-    from_file = capsys.readouterr()
-    assert main(["replay", episode_id]) == 0
-    assert capsys.readouterr() == from_file
     assert main(["replay", episode_id, "--verify"]) == 0
     assert f"verified: episode {episode_id}: medium_delivery map 7" in capsys.readouterr().out
     assert main(["replay", "0123456789abcdef"]) == 2
@@ -225,4 +168,3 @@ def test_replay_of_a_stored_episode(
     monkeypatch.setenv("DRONE_ENV_DATA", str(tmp_path / "none"))
     assert main(["replay", "0123456789abcdef"]) == 2
     assert "DRONE_ENV_DATA" in capsys.readouterr().err
-    assert not (tmp_path / "none").exists()

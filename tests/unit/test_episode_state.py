@@ -1,43 +1,31 @@
 """An episode as an object: its start, its snapshots, and what it refuses."""
 
 import pickle
+from itertools import accumulate
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode
-from drone_env.core.seeds import SPLITS, next_seed
+from drone_env.core.seeds import next_seed
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
 from tests.toy import fly, toy_episode
 
 
 class TestReset:
-    def test_without_a_seed_the_first_map_is_drawn_from_the_train_split(self) -> None:
-        seeds = {Episode().reset() for _ in range(20)}
-        assert len(seeds) == 20
+    def test_without_a_seed_the_first_map_is_drawn_from_the_train_split_and_the_others_follow(self) -> None:
+        episodes = [Episode() for _ in range(20)]
+        seeds = [episode.reset() for episode in episodes]
+        assert len(set(seeds)) == 20
         assert all(0 <= seed < 2**52 for seed in seeds)
+        assert [episode.reset() for episode in episodes] == [next_seed(seed) for seed in seeds]
 
-    def test_without_a_seed_further_maps_follow_the_walk(self) -> None:
-        episode = Episode()
-        episode.reset(11)
-        walk = [episode.reset() for _ in range(4)]
-        expected, seed = [], 11
-        for _ in range(4):
-            seed = next_seed(seed)
-            expected.append(seed)
-        assert walk == expected
-
-    @pytest.mark.parametrize("split", SPLITS)
-    def test_the_walk_never_leaves_the_train_split_wherever_it_starts(self, split: str) -> None:
-        for start in (SPLITS[split].start, SPLITS[split].stop - 1):
-            seed, seen = start, set()
-            for _ in range(1000):
-                seed = next_seed(seed)
-                assert 0 <= seed < 2**52
-                seen.add(seed)
-            assert len(seen) == 1000
+    def test_the_walk_never_leaves_the_train_split_wherever_it_starts(self) -> None:
+        for start in (0, 2**52 - 1, 2**53 - 1):
+            walk = list(accumulate(range(1000), lambda seed, _: next_seed(seed), initial=start))[1:]
+            assert len(set(walk)) == 1000
+            assert 0 <= min(walk) < max(walk) < 2**52
 
     def test_the_reward_profile_is_chosen_per_episode_and_kept_until_another_is(self) -> None:
         episode = Episode("easy", "tiered")
@@ -58,19 +46,6 @@ class TestReset:
 
 
 class TestState:
-    def test_round_trip(self) -> None:
-        episode = toy_episode(["@0.1", "...."])
-        fly(episode, "RL")
-        state, message, observation = episode.get_state(), episode.message, episode.observation()
-        onward = fly(episode, "RRR")
-        assert episode.ended
-        episode.set_state(pickle.loads(pickle.dumps(state)))
-        assert episode.get_state() == state
-        assert episode.message == message
-        assert np.array_equal(episode.observation()["grid"], observation["grid"])
-        assert np.array_equal(episode.observation()["telemetry"], observation["telemetry"])
-        assert fly(episode, "RRR") == onward
-
     def test_a_snapshot_knows_whether_its_last_step_came_after_the_end(self) -> None:
         episode = toy_episode(["@0", ".."])
         seen = []
@@ -79,7 +54,7 @@ class TestState:
             seen.append((episode.get_state(), episode.message))
         assert seen[0][1] != seen[1][1]
         for state, message in seen:
-            episode.set_state(state)
+            episode.set_state(pickle.loads(pickle.dumps(state)))
             assert episode.message == message
 
     @pytest.mark.parametrize(("task", "profile"), [("medium", "tiered"), ("easy", "composite")])
@@ -118,7 +93,7 @@ class TestState:
 
 
 class TestRefusedInput:
-    @pytest.mark.parametrize("action", [5, -1, 1.5, "UP", "0", None, [0], True, False])
+    @pytest.mark.parametrize("action", [5, -1, 1.5, "UP", None, True])
     def test_invalid_action_leaves_the_state_as_it_was(self, action: Any) -> None:
         episode = toy_episode(["@.0", "..."])
         before = episode.get_state()
@@ -126,7 +101,7 @@ class TestRefusedInput:
             episode.step(action)
         assert episode.get_state() == before
 
-    @pytest.mark.parametrize("seed", [True, False, -1, 2**53, 2**64, 1.5, 7.0, "7", [7]])
+    @pytest.mark.parametrize("seed", [True, -1, 2**53, 7.0, "7"])
     def test_invalid_seed_leaves_the_state_as_it_was(self, seed: Any) -> None:
         episode = toy_episode(["@.0", "..."])
         fly(episode, "R")

@@ -3,13 +3,12 @@
 import inspect
 import pickle
 from collections.abc import Iterator
-from copy import deepcopy
 from importlib import import_module
 
 import pytest
 
 from drone_env import errors
-from drone_env.errors import DroneEnvError, MissingPackageError, UnknownNameError
+from drone_env.errors import DroneEnvError, UnknownNameError
 
 ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.problems")
 VALUES: dict[str, object] = {
@@ -37,26 +36,15 @@ def made(kind: type[DroneEnvError]) -> DroneEnvError:
 
 
 @pytest.mark.parametrize("kind", list(kinds()), ids=lambda kind: kind.__name__)
-@pytest.mark.parametrize(
-    "travel", [lambda error: pickle.loads(pickle.dumps(error)), deepcopy], ids=["pickle", "deepcopy"]
-)
-def test_every_error_arrives_as_it_was(kind: type[DroneEnvError], travel: object) -> None:
+def test_every_error_arrives_as_it_was(kind: type[DroneEnvError]) -> None:
     error = made(kind)
-    assert callable(travel)
-    arrived = travel(error)
+    arrived = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(error))))
     assert type(arrived) is kind
     assert (str(arrived), arrived.args) == (str(error), error.args)
     assert vars(arrived) == vars(error)
 
 
-def test_so_do_their_details() -> None:
-    unknown = pickle.loads(pickle.dumps(UnknownNameError("task", "eazy", ["hard", "easy"])))
-    assert (unknown.kind, unknown.given, unknown.allowed) == ("task", "eazy", ["easy", "hard"])
-    missing = pickle.loads(pickle.dumps(MissingPackageError("Ray", "cluster")))
-    assert missing.msg == str(missing)
-    assert missing.msg.startswith("Ray is not installed")
-    twice = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(unknown))))
-    assert "did you mean 'hard_delivery'? allowed: hard" in str(
-        UnknownNameError("task", "Hard_delivry", ["hard"], also=["hard_delivery"])
+def test_an_unknown_name_is_told_with_the_most_similar_one() -> None:
+    assert str(UnknownNameError("task", "eazy", ["hard", "easy"])) == (
+        "unknown task 'eazy'; did you mean 'easy'? allowed: easy, hard"
     )
-    assert str(twice) == "unknown task 'eazy'; did you mean 'easy'? allowed: easy, hard"

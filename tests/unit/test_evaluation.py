@@ -1,9 +1,9 @@
 """The one unit of evaluation and the figures made from it."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,8 +13,7 @@ from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.results.folder import ResultsFolder
+from drone_env.results.evaluate import episodes_key, evaluate, run_episodes, summarise
 from drone_env.results.result import COLUMNS, Results, concatenate
 
 
@@ -29,16 +28,6 @@ def test_results_are_the_same_whole_or_in_pieces() -> None:
         assert getattr(whole, name).dtype == getattr(together, name).dtype
     with pytest.raises(InvalidValueError, match="neighbours"):
         concatenate(pieces[::2])
-    with pytest.raises(InvalidValueError, match="no results"):
-        concatenate([])
-
-
-def test_no_agent_beats_the_optimum_and_the_optimal_agent_reaches_it() -> None:
-    for agent in ("random", "optimal"):
-        results = run_episodes(episodes_key("hard", agent, range(40)))
-        assert (results.scores <= results.optimal_scores).all()
-    assert (results.scores == results.optimal_scores).all()
-    assert (results.steps == results.optimal_steps).all()
 
 
 @pytest.mark.parametrize("agent", ["greedy", "optimal"])
@@ -75,7 +64,6 @@ def test_figures_by_hand() -> None:
     assert figures["score_ratio"] == pytest.approx(0.6)
     assert figures["mean_regret"] == pytest.approx(0.38)
     assert figures["mean_excess_steps"] == 3.5
-    assert f"{results}" == repr(results)
     assert repr(results).splitlines() == [
         "greedy on easy_delivery v1",
         "maps 0 to 2 (3, split custom)",
@@ -94,7 +82,6 @@ def test_where_no_planner_knows_the_optimum_its_figures_are_missing(monkeypatch:
     figures = summarise(results)
     unknown = ("mean_optimal_score", "score_ratio", "mean_regret", "mean_excess_steps")
     assert [figures[name] for name in unknown] == [None] * 4
-    assert figures["mean_score"] == 0.01
     figures = summarise(run_episodes(episodes_key("hard", "random", range(1))))
     assert (figures["success_rate"], figures["mean_excess_steps"], figures["score_ci95"]) == (0, None, None)
 
@@ -104,8 +91,6 @@ def test_a_key_is_of_this_configuration_of_a_registered_task_and_of_its_split() 
     for wrong, told in (({"config_hash": "0" * 16}, "made under"), ({"seeds": (1, 1)}, "holds no seeds")):
         with pytest.raises(InvalidValueError, match=told):
             run_episodes(key._replace(**wrong))
-    with pytest.raises(UnknownNameError, match="version"):
-        run_episodes(key._replace(version=99))
     with pytest.raises(InvalidValueError, match="register it first"):
         episodes_key(replace(TASKS["easy_delivery"], max_steps=50, battery_capacity=50), "greedy", range(2))
     with pytest.raises(InvalidValueError, match="are not of the split 'train'"):
@@ -115,6 +100,8 @@ def test_a_key_is_of_this_configuration_of_a_registered_task_and_of_its_split() 
     for seeds in (range(0), range(0, 10, 2), range(-1, 3), range(2**53 - 1, 2**53 + 1)):
         with pytest.raises(InvalidValueError):
             episodes_key("easy", "greedy", seeds)
+    with pytest.raises(InvalidValueError, match=r"seeds must be a range .* got \[1, 2\]"):
+        evaluate("greedy", "easy", seeds=cast(Any, [1, 2]))
 
 
 def test_a_key_names_a_network_by_what_its_file_holds(tmp_path: Path) -> None:
@@ -134,17 +121,3 @@ def test_an_agent_must_say_what_decides_how_it_flies(config: object, monkeypatch
     monkeypatch.setitem(AGENTS, "silent", lambda task: SimpleNamespace(config=config))
     with pytest.raises(InvalidValueError, match="agent 'silent' must have `config`, a mapping of JSON values"):
         episodes_key("easy", "silent", range(1))
-
-
-def test_a_folder_of_another_format_is_refused(tmp_path: Path) -> None:
-    keys = [episodes_key("easy", "greedy", range(2))]
-    ResultsFolder(tmp_path, keys)
-    config = tmp_path / "evaluation.json"
-    whole = json.loads(config.read_text())
-    for change, told in (
-        ({"format_version": 2}, "format_version: Input should be 1"),
-        ({"piece": 500}, "holds another evaluation: piece: 500 is now 1000"),
-    ):
-        config.write_text(json.dumps(whole | change))
-        with pytest.raises(InvalidValueError, match=told):
-            ResultsFolder(tmp_path, keys)

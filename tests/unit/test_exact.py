@@ -1,6 +1,5 @@
 """The exact planners by hand on toy maps, against each other on real ones, and what they refuse."""
 
-import os
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,25 +11,16 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.seeds import split_seeds
 from drone_env.core.tables import BATTERY
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
+from drone_env.errors import EpisodeError, TooLargeError
 from drone_env.planning import states
 from drone_env.planning.from_observation import episode_of
-from drone_env.planning.legs import LegSolver
+from drone_env.planning.legs import LegSolver, covers
 from drone_env.planning.optimal import best_actions, solve, solve_episode
 from drone_env.planning.solver import ExactSolver, Solver
 from tests.toy import fly, toy_episode
 from tests.which_tasks import SMALL
-
-MAPS = 1000 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 30
-"""Maps of each task that are compared."""
-STANDARD = [name for name, task in SMALL.items() if task.uniform]
-SKYLINE = [name for name, task in SMALL.items() if not task.uniform]
-LARGE = ("hard_delivery", "skyline_hard", "city_small")
-"""All values of such a map take a second."""
-QUICK = [name for name in SMALL if name not in LARGE]
 
 MakeSolver: TypeAlias = Callable[[Episode], Solver]
 EACH_SOLVER = pytest.mark.parametrize("make", [ExactSolver, LegSolver])
@@ -49,17 +39,9 @@ def letters(actions: Sequence[Action]) -> str:
 
 def scores_of(episode: Episode) -> list[float]:
     """What all planners make of an episode, flown to its end."""
-    scores = [ExactSolver(episode).value(episode), solve_episode(episode).score]
-    plans = [ExactSolver(episode).best_actions(), best_actions(episode)]
-    if episode.task.efficiency_needs_all:
-        scores.append(LegSolver(episode).value(episode))
-    for plan in plans:
-        flight = Episode(episode.task, episode.reward_profile)
-        flight.set_state(episode.get_state())
-        for action in plan:
-            flight.step(action)
-        scores.append(flight.counted_score())
-    return scores
+    solvers = [ExactSolver(episode), *([LegSolver(episode)] if covers(episode.task) else [])]
+    plans = [solver.best_actions() for solver in solvers] + [best_actions(episode)]
+    return [solver.value(episode) for solver in solvers] + [episode.copy().fly(p).counted_score() for p in plans]
 
 
 class TestByHand:
@@ -98,19 +80,6 @@ class TestByHand:
         score = 0.8 + 0.1 * left / battery + 0.1 * (7 - len(plan)) / 7
         assert scores_of(episode) == pytest.approx([score] * len(scores_of(episode)))
 
-    def test_round_a_wall(self) -> None:
-        episode = toy_episode(["@O0", ".O.", "..."], impassable=frozenset({Cell.OBSTACLE}), max_steps=10, **NEEDS_ALL)
-        solver = ExactSolver(episode)
-        assert letters(solver.best_actions()) == "DDRRUU"
-        best = 0.8 + 0.1 * 4 / 10 + 0.1 * 4 / 10
-        assert solver.q_values(episode) == pytest.approx([best - 0.02, best, best - 0.02, best - 0.02, best - 0.02])
-        assert [solver.regret(episode, action) for action in Action] == pytest.approx([0.02, 0, 0.02, 0.02, 0.02])
-
-    def test_a_parcel_behind_a_wall_cannot_be_had(self) -> None:
-        episode = toy_episode(["@.OO", "..O0", "1.OO"], impassable=frozenset({Cell.OBSTACLE}), max_steps=6, **NEEDS_ALL)
-        assert scores_of(episode) == [0.4] * 5
-        assert solve_episode(episode).order == ((0, 2),)
-
 
 def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
     assert letters(ExactSolver(toy_episode(["@.", ".0"])).best_actions()) == "DR"
@@ -118,32 +87,12 @@ def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
 
 @EACH_SOLVER
 class TestRegret:
-    @pytest.mark.parametrize("action", [5, -1, True])
-    def test_of_no_action_is_refused(self, make: MakeSolver, action: int) -> None:
-        episode = toy_episode(["@0", ".."])
-        with pytest.raises(InvalidValueError, match="action must be one of"):
-            make(episode).regret(episode, action)
-
     def test_is_what_an_action_gives_away_for_good(self, make: MakeSolver) -> None:
         episode = toy_episode(["@0", ".."], max_steps=10, **NEEDS_ALL)
         solver = make(episode)
         # Every other action costs a step; DOWN costs another one to come back round.
         assert [solver.regret(episode, a) for a in Action] == pytest.approx([0.02, 0.02 * 2, 0.02, 0, 0.02])
         assert solver.optimal_actions(episode) == (Action.RIGHT,)
-
-    @pytest.mark.parametrize("task", QUICK)
-    def test_sums_up_to_the_regret_of_the_flight(self, make: MakeSolver, task: str) -> None:
-        draw = random.Random(task)
-        for seed in range(3):
-            episode = reset(task, seed)
-            solver = make(episode)
-            optimum, given_away = solver.value(episode), 0.0
-            while not episode.ended:
-                action = draw.choice((*Action, *solver.optimal_actions(episode) * 5))
-                given_away += solver.regret(episode, action)
-                episode.step(action)
-            assert given_away == pytest.approx(optimum - episode.score, abs=1e-12)
-            assert solver.value(episode) == episode.score
 
 
 @EACH_SOLVER
@@ -170,12 +119,11 @@ class TestRefusals:
         assert best_actions(episode) == []
         assert solve_episode(episode).actions == ()
 
-    @pytest.mark.parametrize("task", SMALL)
-    def test_an_episode_of_another_map_or_task(self, make: MakeSolver, task: str) -> None:
-        episode = reset("skyline_easy", 1)
-        solver = make(episode)
-        with pytest.raises(EpisodeError, match="solver of its own"):
-            solver.q_values(reset(task, 2))
+    def test_an_episode_of_another_map_or_task(self, make: MakeSolver) -> None:
+        solver = make(reset("skyline_easy", 1))
+        for other in (reset("skyline_easy", 2), reset("skyline_medium", 1)):
+            with pytest.raises(EpisodeError, match="solver of its own"):
+                solver.q_values(other)
 
     def test_another_terrain_or_other_parcels_under_the_same_seed(self, make: MakeSolver) -> None:
         solver = make(toy_episode(["@B.", "0.1"]))
@@ -199,18 +147,13 @@ class TestRefusals:
         assert solver.value(flown) == flown.score
 
     def test_a_battery_that_cannot_be(self, make: MakeSolver) -> None:
-        full = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9)
-        spent = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9, drain=())
+        full, spent = (toy_episode(["@..", "..0"], max_steps=9) for _ in range(2))
         fly(spent, "WW")
         state = np.frombuffer(spent.get_state().numbers, np.uint16).copy()
-        for battery in (0, 6, 8, 9):
-            state[BATTERY] = battery
-            spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
-            with pytest.raises(EpisodeError, match="solver of its own"):
-                make(full).value(spent)
-        state[BATTERY] = 7
+        state[BATTERY] = 8
         spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
-        assert make(full).value(spent) == make(spent).value(spent)
+        with pytest.raises(EpisodeError, match="solver of its own"):
+            make(full).value(spent)
 
     def test_more_memory_than_is_allowed(self, make: MakeSolver, monkeypatch: pytest.MonkeyPatch) -> None:
         episode = reset("skyline_easy", 0)
@@ -230,33 +173,9 @@ def test_the_largest_task_at_once() -> None:
 
 
 @pytest.mark.parametrize("task", SMALL)
-def test_planners_leave_the_episode_as_it_is(task: str) -> None:
-    episode = reset(task, 4)
-    fly(episode, "RRDDW")
-    before = episode.get_state()
-    best_actions(episode)
-    solve_episode(episode)
-    solver = ExactSolver(episode)
-    solver.best_actions()
-    solver.regret(episode, 0)
-    assert episode.get_state() == before
-
-
-@pytest.mark.parametrize("task", SMALL)
-def test_whoever_flies_nothing_but_optimal_actions_scores_the_optimum(task: str) -> None:
-    draw = random.Random(task)
-    for seed in split_seeds("test", MAPS // 30 if task in LARGE else MAPS // 10):
-        episode = reset(task, seed)
-        solver = ExactSolver(episode)
-        while not episode.ended:
-            episode.step(draw.choice(solver.optimal_actions(episode)))
-        assert episode.score == solve(task, seed).score
-
-
-@pytest.mark.parametrize("task", SMALL)
 def test_an_episode_is_rebuilt_from_its_observation(task: str) -> None:
     draw = random.Random(task)
-    for seed in range(MAPS // 3):
+    for seed in range(10):
         episode = reset(task, seed)
         while not episode.ended:
             rebuilt = episode_of(episode.task, episode.observation())

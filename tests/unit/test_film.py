@@ -1,7 +1,6 @@
 """Flights as films."""
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,55 +9,25 @@ from PIL import Image, ImageSequence
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
-from drone_env.envs import film
 from drone_env.envs.film import SIZE, save_film
 from drone_env.envs.rendering import draw_picture
 
 ACTIONS = (0, 0, 3, 4, 1)
 
 
-@pytest.fixture
-def flown() -> Episode:
-    return Episode("easy", seed=7).fly(ACTIONS)
-
-
-def test_a_gif_shows_the_start_and_every_step_and_rests_at_the_end(flown: Episode, tmp_path: Path) -> None:
-    save_film(flown, tmp_path / "flight.gif")
+def test_a_gif_shows_the_start_and_every_step_and_rests_at_the_end(tmp_path: Path) -> None:
+    save_film(Episode("easy", seed=7).fly(ACTIONS), tmp_path / "flight.gif")
     again = Episode("easy", seed=7)
     wanted = [draw_picture(again, SIZE)]
     for action in ACTIONS:
         again.step(action)
         wanted.append(draw_picture(again, SIZE))
-    shown, durations = [], []
     with Image.open(tmp_path / "flight.gif") as gif:
-        for frame in ImageSequence.Iterator(gif):
-            shown.append(np.asarray(frame.convert("RGB"), float))
-            durations.append(frame.info["duration"])
-    assert durations == [120] * len(ACTIONS) + [9 * 120]
-    assert len(shown) == len(wanted)
+        frames = ImageSequence.Iterator(gif)
+        shown = [np.asarray(frame.convert("RGB"), float) for frame in frames]
     for picture, want in zip(shown, wanted, strict=True):
         differs = [np.abs(picture - other).mean() for other in wanted]
         assert min(differs) == np.abs(picture - want).mean() < 2  # in 255 colours
-
-
-def test_equal_flights_are_equal_gifs(flown: Episode, tmp_path: Path) -> None:
-    for name, episode in (("a", flown), ("b", Episode("easy", "score", 7).fly(ACTIONS))):
-        save_film(episode, tmp_path / f"{name}.gif")
-    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
-
-
-def test_a_film_that_fails_leaves_what_was_there(
-    flown: Episode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def failing(_: Episode) -> Iterator[np.ndarray]:
-        yield draw_picture(flown, SIZE)
-        raise MemoryError
-
-    monkeypatch.setattr(film, "pictures_of", failing)
-    (tmp_path / "flight.gif").write_text("before")
-    with pytest.raises(MemoryError):
-        save_film(flown, tmp_path / "flight.gif")
-    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("flight.gif", "before")]
 
 
 def test_fly_and_replay_save_the_same_film(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,10 +44,8 @@ def test_fly_and_replay_save_the_same_film(tmp_path: Path, capsys: pytest.Captur
     ("video", "why"),
     [
         ("flight.avi", "a film is a file that ends in .gif or .mp4, got flight.avi"),
-        ("flight", "ends in .gif or .mp4"),
         ("folder.gif", "--video takes the name of a file, got the folder folder.gif"),
         ("flight.mp4", "imageio_ffmpeg is not installed"),
-        ("/proc/flight.gif", "--video: no file can be made in /proc"),
     ],
 )
 def test_a_film_that_cannot_be_made_is_said_before_the_flight(

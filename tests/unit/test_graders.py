@@ -9,7 +9,7 @@ from pydantic import ValidationError
 import check_graders
 from drone_env import graders
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TASKS, get_task
+from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, grade_easy, grade_hard, grade_medium
 from drone_env.models import DroneState
@@ -32,33 +32,6 @@ def test_every_task_has_its_grader() -> None:
     assert len({task.grader for task in TASKS.values()}) == len(TASKS)
     with pytest.raises(AttributeError, match="grade_expert"):
         graders.grade_expert  # noqa: B018
-
-
-@pytest.mark.parametrize(
-    ("task", "done", "battery", "steps", "score"),
-    [
-        ("easy", 0, 60, 0, 0.20),
-        ("easy", 1, 0, 60, 0.80),
-        ("easy", 1, 54, 6, 0.98),
-        ("easy", 1, 60, 0, 0.99),
-        ("medium", 2, 50, 50, 0.8 * 2 / 3 + 0.1),
-        ("hard", 5, 120, 40, 0.95),
-        # Here battery and steps left count only when all is delivered.
-        ("skyline_easy", 0, 11, 0, 0.01),
-        ("skyline_easy", 1, 11, 10, 0.8 / 3),
-        ("skyline_easy", 3, 11, 30, 0.95),
-        ("skyline_medium", 3, 9, 50, 0.60),
-        ("skyline_hard", 5, 13, 40, 0.925),
-    ],
-)
-def test_scores_by_hand(task: str, done: int, battery: int, steps: int, score: float) -> None:
-    state = state_of(task, deliveries_done=done, battery_steps_remaining=battery, step_count=steps)
-    state["battery"] = battery / state["battery_capacity"]
-    for parcel in state["parcels"][:done]:
-        parcel["delivered"] = True
-    state["outcome"] = "delivered" if done == state["deliveries_total"] else "flying" if battery else "battery_dead"
-    state["done"] = state["outcome"] != "flying"
-    assert GRADERS[get_task(task).id](state) == pytest.approx(score, abs=1e-15)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -86,10 +59,8 @@ def test_only_counts_of_the_graders_own_task_are_graded() -> None:
     ("manifest", "complaint"),
     [
         ("tasks: [{id: easy_delivery, grader: 'drone_env.graders:grade_none'}]\ngraders: []", "grade_none"),
-        ("tasks: [{id: easy_delivery, grader: 'no_such_module:grade'}]\ngraders: []", "no_such_module"),
         ("tasks: [{id: no_task, grader: 'drone_env.graders:grade_easy'}]\ngraders: []", "no_task"),
         ("tasks: [{id: easy_delivery, grader: 'drone_env.graders.grade_easy'}]\ngraders: []", "module:function"),
-        ("tasks: []\ngraders: []", "0 valid graders"),
         ("tasks: []\ngraders: [{id: 'drone_env.graders:grade_easy'}]", "no task names it"),
         ("[", "cannot read"),
     ],
@@ -103,8 +74,3 @@ def test_check_graders_fails_on_a_broken_manifest(
     told = capsys.readouterr().out
     assert complaint in told
     assert "PASSED" not in told
-
-
-def test_check_graders_fails_without_a_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert check_graders.main(str(tmp_path / "missing.yaml")) == 1
-    assert "missing.yaml" in capsys.readouterr().out

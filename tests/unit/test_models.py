@@ -67,7 +67,6 @@ def test_target_is_null_when_all_is_delivered() -> None:
 def test_round_trip_through_json_and_dictionaries(model: type[BaseModel], episode: Episode) -> None:
     value = model.of(episode)
     assert model.model_validate_json(value.model_dump_json()) == value
-    assert model.model_validate(value.model_dump(mode="json")) == value
     assert model.model_validate(value.model_dump()) == value
 
 
@@ -83,50 +82,29 @@ def test_state_holds_the_flight(episode: Episode) -> None:
     assert (state.task_name, state.task_version, state.seed, state.outcome) == ("medium_delivery", 1, 4, "flying")
 
 
-@pytest.mark.parametrize("direction", list(Action))
-def test_every_direction_is_an_action(direction: Action) -> None:
-    assert DroneAction(direction=direction.name).action is direction
-
-
-@pytest.mark.parametrize("value", ["up", "NORTH", "", 0, None, ["UP"]])
+@pytest.mark.parametrize("value", ["up", 0, ["UP"]])
 def test_a_wrong_direction_names_what_is_allowed(value: object) -> None:
     with pytest.raises(ValidationError, match="'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"):
         DroneAction.model_validate({"direction": value})
 
 
-@pytest.mark.parametrize("extra", [{}, {"direction": "UP", "speed": 2}])
-def test_missing_and_unknown_fields_are_refused(extra: dict) -> None:
-    with pytest.raises(ValidationError):
-        DroneAction.model_validate(extra)
-
-
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("battery", 1.5),
         ("battery", float("nan")),
-        ("drone_x", -1),
         ("drone_x", 14),
         ("drone_x", "3"),
         ("drone_x", 0),
-        ("drone_y", 2.5),
         ("cell_below", "drone"),
         ("cell_below", "delivered"),
-        ("cell_below", None),
         ("score", 1.0),
-        ("score", 0.0),
         ("deliveries_done", 4),
         ("step_count", 101),
         ("grid", ["too short"]),
         ("cell_types", []),
         ("cell_types", [["road"] * 13] * 14),
-        ("cell_types", [["street"] * 14] * 14),
         ("grid", ["🌳" * 14] * 14),
         ("current_target", [14, 0]),
-        ("current_target", [1]),
-        ("current_target", [1, "2"]),
-        ("reward_total", float("inf")),
-        ("done", "yes"),
         ("nonsense", 1),
     ],
 )
@@ -142,13 +120,9 @@ def test_a_wrong_field_is_refused_by_name(episode: Episode, field: str, value: o
     [
         ("battery_steps_remaining", 101),
         ("battery", 0.5),
-        ("step_count", 101),
-        ("deliveries_done", 4),
         ("deliveries_done", 1),
         ("seed", 2**53),
-        ("grid", []),
         ("grid", [[0] * 14] * 13 + [[0]]),
-        ("drone_x", 14),
         ("current_target", [0, 14]),
         ("parcels", []),
         ("outcome", "delivered"),
@@ -160,8 +134,3 @@ def test_an_impossible_state_is_refused(episode: Episode, field: str, value: int
     fields = DroneState.of(episode).model_dump()
     with pytest.raises(ValidationError, match=field):
         DroneState.model_validate({**fields, field: value})
-
-
-def test_models_are_immutable() -> None:
-    with pytest.raises(ValidationError, match="frozen"):
-        DroneAction(direction="UP").direction = "DOWN"

@@ -11,12 +11,11 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
-from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.results.record import (
     EpisodeRecord,
     RecordWriter,
     load_record,
-    numbered_records,
     parse_record,
     read_records,
     record_of,
@@ -55,9 +54,7 @@ def test_a_record_comes_back_from_its_file_and_flies_to_the_same_bits(task: str,
     save_record(record, tmp_path / "flight.json")
     again = load_record(tmp_path / "flight.json")
     assert again == record
-    episode = replay(again)
-    assert [reward.hex() for reward in episode.rewards] == [reward.hex() for reward in again.rewards]
-    assert [point.reward for point in episode.path] == episode.rewards
+    assert [reward.hex() for reward in replay(again).rewards] == [reward.hex() for reward in again.rewards]
 
 
 @pytest.mark.parametrize("step", [0, 3, -1])
@@ -69,23 +66,19 @@ def test_one_bit_of_one_reward_is_noticed(step: int) -> None:
     assert replay(tampered(record, step, one_bit_more), "aligned").reward_profile.id == "aligned"
 
 
-def test_every_wrong_bit_of_the_rewards_counts() -> None:
+def test_the_sign_of_a_zero_counts() -> None:
     with pytest.raises(InvalidValueError, match=r"reward -0\.0 of step 1 where the flight pays 0\.0"):
         replay(tampered(flown(profile="score"), 0, lambda value: -value))
-    with pytest.raises(InvalidValueError, match=r"of step 2 .*\(and 1 more\)$"):
-        replay(tampered(tampered(flown(), 1, one_bit_more), 5, one_bit_more))
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
         ({"format_version": 2}, "format_version: Input should be 1"),
-        ({"rewards": None}, "rewards: Input should be a valid array"),
         ({"rewards": [0.1]}, "1 rewards do not fit 60 actions"),
-        ({"rewards": ["0.1"] * 60}, "rewards.0: Input should be a valid number"),
+        ({"rewards": [math.nan] * 60}, "rewards.0: Input should be a finite number"),
         ({"actions": ["NORTH"]}, "actions.0: Input should be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
         ({"agent": "two\nlines"}, "agent: String should match pattern"),
-        ({"seed": 7.5}, "seed: Input should be a valid integer"),
         ({"wind": 1}, "wind: Extra inputs are not permitted"),
     ],
 )
@@ -96,22 +89,13 @@ def test_what_is_no_record_is_refused_by_field(fields: dict[str, Any], message: 
     assert message in str(error.value)
 
 
-@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
-def test_rewards_are_finite(number: str) -> None:
-    text = flown().to_json().replace('"rewards":[', f'"rewards":[{number},')
-    with pytest.raises(InvalidValueError, match="not the record of a flight"):
-        parse_record(text, "it")
-
-
 @pytest.mark.parametrize(
     ("fields", "error", "message"),
     [
         ({"task_version": 9}, UnknownNameError, "allowed: 1"),
-        ({"reward_profile": "mine"}, UnknownNameError, "tiered"),
         ({"seed": 2**53}, InvalidValueError, "2^53"),
         ({"score": math.nextafter(0.01, 1)}, InvalidValueError, "score 0.010000000000000002 where"),
         ({"deliveries": 3}, InvalidValueError, "deliveries 3 where the flight gives 0"),
-        ({"ended": False}, InvalidValueError, "ended False where the flight gives True"),
         ({"actions": ["WAIT"] * 61, "rewards": [0.1] * 61}, InvalidValueError, "ends after 60 steps"),
     ],
 )
@@ -126,8 +110,6 @@ def test_the_record_in_the_manual_is_one() -> None:
     record = parse_record(manual.split("```json\n")[1].split("```")[0], "the manual")
     assert set(EpisodeRecord.model_fields) == {*json.loads(record.to_json()), "terrain"}  # which cities alone have
     assert replay(record).success
-    with pytest.raises(EpisodeError):
-        record_of(Episode(), "someone")
 
 
 # JSONL
@@ -151,9 +133,6 @@ def test_each_record_is_in_the_file_before_the_next_one_is_written(tmp_path: Pat
             writer.write(record)
             other.write(record)
             assert list(read_records(path)) == [one for one in RECORDS[:count] for _ in range(2)]
-    assert [number for number, _ in numbered_records(path)] == list(range(1, 9))
-    save_record(RECORDS[0], path)
-    assert list(read_records(path)) == RECORDS[:1]
 
 
 def test_wherever_the_last_line_is_cut_it_is_said_and_the_others_are_given(file: Path) -> None:
@@ -180,10 +159,10 @@ def test_only_the_line_end_cut_is_no_loss(file: Path) -> None:
 
 def test_a_line_that_is_no_record_is_named_by_its_number(file: Path) -> None:
     lines = file.read_text().splitlines(keepends=True)
-    file.write_text("".join([*lines[:2], "\n", '{"wind": 1}\n', *lines[2:]]))
-    records = numbered_records(file)
-    assert [next(records)[0] for _ in range(2)] == [1, 2]
-    with pytest.raises(InvalidValueError, match=r"^line 4 of .*flights.jsonl is not the record of a flight: "):
+    file.write_text("".join([*lines[:2], '{"wind": 1}\n', *lines[2:]]))
+    records = read_records(file)
+    assert [next(records) for _ in range(2)] == RECORDS[:2]
+    with pytest.raises(InvalidValueError, match=r"^line 3 of .*flights.jsonl is not the record of a flight: "):
         next(records)
 
 
@@ -193,5 +172,3 @@ def test_nothing_is_appended_to_a_file_of_something_else(tmp_path: Path) -> None
     with pytest.raises(InvalidValueError, match=r"the last line of .*notes.jsonl is not the record of a flight"):
         RecordWriter(other)
     assert other.read_text() == "buy milk\n"
-    (tmp_path / "none.jsonl").touch()
-    assert list(read_records(tmp_path / "none.jsonl")) == []

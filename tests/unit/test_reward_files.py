@@ -1,6 +1,5 @@
 """A reward profile from a file of one's own, wherever one is named."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -9,9 +8,7 @@ import numpy as np
 import pytest
 
 from drone_env.cli import main
-from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.errors import InvalidTaskError
 from drone_env.rl.run import load_checkpoint
 
 EASY = "drone_env:DroneDelivery-Easy-v1"
@@ -24,7 +21,7 @@ delivery = 7
 """
 TRAIN = [
     "train", "--task", "easy", "--episodes", "8", "--num-threads", "1", "--num-envs", "8", "--batch-size", "16",
-    "--replay-size", "400", "--learning-starts", "50", "--validation-every", "8", "--validation-maps", "1",
+    "--replay-size", "400", "--learning-starts", "50", "--validation-maps", "1",
 ]  # fmt: skip
 
 
@@ -45,30 +42,12 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     flight = ["fly", "--task", "easy", "--seed", "14", "--reward-profile"]
     assert run(*flight, "mine.toml", "--record", "flight.json") == 0
     assert capsys.readouterr().out.endswith("rewards=-0.25,-0.25,7.00\n")
-    assert "mine" not in REWARD_PROFILES
     assert run(*flight, "mine") == 2
     assert "unknown reward profile 'mine'" in capsys.readouterr().err
     assert run("replay", "flight.json", "--verify", "--reward", "mine.toml") == 0
-    assert run("play", "--task", "easy", "--seed", "14", "--reward-profile", "nowhere.toml") == 2
-    assert "nowhere.toml" in capsys.readouterr().err
     mine.write_text('id = "mine"\nbonus = 1')
     assert run(*flight, "mine.toml") == 2
-    captured = capsys.readouterr()
-    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in captured.err
-    assert captured.out == ""
-
-
-@pytest.mark.usefixtures("mine")
-def test_a_data_set_pays_by_the_file_and_keeps_it() -> None:
-    import pyarrow.parquet as parquet
-
-    assert run("dataset", "--maps", "1", "--agents", "optimal", "--epsilon", "0", "--reward-profile", "mine.toml",
-               "--out", "steps") == 0  # fmt: skip
-    steps = parquet.read_table("steps/steps.parquet")
-    rewards = steps["reward"].to_pylist()
-    assert (min(rewards), rewards[-1]) == (-0.25, 7)
-    kept = json.loads(steps.schema.metadata[b"drone_env"])["reward_profile"]
-    assert (kept["id"], len(kept["events"])) == ("mine", 3)
+    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_curves")
@@ -79,8 +58,6 @@ def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.
     shutil.copy(mine, "copy.toml")
     assert run(*TRAIN, "--reward-profile", "copy.toml", "--resume") == 0
     assert "nothing to do" in capsys.readouterr().err
-    assert run("train", "--task", "easy") == 2
-    assert "has other settings: reward_profile 'mine' (now 'aligned'); use those" in capsys.readouterr().err
     mine.write_text(MINE.replace("-0.25", "-0.5"))
     assert run("train", "--task", "easy", "--reward-profile", "mine.toml") == 2
     different = "reward events 'delivery 7, wait 0.5, step -0.25' (now 'delivery 7, wait 0.5, step -0.5'); use those"
@@ -101,6 +78,3 @@ def test_environments_pay_by_the_file(mine: Path) -> None:
     sb3.seed(14)
     sb3.reset()
     assert sb3.step(np.array([4, 2]))[1].tolist() == [0.5, -0.25]
-    mine.write_text("id = 3")
-    with pytest.raises(InvalidTaskError, match=r"mine\.toml: id: Input should be a valid string"):
-        gymnasium.make(EASY, reward_profile="mine.toml")

@@ -6,6 +6,7 @@ import pytest
 
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from tests.toy import fly, toy_episode
 
 KINDS = [("B", Cell.BUILDING, Event.BUILDING), ("T", Cell.TREE, Event.TREE), ("O", Cell.OBSTACLE, Event.OBSTACLE)]
@@ -29,43 +30,37 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
     "right": (["...", ".@.", "..0"], "R", {}, {"position": (2, 1)}),
     "wait": (["...", ".@.", "..0"], "W", {}, {"position": (1, 1), "event": Event.WAIT}),
     "wall above": (["@.", ".0"], "U", {}, {"position": (0, 0), "event": Event.WALL, "reward_last": 0.32}),
-    "wall on the left": (["@.", ".0"], "L", {}, {"position": (0, 0), "event": Event.WALL}),
-    "wall below": (["0.", ".@"], "D", {}, {"position": (1, 1), "event": Event.WALL}),
     "wall on the right": (["0.", ".@"], "R", {}, {"position": (1, 1), "event": Event.WALL}),
     # The first event that holds
     "wall above terrain": (["@T.", "..0"], "RU", {}, {"event": Event.WALL}),
     "blocked above terrain": (["@TB", "..0"], "RR", TALL, {"event": Event.BLOCKED, "position": (1, 0)}),
     "dead at a wall": (["@TB", "..0"], "RU", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
-    "dead and blocked": (["@TB", "..0"], "RR", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
-    "dead above terrain": (["@TB", "..0"], "RW", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
-    "dead by a step": (["@TB", "..0"], "RL", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
     "delivered with the last unit": (
         ["@0.1", "...."],
         "R",
         {"max_steps": 1},
         {"event": Event.DELIVERY, "outcome": Outcome.BATTERY_DEAD, "success": False, "score": 0.40},
     ),
+    "all parcels with the last unit": (
+        ["@0", ".."],
+        "R",
+        {"max_steps": 1},
+        {"event": Event.DELIVERY, "outcome": Outcome.DELIVERED, "battery_units": 0, "score": 0.80},
+    ),
+    # Parcels: any order counts, and the target changes only when it is delivered.
+    "another parcel than the target": (
+        ["@.0", "1.."],
+        "RR",
+        {},
+        {"event": Event.DELIVERY, "deliveries_done": 1, "target": (0, 1), "distance_to_target": 3},
+    ),
+    "the first of equally near parcels": ([".@.", "201"], "D", {}, {"target": (2, 1)}),
+    "nothing left": (["@0", ".."], "R", {}, {"target": None, "distance_to_target": None}),
     # Battery
     "drain of the cell that is reached": (["@T.0", "...."], "R", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 7}),
     "drain of a bump": (["@T.0", "...."], "RU", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 4}),
-    "drain before the delivery": (
-        ["@0.1", "...."],
-        "R",
-        {"drain": ((Cell.DELIVERY, 4), (Cell.DELIVERED, 2))},
-        {"battery_units": 6},
-    ),
-    "drain after the delivery": (
-        ["@0.1", "...."],
-        "RW",
-        {"drain": ((Cell.DELIVERY, 4), (Cell.DELIVERED, 2))},
-        {"battery_units": 4},
-    ),
-    "drain stops at zero": (
-        ["@T.0", "...."],
-        "R",
-        {"drain": ((Cell.TREE, 30),)},
-        {"battery_units": 0, "outcome": Outcome.BATTERY_DEAD},
-    ),
+    "drain before the delivery": (["@0.1", "...."], "R", {"drain": ((Cell.DELIVERY, 4),)}, {"battery_units": 6}),
+    "drain stops at zero": (["@T.0", "...."], "R", {"drain": ((Cell.TREE, 30),)}, {"battery_units": 0, "ended": True}),
     "a pad charges": (["@P0", "..."], "RDUW", {"charge_rate": 3}, {"battery_units": 10, "event": Event.WAIT}),
     "a pad fills no more than the battery": (["@P0", "..."], "RDUWW", {"charge_rate": 3}, {"battery_units": 10}),
     "only waiting charges": (["@P0", "..."], "RU", {"charge_rate": 3}, {"battery_units": 8, "event": Event.WALL}),
@@ -90,12 +85,6 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
         "WW",
         {"max_steps": 2, "battery_capacity": 5},
         {"event": Event.WAIT, "outcome": Outcome.OUT_OF_STEPS, "battery_units": 3, "rewards": [0.37, 0.37]},
-    ),
-    "delivered with the last step": (
-        ["@.0", "..."],
-        "RR",
-        {"max_steps": 2, "battery_capacity": 5},
-        {"outcome": Outcome.DELIVERED},
     ),
 }
 
@@ -137,3 +126,49 @@ def test_a_step_after_the_end_changes_nothing_pays_nothing_and_says_so(case: str
     episode.reset(3)
     assert (episode.steps, episode.reward_total, episode.path, episode.ended) == (0, 0.0, [], False)
     assert "ended" not in episode.message
+
+
+def test_where_efficiency_needs_all_it_counts_from_the_last_delivery_on() -> None:
+    episode = toy_episode(["@0.1", "...."], max_steps=8, battery_capacity=10, efficiency_needs_all=True)
+    scores = []
+    for action in "RRR":
+        fly(episode, action)
+        scores.append(episode.score)
+    assert scores == [0.40, 0.40, 0.9325]  # 0.8 + 0.2 * (0.5 * 7/10 + 0.5 * 5/8)
+
+
+def test_efficiency_is_75_parts_parcels_15_battery_and_10_steps() -> None:
+    episode = toy_episode(["@0.1", "...."], max_steps=8, battery_capacity=10)
+    fly(episode, "R")
+    assert episode.efficiency == pytest.approx(75 / 2 + 15 * 9 / 10 + 10 * 7 / 8)
+
+
+def telemetry(episode: Episode) -> list[float]:
+    return episode.observation()["telemetry"].tolist()
+
+
+@pytest.mark.parametrize(
+    ("drawing", "actions", "changes", "values"),
+    [
+        (["...@", "....", "0...", "....", "...."], "D", {}, [3 / 4, 1 / 5, 0.9, 0, 2 / 5]),
+        # With nothing left it repeats the drone's own position.
+        (["....", "@0.."], "R", {}, [0.25, 0.5, 0.9, 0.25, 0.5]),
+        # The steps left, where the battery does not tell the time.
+        (["@..0", "...."], "R", {"max_steps": 4, "battery_capacity": 8}, [0.25, 0, 7 / 8, 0.75, 0, 0.75]),
+    ],
+)
+def test_telemetry(drawing: list[str], actions: str, changes: dict[str, Any], values: list[float]) -> None:
+    episode = toy_episode(drawing, **changes)
+    fly(episode, actions)
+    assert telemetry(episode) == pytest.approx(values)
+
+
+def test_telemetry_tells_the_kind_below_where_there_are_pads() -> None:
+    episode = toy_episode(["@BTP0.1", "......."])
+    seen = [telemetry(episode)[6:]]
+    while not episode.ended:
+        episode.step(Action.RIGHT)
+        seen.append(telemetry(episode)[6:])
+    kinds = ["road", "building", "tree", "pad", "delivered", "road", "delivered"]
+    order = ["road", "building", "tree", "obstacle", "delivery", "delivered", "pad"]
+    assert seen == [[float(name == kind) for name in order] for kind in kinds]

@@ -2,15 +2,15 @@
 
 import sqlite3
 import threading
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.tasks import TASKS
+from drone_env.core.rewards import RewardProfile
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import (
     EpisodeError,
     InvalidValueError,
@@ -18,37 +18,29 @@ from drone_env.errors import (
     UnknownNameError,
 )
 from drone_env.files import data_folder
-from drone_env.results.record import EpisodeRecord, record_of, replay
+from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import flown, flying, mine, opened, unlike, view
+from tests.unit.stores import flown, opened, view
 
 # Finished episodes
 
 
-def lying() -> EpisodeRecord:
-    return record_of(flown(actions="4"), "ace").model_copy(update={"deliveries": 1})
+def flying(task: str | TaskConfig = "easy", profile: str | RewardProfile = "tiered", steps: int = 0) -> Episode:
+    return Episode(task, profile, 7).fly([4] * steps)
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("profile", REWARD_PROFILES)
-def test_an_episode_comes_back_as_it_was_flown(task: str, profile: str, store: Store) -> None:
-    episode = flown(task, actions="01234", profile=profile)
+def test_an_episode_comes_back_as_it_was_flown(task: str, store: Store) -> None:
+    episode = flown(task, actions="01234", profile="composite")
     before = datetime.now(timezone.utc)
     stored = store.episode(store.add_episode(episode, "someone"))
     assert stored.record == record_of(episode, "someone")
-    assert replay(stored.record).rewards == episode.rewards
+    assert store.episode(store.add_episode(stored.record)).record == stored.record
     assert (stored.steps, stored.reward_total) == (episode.steps, episode.reward_total)
     assert stored.outcome == episode.outcome.name.lower()
     assert stored.deliveries_total == episode.task.deliveries
     assert before - timedelta(seconds=1) < stored.finished_at <= datetime.now(timezone.utc)
-
-
-def test_a_record_is_stored_as_its_episode(store: Store) -> None:
-    episode = flown()
-    a, b = store.add_episode(episode, "ace"), store.add_episode(record_of(episode, "ace"))
-    assert a != b
-    assert store.episode(a).record == store.episode(b).record
 
 
 def test_the_latest_come_first_of_one_task_or_of_all(store: Store) -> None:
@@ -56,16 +48,13 @@ def test_the_latest_come_first_of_one_task_or_of_all(store: Store) -> None:
     assert [stored.id for stored in store.latest(100)] == ids[::-1]
     assert [stored.id for stored in store.latest(2)] == ids[:-3:-1]
     assert [stored.id for stored in store.latest(2, "easy")] == [ids[4], ids[2]]
-    assert [stored.id for stored in store.latest(9, "drone_env.graders:grade_medium")] == ids[5::-2]
-    assert store.latest(0) == []
-    assert store.latest(9, "hard") == []
+    assert store.latest(9, "hard") == store.latest(0) == []
     assert len(store.latest(2**70)) == 6
 
 
 def test_all_come_oldest_first_over_several_pages(store: Store) -> None:
     episode = flown()
     ids = [store.add_episode(episode, "ace") for _ in range(230)]
-    assert [stored.id for stored in store.episodes()] == ids
     iterator = store.episodes()
     first = next(iterator).id
     last = store.add_episode(episode, "ace")
@@ -83,7 +72,7 @@ def test_a_store_opened_again_holds_what_it_held(tmp_path: Path) -> None:
         assert store.read_session(session_id).actions == (4,)
 
 
-@pytest.mark.parametrize("episode_id", ["0123456789abcdef", "", "\ud800", "ä", "'; DROP TABLE episodes"])
+@pytest.mark.parametrize("episode_id", ["0123456789abcdef", "\ud800"])
 def test_an_unknown_id_is_an_error_that_names_no_other_flight(episode_id: str, store: Store) -> None:
     store.add_episode(flown(), "ace")
     with pytest.raises(UnknownNameError) as refused:
@@ -96,17 +85,11 @@ def test_an_unknown_id_is_an_error_that_names_no_other_flight(episode_id: str, s
     [
         (Episode(), "ace", EpisodeError, "has not ended"),
         (flying(), "ace", EpisodeError, "has not ended"),
-        (record_of(flying(), "ace"), None, EpisodeError, "has not ended"),
         (flown(), None, InvalidValueError, "agent belongs to an Episode"),
-        (record_of(flown(), "ace"), "ace", InvalidValueError, "agent belongs to an Episode"),
-        (flown(), "", InvalidValueError, "one printable line"),
-        (flown(), "two\nlines", InvalidValueError, "one printable line"),
-        (flown(), "\ud800", InvalidValueError, "one printable line"),
         (flown(), "two\u2028lines", InvalidValueError, "one printable line"),
-        (flown(), "x" * 201, InvalidValueError, "200 characters"),
-        (lying(), None, InvalidValueError, "deliveries 1 where the flight gives 0"),
-        (flying(profile=mine(), steps=60), "ace", UnknownNameError, "tiered"),
-        (flying(task=unlike(), steps=60), "ace", InvalidValueError, "registered"),
+        (record_of(flown(), "ace").model_copy(update={"score": 0.5}), None, InvalidValueError, "score 0.5 where"),
+        (flying(profile=RewardProfile("mine", ""), steps=60), "ace", UnknownNameError, "tiered"),
+        (flying(replace(TASKS["easy_delivery"], max_steps=30), steps=30), "ace", InvalidValueError, "registered"),
     ],
 )
 def test_what_cannot_be_flown_again_is_not_stored(
@@ -117,20 +100,6 @@ def test_what_cannot_be_flown_again_is_not_stored(
     assert store.latest(9) == []
 
 
-@pytest.mark.parametrize(
-    ("call", "error"),
-    [
-        (lambda store: store.latest(-1), InvalidValueError),
-        (lambda store: store.latest(1, "extreme"), UnknownNameError),
-        (lambda store: store.analysis("extreme"), UnknownNameError),
-        (lambda store: store.analysis("easy", last=0), InvalidValueError),
-    ],
-)
-def test_questions_that_make_no_sense_are_refused(call: Any, error: type[Exception], store: Store) -> None:
-    with pytest.raises(error):
-        call(store)
-
-
 # The file
 
 
@@ -138,9 +107,8 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.close()
     store.close()
-    for call in (lambda: store.latest(1), lambda: opened(store), lambda: store.analysis("easy")):
-        with pytest.raises(StoreError, match="closed"):
-            call()
+    with pytest.raises(StoreError, match="closed"):
+        store.latest(1)
 
 
 def test_the_folder_is_data_or_what_the_environment_names(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,12 +119,6 @@ def test_the_folder_is_data_or_what_the_environment_names(monkeypatch: pytest.Mo
     monkeypatch.setenv("DRONE_ENV_DATA", "/somewhere/else")
     assert data_folder() == Path("/somewhere/else")
     assert data_folder("sweep") == Path("/somewhere/else/sweep")
-
-
-def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OSError, match="file"):
-        Store(tmp_path / "file" / "data")
 
 
 @pytest.mark.parametrize(

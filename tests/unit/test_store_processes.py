@@ -1,4 +1,11 @@
-"""The store among threads, processes and kills."""
+"""The store among processes and kills.
+
+Run as a program, this file flies one session of a store at random:
+
+    python test_store_processes.py FOLDER SESSION RANDOM_SEED
+
+After each step it prints one line of JSON: [seed of the map, actions so far, id of the finished episode or null].
+"""
 
 import json
 import os
@@ -7,141 +14,92 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
+from drone_env.core.episode import Episode
+from drone_env.models import DIRECTIONS
 from drone_env.results.record import replay
+from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import eventually, opened, view
 
-EXAMPLES = int(os.environ.get("DRONE_ENV_EXAMPLES", "200"))
-KILLS = max(2, EXAMPLES // 100)
-HAMMERED_STEPS = max(200, EXAMPLES // 5)
-WORKER = Path(__file__).with_name("store_worker.py")
+KILLS = max(2, int(os.environ.get("DRONE_ENV_EXAMPLES", "200")) // 100)
 
 
-def worker(folder: Path, session_id: str, steps: int, seed: int, output: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, str(WORKER), str(folder), session_id, str(steps), str(seed)]
+def fly(folder: str, session: str, random_seed: int) -> None:
+    rng = random.Random(random_seed)
+    with Store(folder) as store:
+        while True:
+            with store.session(session) as row:
+                if row.episode_id is not None:
+                    row.begin(Episode(row.task, row.reward_profile, row.seed + 1))
+                advance(row, rng.randrange(5))
+            # One write, so that a killed process leaves whole lines but for the last.
+            os.write(1, f"{json.dumps([row.seed, row.actions, row.episode_id])}\n".encode())
+
+
+def worker(folder: Path, session_id: str, seed: int, output: Path) -> subprocess.Popen[bytes]:
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     # Into a file: a full pipe would decide when the worker stands still.
     with output.open("wb") as stdout:
-        return subprocess.Popen(command, stdout=stdout, env=environment)
+        return subprocess.Popen(
+            [sys.executable, __file__, str(folder), session_id, str(seed)], stdout=stdout, env=environment
+        )
 
 
 def said(output: Path) -> list[tuple[int, tuple[int, ...], str | None]]:
     """The whole lines that a worker printed after each step."""
     lines = [json.loads(line) for line in output.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
-    assert lines[:1] in ([], ["ready"])
-    return [(seed, tuple(actions), finished) for seed, actions, finished in lines[1:]]
+    return [(seed, tuple(actions), finished) for seed, actions, finished in lines]
 
 
-class ViewReader(threading.Thread):
-    """Reads `memory.json` all the time, and keeps what went wrong."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
-        self.folder = folder
-        self.reads = 0
-        self.error: BaseException | None = None
-        self.done = threading.Event()
-
-    def run(self) -> None:
-        try:
-            while not self.done.is_set():
-                content = json.loads((self.folder / "memory.json").read_bytes())
-                assert len(content["episodes"]) <= 100
-                self.reads += 1
-        except BaseException as error:
-            self.error = error
-
-    def __enter__(self) -> "ViewReader":
-        self.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.done.set()
-        self.join()
-        assert self.error is None
-        assert self.reads > 0
-
-
-def whole(store: Store, session_id: str) -> list[tuple[int, tuple[int, ...]]]:
-    """(seed, actions) of all that a session has flown, checked to be what the worker's way of flying makes."""
-    episodes = list(store.episodes())
-    for stored in episodes:
-        replay(stored.record)
-    row = store.read_session(session_id)
+def kept(store: Store, session_id: str) -> dict[int, tuple[int, ...]]:
+    """The actions that a session has flown on each map; its finished episodes are flown again."""
+    episodes, row = list(store.episodes()), store.read_session(session_id)
     flown = [
-        (e.record.seed, tuple(["UP", "DOWN", "LEFT", "RIGHT", "WAIT"].index(a) for a in e.record.actions))
-        for e in episodes
+        (stored.record.seed, tuple(map(DIRECTIONS.index, stored.record.actions)))
+        for stored in episodes
+        if replay(stored.record).ended
     ]
     if row.episode_id is None:
         flown.append((row.seed, row.actions))
     else:
         assert row.episode_id == episodes[-1].id
     assert [seed for seed, _ in flown] == list(range(len(flown)))
-    return flown
+    return dict(flown)
 
 
-def test_processes_on_one_session_lose_no_step(tmp_path: Path) -> None:
-    with Store(tmp_path) as store:
-        session_id = opened(store, seed=0)
-        with ViewReader(tmp_path):
-            outputs = [tmp_path / "first", tmp_path / "second"]
-            workers = [
-                worker(tmp_path, session_id, HAMMERED_STEPS, seed, output) for seed, output in enumerate(outputs)
-            ]
-            try:
-                assert [process.wait(timeout=200) for process in workers] == [0, 0]
-            finally:
-                for process in workers:
-                    process.kill()
-                    process.wait()
-        steps = [step for output in outputs for step in said(output)]
-        assert len(steps) == 2 * HAMMERED_STEPS
-        # Each step was kept once: no two saw the session in the same state.
-        assert len({(seed, len(actions)) for seed, actions, _ in steps}) == len(steps)
-        flown = dict(whole(store, session_id))
-        assert sum(map(len, flown.values())) == len(steps)
-        assert all(flown[seed][: len(actions)] == actions for seed, actions, _ in steps)
-        finished = {episode_id for _, _, episode_id in steps if episode_id}
-        assert finished == {stored.id for stored in store.episodes()}
-        assert len({seed for seed, _, _ in said(outputs[0])} & {seed for seed, _, _ in said(outputs[1])}) > 0
-        expected = store.latest(100)[::-1]
-        assert view(tmp_path) == expected
-
-
-def test_killed_at_any_moment_nothing_that_was_said_is_lost(tmp_path: Path) -> None:
+def test_processes_on_one_session_lose_no_step_when_they_are_killed(tmp_path: Path) -> None:
     rng = random.Random(0)
     with Store(tmp_path) as store:
         session_id = opened(store, seed=0)
-    steps = 0
-    with ViewReader(tmp_path):
-        for kill in range(KILLS):
-            output = tmp_path / "said"
-            process = worker(tmp_path, session_id, 10**9, kill, output)
-            try:
-                # Somewhere in its first hundreds of steps.
-                enough = rng.randrange(100, 20_000)
-                eventually(lambda output=output, enough=enough: output.stat().st_size > enough)
-            finally:
+    steps: list[tuple[int, tuple[int, ...], str | None]] = []
+    for kill in range(1, KILLS + 1):
+        outputs = [tmp_path / "first", tmp_path / "second"]
+        workers = [worker(tmp_path, session_id, 2 * kill + i, output) for i, output in enumerate(outputs)]
+        try:
+            # Somewhere in their first hundreds of steps.
+            enough = rng.randrange(100, 20_000)
+            eventually(lambda outputs=outputs, enough=enough: min(file.stat().st_size for file in outputs) > enough)
+        finally:
+            for process in workers:
                 process.send_signal(signal.SIGKILL)
                 process.wait()
-            assert process.returncode == -signal.SIGKILL
-            told = said(output)
-            steps += len(told)
-            with Store(tmp_path) as store:
-                flown = dict(whole(store, session_id))
-                for seed, actions, episode_id in told:
-                    assert flown[seed][: len(actions)] == actions
-                    if episode_id is not None:
-                        assert store.episode(episode_id).record.seed == seed
-                # At most the one step is there that was kept, but not yet told of.
-                ahead = sum(map(len, flown.values())) - steps
-                assert 0 <= ahead <= kill + 1
-                expected = store.latest(100)[::-1]
-                assert view(tmp_path) == expected
-            with sqlite3.connect(tmp_path / FILE_NAME) as connection:
-                assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-            connection.close()
-    assert steps > KILLS
+        assert [process.returncode for process in workers] == [-signal.SIGKILL] * 2
+        steps += [step for output in outputs for step in said(output)]
+        with Store(tmp_path) as store:
+            flown = kept(store, session_id)
+            # Each step was kept once: no two processes saw the session in the same state.
+            assert len({(seed, len(actions)) for seed, actions, _ in steps}) == len(steps)
+            assert all(flown[seed][: len(actions)] == actions for seed, actions, _ in steps)
+            assert {id_ for _, _, id_ in steps if id_} <= {stored.id for stored in store.episodes()}
+            # At most one step of each killed process is kept, but not yet told of.
+            assert 0 <= sum(map(len, flown.values())) - len(steps) <= 2 * kill
+            assert view(tmp_path) == store.latest(100)[::-1]
+        connection = sqlite3.connect(tmp_path / FILE_NAME)
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        connection.close()
+
+
+if __name__ == "__main__":
+    fly(sys.argv[1], sys.argv[2], int(sys.argv[3]))

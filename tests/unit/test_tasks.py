@@ -1,23 +1,17 @@
 """The numbers of the tasks, their names, and the splits of the seeds."""
 
-import __future__
-
 import itertools
-import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from decimal import Decimal
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-from drone_env.core import tasks
 from drone_env.core.cells import Cell
-from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, get_reward_profile
+from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile
 from drone_env.core.seeds import SPLITS, split_of, split_seeds
 from drone_env.core.tasks import TASKS, get_task
-from drone_env.errors import DroneEnvError, InvalidTaskError, InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidTaskError, InvalidValueError, UnknownNameError
 
 EASY = TASKS["easy_delivery"]
 # side; buildings, trees, obstacles, pads; deliveries; battery, steps, charge; rewards of a delivery and else
@@ -60,11 +54,10 @@ def test_families() -> None:
 
 
 class TestNames:
-    @pytest.mark.parametrize("name", ["", "EASY", "easy ", "expert", "drone_env.graders:grade_expert"])
+    @pytest.mark.parametrize("name", ["", "EASY", "drone_env.graders:grade_expert"])
     def test_unknown_name_lists_the_valid_ones(self, name: str) -> None:
         with pytest.raises(UnknownNameError, match="easy, hard, medium") as caught:
             get_task(name)
-        assert isinstance(caught.value, DroneEnvError)
         assert isinstance(caught.value, LookupError)
 
     @pytest.mark.parametrize("task", ["easy", EASY])
@@ -105,19 +98,14 @@ class TestInvalidTasks:
         [
             ({"buildings": 92}, "101 things do not fit on 100 cells"),
             ({"drain": ((Cell.DRONE, 1),)}, "drain is for kinds under the drone"),
-            ({"drain": ((Cell.UNKNOWN, 1),)}, "drain is for kinds under the drone"),
-            ({"drain": ((Cell.TREE, -1),)}, "drain must be 0 to 32000"),
             ({"drain": ((Cell.TREE, 32_001),)}, "drain must be 0 to 32000"),
-            ({"impassable": frozenset({Cell.ROAD})}, "impassable may hold"),
             ({"impassable": frozenset({Cell.TREE, Cell.DELIVERY})}, "impassable may hold"),
             ({"efficiency_needs_all": 1}, "efficiency_needs_all must be True or False"),
-            *(
-                ({"street_spacing": spacing}, f"street_spacing must be 0, or 2 to 16 and divide .*, got {spacing}")
-                for spacing in (3, -5, 1, 20)
-            ),
-            ({"street_spacing": 5, "width": 12}, "street_spacing must be 0, or 2 to 16 and divide width and height"),
+            ({"street_spacing": 3}, "street_spacing must be 0, or 2 to 16 and divide .*, got 3"),
+            ({"street_spacing": 1}, "street_spacing must be 0, or 2 to 16 and divide .*, got 1"),
             ({"street_spacing": 32, "width": 64, "height": 64}, "street_spacing must be 0, or 2 to 16 and divide"),
-            ({"street_spacing": 2.0}, "street_spacing must be an integer"),
+            ({"width": 10.0}, "width must be an integer"),
+            ({"r_step": "x"}, "r_step must be a finite number"),
             ({"street_spacing": 5, "buildings": 61}, "65 buildings and trees do not fit on 64 cells between"),
             ({"street_spacing": 10, "pads": 15}, "20 things do not fit on 19 cells of street"),
         ],
@@ -125,46 +113,20 @@ class TestInvalidTasks:
     def test_is_refused_and_says_why(self, changes: dict[str, Any], message: str) -> None:
         with pytest.raises(InvalidTaskError, match=f"^task 'easy_delivery': .*{message}") as caught:
             replace(EASY, **changes)
-        assert isinstance(caught.value, InvalidValueError)
         assert isinstance(caught.value, ValueError)
-
-    def test_a_number_is_checked_where_annotations_are_not_evaluated(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        module = ModuleType("tasks_of_texts")
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-        source = Path(str(tasks.__file__)).read_text(encoding="utf-8")
-        exec(compile(source, "tasks", "exec", flags=__future__.annotations.compiler_flag), vars(module))
-        assert {field.type for field in fields(module.TaskConfig)} >= {"int", "float"}
-        for changes, message in ({"width": 10.0}, "width must be an int"), ({"r_step": "x"}, "r_step must be a fini"):
-            with pytest.raises(InvalidTaskError, match=message):
-                replace(module.TASKS["easy_delivery"], **changes)
 
     @pytest.mark.parametrize(
         "changes",
         [
-            {"width": 2, "height": 2, "buildings": 2, "trees": 0, "obstacles": 0},
             {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000},
             {"max_steps": 1, "battery_capacity": 1, "buildings": 91},
             {"drain": ((Cell.DELIVERED, 0), (Cell.PAD, 32_000)), "charge_rate": 32_000},
             {"impassable": frozenset({Cell.BUILDING, Cell.TREE, Cell.OBSTACLE})},
-            {"street_spacing": 5, "buildings": 60},
             {"street_spacing": 10, "pads": 14},
-            {"street_spacing": 16, "width": 64, "height": 64},
         ],
     )
     def test_the_bounds_themselves_are_allowed(self, changes: dict[str, Any]) -> None:
         assert replace(EASY, **changes) != EASY
-
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"clamp": (Decimal("0.9"), Decimal("0.1"))}, "clamp"),
-            ({"shaping_gamma": Decimal("-0.1")}, "shaping_gamma"),
-            ({"shaping_gamma": Decimal("1.1")}, "shaping_gamma"),
-        ],
-    )
-    def test_a_reward_profile_that_makes_no_sense_is_refused(self, changes: dict[str, Any], message: str) -> None:
-        with pytest.raises(InvalidTaskError, match=message):
-            RewardProfile("odd", "", **changes)
 
     @pytest.mark.parametrize(
         ("changes", "uniform", "size"),
@@ -194,14 +156,9 @@ class TestSplits:
 
     def test_offset(self) -> None:
         assert split_seeds("validation", 3, offset=5) == range(2**52 + 5, 2**52 + 8)
-        assert split_seeds("train", 0) == range(0)
         assert split_seeds("test", 2**51) == range(2**52 + 2**51, 2**53)
 
-    @pytest.mark.parametrize(("episodes", "offset"), [(-1, 0), (1, -1), (2**51 + 1, 0), (1, 2**51), (2**51, 1)])
+    @pytest.mark.parametrize(("episodes", "offset"), [(-1, 0), (1, -1), (2**51, 1)])
     def test_asking_for_more_than_the_split_holds_is_refused(self, episodes: int, offset: int) -> None:
         with pytest.raises(InvalidValueError, match="split 'test' holds 2251799813685248 seeds"):
             split_seeds("test", episodes, offset)
-
-    def test_unknown_split_lists_the_valid_ones(self) -> None:
-        with pytest.raises(UnknownNameError, match="test, train, validation"):
-            split_seeds("dev", 1)

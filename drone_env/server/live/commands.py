@@ -1,49 +1,21 @@
 """What the page may send: one JSON object with a `type`."""
 
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
-from pydantic import (
-    Field,
-    TypeAdapter,
-    ValidationError,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from typing_extensions import Self
 
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
-from drone_env.server.incoming import SMALL, parse_json
+from drone_env.server.incoming import parse_json
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
 MOST_EPISODES = 4
 
 
-def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
-    try:
-        return check(value)
-    except ValidationError:
-        # People come here by links that they have written themselves.
-        message = "the number of a map is a whole number from 0 to {most}"
-        raise PydanticCustomError("seed", message, {"most": MAX_SEED}) from None
-
-
-def _say_how_many(value: Any, check: ValidatorFunctionWrapHandler) -> list[str]:
-    if isinstance(value, list) and len(cast(list[Any], value)) > MOST_EPISODES:
-        numbers = {"most": MOST_EPISODES, "given": len(cast(list[Any], value))}
-        raise PydanticCustomError("pilots", "at most {most} fly at once, not {given}", numbers)
-    return check(value)
-
-
-MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]
-Number = Annotated[
-    int | None,
-    Field(ge=0, le=MAX_SEED, description="The answer repeats it."),
-]
+Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The answer repeats it.")]
 PilotName = Annotated[str, Field(max_length=100)]
 FlightNumber = Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
 Topic = Literal["requests", "training", "episodes"]
@@ -53,9 +25,7 @@ class Fork(Message):
     """A moment of a flight, and the moves from there on."""
 
     actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="From the start of the map on.")
-    step: Count = Field(
-        description="How many of them are of the flight that it forks from; 0 for a flight of one's own."
-    )
+    step: Count = Field(description="How many of them belong to the flight it forks from; 0 for one's own flight.")
     of: AgentName = Field(description="Who flew that, or the own one so far.")
 
     @model_validator(mode="after")
@@ -75,8 +45,8 @@ class Start(Message):
 
     type: Literal["start"]
     task: str = Field(max_length=100)
-    pilots: Annotated[list[PilotName], WrapValidator(_say_how_many)] = Field(min_length=1, max_length=MOST_EPISODES)
-    seed: MapNumber | None = None
+    pilots: list[PilotName] = Field(min_length=1, max_length=MOST_EPISODES)
+    seed: Seed | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
     step: int = Field(default=0, ge=0, le=MAX_UNITS)
@@ -142,16 +112,7 @@ def parse_command(data: bytes) -> Command:
     Raises:
         InvalidValueError: if it is none; the message says what is allowed.
     """
-    value: Any = parse_json(data)
-    if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):
-        raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {len(data)}")
     try:
-        return _COMMAND.validate_python(value)
+        return _COMMAND.validate_python(parse_json(data))
     except ValidationError as error:
-        raise InvalidValueError(text_of(error, _called)) from None
-
-
-def _called(where: str) -> str:
-    """What people call a part: not by the command that it is of. What is said of the map's number names it already."""
-    part = where.partition(".")[2]
-    return "" if part == "seed" else part
+        raise InvalidValueError(text_of(error)) from None

@@ -18,9 +18,7 @@ from drone_env.server.state import Shared, SharedParts
 router = APIRouter(tags=["compare"])
 AgentQuery = Annotated[str, Query(max_length=200, description="As the records name it.")]
 Kind = Literal["pilot", "person", "model", "other"]
-Optimum = Annotated[
-    float | None, Field(description="The highest score that any flight over it reaches; null if not known.")
-]
+Optimum = Annotated[float | None, Field(description="The highest score that any flight over it reaches.")]
 
 
 class LeaderboardEntry(Message):
@@ -40,9 +38,7 @@ class LeaderboardEntry(Message):
     reward: float | None = Field(description="Mean total reward; null where not all flights were paid alike.")
     reward_profile: str | None = Field(description="What they were paid by; null likewise.")
     name: str = Field(description="What people call it.")
-    kind: Kind = Field(
-        description="Whether it is one of the page's pilots, a person, or a language model whose run is kept here."
-    )
+    kind: Kind = Field(description="A pilot of the page, a person, a language model whose run is kept here, or other.")
 
 
 class Leaderboard(Message):
@@ -109,7 +105,7 @@ class Pairing(Message):
 def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
     """Who flew a task how well, over all finished flights; several of one agent over one map count as their mean."""
     flown = shared.store.by_map(task_name)
-    forks = {agent: Summary.of(flown.pop(agent)) for agent in list(flown) if Credit.parse(agent).of is not None}
+    forks = [Summary.of(flown.pop(agent)) for agent in list(flown) if Credit.parse(agent).of is not None]
     models = shared.runs.models()
     return Leaderboard(
         task=get_task(task_name).id,
@@ -123,7 +119,7 @@ def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
             )
             for agent, summary in ranked(flown)
         ],
-        forks=sum(fork.flights for fork in forks.values()),
+        forks=sum(fork.flights for fork in forks),
     )
 
 

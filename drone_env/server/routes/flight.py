@@ -9,7 +9,8 @@ from pydantic import ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneObservation, DroneState
 from drone_env.server.incoming import LARGE_BODY, JsonRequest, JsonRoute
@@ -52,10 +53,7 @@ IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {
         HEADER: {"description": "The session.", "schema": {"type": "string"}},
-        SHARED_HEADER: {
-            "description": "The address whose callers share it, if they do.",
-            "schema": {"type": "string"},
-        },
+        SHARED_HEADER: {"description": "The address whose callers share it.", "schema": {"type": "string"}},
     },
     "links": {
         name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
@@ -131,21 +129,20 @@ def path_history(shared: SharedParts, caller: CallerOf, answer: Response) -> Pat
 async def solution(request: Request, shared: SharedParts, caller: CallerOf, answer: Response) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
 
-    def flown() -> tuple[TaskConfig, int, float, bool]:
+    def flown() -> Episode:
         with shared.sessions.reading(caller.session(shared, answer)) as session:
-            episode = session.fly()
-            return episode.task, episode.seed, episode.score, episode.ended
+            return session.fly().copy()
 
-    task, seed, score, ended = await run_in_threadpool(flown)
-    if not ended:
+    episode = await run_in_threadpool(flown)
+    if not episode.ended:
         raise RequestError(409, "in_flight", "the best flight is shown once the episode has ended")
-    best, path = await shared.work(request, best_flight, task, seed, task=task.id)
+    best, path = await shared.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
     return SolutionAnswer(
-        task=task.id,
-        seed=seed,
-        score=score,
+        task=episode.task.id,
+        seed=episode.seed,
+        score=episode.score,
         optimal_score=best.score,
-        regret=best.score - score,
+        regret=best.score - episode.score,
         steps=best.steps,
         deliveries=best.deliveries,
         actions=[DIRECTIONS[action] for action in best.actions],

@@ -13,13 +13,7 @@ from drone_env.models import MAX_SEED, Message
 from drone_env.results.record import EpisodeRecord
 from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
 from drone_env.server.problems import RequestError, answer_to, answers
-from drone_env.server.schemas import (
-    AnalysisAnswer,
-    EpisodePage,
-    EpisodeSummaries,
-    History,
-    LogLines,
-)
+from drone_env.server.schemas import AnalysisAnswer, EpisodePage, EpisodeSummaries, History, LogLines
 from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["history"])

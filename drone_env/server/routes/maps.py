@@ -1,11 +1,11 @@
 """The routes of the map editor: a map as a drawing, what a drawing is worth, and drawings that are kept as tasks."""
 
 from itertools import groupby
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from fastapi import APIRouter, Body, Path, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
@@ -31,17 +31,14 @@ REFUSALS = answers(400, 413, 415, 422, 503)
 Number = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
 """A `Position` as a list: testers of APIs stumble over tuples that come and go."""
+EXAMPLE: JsonValue = {"cells": [[0, 1, 0], [0, 3, 0], [0, 0, 8]], "start": [0, 0], "parcels": [[2, 0]]}
 KINDS = ", ".join(f"{kind:d} {CELL_KINDS[kind].name}" for kind in PLACED)
 
 
 class DrawnMap(Message):
     """A map as it is drawn: the file of a city as JSON, with start and parcels."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [{"cells": [[0, 1, 0], [0, 3, 0], [0, 0, 8]], "start": [0, 0], "parcels": [[2, 0]]}]
-        }
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE]})
 
     cells: list[Annotated[list[int], Field(max_length=MAX_SIDE, fail_fast=True)]] = Field(
         max_length=MAX_SIDE, fail_fast=True, description=f"[y][x], kinds of the cells: {KINDS}."
@@ -50,16 +47,12 @@ class DrawnMap(Message):
     parcels: list[Pair] = Field(
         min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel, roads."
     )
-    numbers: dict[Number, int] = Field(
-        default_factory=dict[Number, int], description="Numbers of the task that are not to be those of its size."
-    )
+    numbers: dict[Number, int] = Field(default={}, description="Numbers of the task that do not follow from its size.")
     attribution: str = Field(default="", max_length=MAX_TEXT, description="Whose data its terrain is.")
     licence: str = Field(default="", max_length=MAX_TEXT, description="Under which licence that may be handed on.")
     source: str = Field(default="", max_length=MAX_TEXT, description="Name of the file that it was made from.")
     cell: float | None = Field(default=None, description="Metres along the side of a cell.")
-    bbox: list[float] | None = Field(
-        default=None, min_length=4, max_length=4, description="West, south, east, north in degrees."
-    )
+    bbox: list[float] | None = Field(default=None, min_length=4, max_length=4, description="West, south, east, north.")
 
     @classmethod
     def of(cls, city: City) -> Self:
@@ -131,9 +124,7 @@ class MapWorth(Message):
     toml: str = Field(description="Its file: the city that every command flies.")
     numbers: dict[Number, Count] = Field(description="The numbers that it is flown with.")
     optimum: BestFlight | None = Field(description="A best flight; null where the map is too large to be solved.")
-    bounds: tuple[Score, Score] | None = Field(
-        description="What the optimum lies between if that is null; null as well if the map is too large for it."
-    )
+    bounds: tuple[Score, Score] | None = Field(description="If that is null, what the optimum lies between, if known.")
 
 
 class CityFile(Message):
@@ -172,12 +163,8 @@ async def keep_map(request: Request, shared: SharedParts, drawn: Annotated[Drawn
     settings = shared.settings
     stranger = None if settings.token is not None else stranger_address(request.scope, settings.host)
     text, task = await shared.work(request, _checked, drawn)
-
-    def keep() -> OneTask:
-        shared.maps.keep(text, task, stranger)
-        return describe(task, shared)
-
-    return await run_in_threadpool(keep)
+    await run_in_threadpool(shared.maps.keep, text, task, stranger)
+    return await run_in_threadpool(describe, task, shared)
 
 
 def _checked(drawn: DrawnMap) -> tuple[str, TaskConfig]:
@@ -202,9 +189,8 @@ def _worth(drawn: DrawnMap) -> str:
     try:
         best, flown = best_flight(episode.task, episode.seed)
         path = [position for position, _ in groupby(flown)]
-        optimum = BestFlight(
-            score=best.score, success=best.success, deliveries=best.deliveries, steps=best.steps, path=path
-        )
+        found = {name: getattr(best, name) for name in ("score", "success", "deliveries", "steps")}
+        optimum = BestFlight(**found, path=path)
     except TooLargeError:
         from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
 
@@ -212,16 +198,9 @@ def _worth(drawn: DrawnMap) -> str:
             between = bounds(episode)
         except MemoryError:
             bench().require_new()
-    answer = MapWorth(
-        name=name_of(text.encode()), toml=text, numbers=_numbers(episode), optimum=optimum, bounds=between
-    )
-    return answer.model_dump_json()
+    name, numbers = name_of(text.encode()), _numbers(episode)
+    return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum, bounds=between).model_dump_json()
 
 
 def _numbers(episode: Episode) -> dict[Number, int]:
-    task = episode.task
-    return {
-        "max_steps": task.max_steps,
-        "battery_capacity": task.battery_capacity,
-        "charge_rate": task.charge_rate,
-    }
+    return {name: getattr(episode.task, name) for name in get_args(Number)}

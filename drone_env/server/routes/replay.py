@@ -1,10 +1,10 @@
 """The routes that look at a flight of the past: flown again frame by frame, and analysed move by move."""
 
 from itertools import chain
-from typing import Annotated, Any, cast
+from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -23,28 +23,9 @@ from drone_env.server.state import SharedParts
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
 RECORD_ERRORS = answers(400, 413, 415, 422, 503)
 RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]), "me")
-NEEDED = [name for name, field in EpisodeRecord.model_fields.items() if field.is_required()]
 
 
-def _say_what_a_flight_is(value: Any, check: ValidatorFunctionWrapHandler) -> EpisodeRecord:
-    given = cast(dict[str, Any], value) if isinstance(value, dict) else {}
-    missing = [name for name in NEEDED if name not in given]
-    if missing:
-        # People come here with files: the page sends what it is given.
-        raise RequestError(
-            422,
-            "no_flight",
-            "this is not a flight: one is a JSON object, as drone-env fly --record FILE writes it and the page saves, "
-            f"with {', '.join(NEEDED)}; missing here: {', '.join(missing)}",
-        )
-    return check(value)
-
-
-Record = Annotated[
-    EpisodeRecord,
-    WrapValidator(_say_what_a_flight_is),
-    Body(openapi_examples={"one step": {"value": RECORD.model_dump()}}),
-]
+Record = Annotated[EpisodeRecord, Body(openapi_examples={"one step": {"value": RECORD.model_dump()}})]
 
 
 class AnalysedMove(Message):
@@ -68,9 +49,7 @@ class AnalysedFlight(Message):
     score: Score
     optimal_score: Score = Field(description="The highest score that any flight over this map can reach.")
     regret: float = Field(ge=0, description="optimal_score - score.")
-    accuracy: float | None = Field(
-        description="Share of best moves among those where anything could be lost; null where there was none."
-    )
+    accuracy: float | None = Field(description="Share of best moves among those where anything could be lost.")
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
     optimal_steps: Count = Field(description="Steps of a best flight.")
@@ -107,11 +86,8 @@ def _annotated(record: EpisodeRecord) -> str:
     analysis = analyse_flight(record, lambda start: bench().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
-        score=analysis.score,
+        **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts")},
         optimal_score=analysis.optimum,
-        regret=analysis.regret,
-        accuracy=analysis.accuracy,
-        counts=analysis.counts,
         moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
         optimal_steps=best.steps,
         optimal_actions=[DIRECTIONS[action] for action in best.actions],

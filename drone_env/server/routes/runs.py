@@ -81,9 +81,7 @@ class ModelCall(Message):
     step: Count = Field(description="The step that it was made for, from 1; that of a whole route is the first.")
     attempt: Count = Field(description="1, or 2 after an answer that could not be used.")
     messages: list[ChatMessage]
-    answer: str | None = Field(
-        description="What was answered, in text or as a tool's arguments; null where nothing was."
-    )
+    answer: str | None = Field(description="The text or the tool's arguments; null if there was no answer.")
     reasoning: str | None = Field(description="What the model thought, where the endpoint tells it.")
     outcome: str = Field(description="How the answer was understood: `ok`, or why it was no action.")
     failures: list[Failure] = Field(description="Tries that brought no answer.")

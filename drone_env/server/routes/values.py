@@ -1,10 +1,8 @@
 """The route that says what can still be reached from a moment of a flight."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from fastapi import APIRouter, Body, Request, Response
 from pydantic import ConfigDict, Field
 
@@ -13,7 +11,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
-from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
+from drone_env.core.tasks import MAX_UNITS, get_task
 from drone_env.errors import TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Position, Score, Seed
 from drone_env.results.record import fly_directions
@@ -39,14 +37,9 @@ class FlightSoFar(Message):
     task: str = Field(max_length=100, description="Id or short name of the task.")
     task_version: int | None = Field(default=None, ge=1, description="Version of the task; the current one without.")
     seed: Seed = Field(description="Number of the map.")
-    reward_profile: str | None = Field(
-        default=None, max_length=100, description="As in a record; no value depends on it."
-    )
+    reward_profile: str | None = Field(default=None, max_length=100, description="No value depends on it.")
     actions: list[Direction] = Field(
-        default_factory=list[Direction],
-        max_length=MAX_UNITS,
-        fail_fast=True,
-        description="The actions so far, in order.",
+        default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
 
     def episode(self) -> Episode:
@@ -81,16 +74,10 @@ class CellValues(Message):
     A parcel that waits there has then been delivered by arriving; on a pad nothing has been charged yet.
     """
 
-    values: Rows[Score] | None = Field(description="The best score still possible; null where the map is not solved.")
-    best_actions: Rows[list[Direction]] | None = Field(
-        description="All actions that give nothing away, none where the flight is over; null as `values`."
-    )
-    network_actions: Rows[Direction] | None = Field(
-        description="What the network would fly, null where the flight is over; null without a network."
-    )
-    disagree: Rows[bool] | None = Field(
-        description="Whether that gives something away; null where either of both is missing."
-    )
+    values: Rows[Score] | None = Field(description="The best score still possible; null if the map is not solved.")
+    best_actions: Rows[list[Direction]] | None = Field(description="All actions that give nothing away.")
+    network_actions: Rows[Direction] | None = Field(description="What the network would fly; null without a network.")
+    disagree: Rows[bool] | None = Field(description="Whether the network's action gives something away.")
 
 
 class PadRange(Message):
@@ -101,7 +88,7 @@ class PadRange(Message):
 
 
 class ValuesAnswer(Message):
-    """What can still be reached from a moment of a flight."""
+    """What can still be reached from a moment of a flight. The fields from `q_values` on are null after the end."""
 
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
@@ -115,24 +102,16 @@ class ValuesAnswer(Message):
     optimum: Score | None = Field(description="The highest score that any flight over this map can reach.")
     value: Score | None = Field(description="The best score still possible; after the end, the score.")
     regret: float | None = Field(ge=0, description="optimum - value: what the flight has given away for good.")
-    q_values: dict[Direction, float] | None = Field(
-        default=None, description="The best score still possible after each action; null as `value`, and after the end."
-    )
-    best_actions: list[Direction] | None = Field(
-        default=None, description="All actions that give nothing away; null as `q_values`."
-    )
-    network: AskedNetwork | None = Field(
-        default=None, description="Who was asked about every cell; null without one for the task, and after the end."
-    )
+    q_values: dict[Direction, float] | None = Field(default=None, description="The best score after each action.")
+    best_actions: list[Direction] | None = Field(default=None, description="All actions that give nothing away.")
+    network: AskedNetwork | None = Field(default=None, description="The network; null if the task has none.")
     cells: CellValues | None = Field(default=None, description="What there is to do from each; null after the end.")
     range: Rows[Count] | None = Field(
         default=None,
         description="[y][x], the most battery units left on arrival at each cell by moves alone, in the steps left, "
         "without charging; with 0 the flight ends there, null where it cannot get. Null after the end.",
     )
-    pads: list[PadRange] | None = Field(
-        default=None, description="The same of a full battery, from each pad that charges; null after the end."
-    )
+    pads: list[PadRange] | None = Field(default=None, description="The same with a full battery, from each pad.")
 
 
 def values_json(flight: FlightSoFar) -> str:
@@ -179,18 +158,22 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
         assert isinstance(agent, BatchAgent)
         network = AskedNetwork(pilot=asked, file=networks.file(asked, task).name, digest=str(agent.config["network"]))
     cells, q_values = _cell_values(episode, solver, agent)
-    best = cells.best_actions
+    x, y = episode.position
+
+    def reached(cell: int, units: int) -> Rows[int]:
+        most = battery_range(episode, cell, units)
+        rows = most.astype(object)
+        rows[most < 0] = None
+        return rows.reshape(task.height, task.width).tolist()
+
     return {
         "q_values": q_values,
-        "best_actions": None if best is None else best[episode.position[1]][episode.position[0]],
+        "best_actions": None if cells.best_actions is None else cells.best_actions[y][x],
         "network": network,
         "cells": cells,
-        "range": _units(task, battery_range(episode, episode.cell, episode.battery_units)),
+        "range": reached(episode.cell, episode.battery_units),
         "pads": [
-            PadRange(
-                position=(pad % task.width, pad // task.width),
-                units=_units(task, battery_range(episode, pad, task.battery_capacity)),
-            )
+            PadRange(position=(pad % task.width, pad // task.width), units=reached(pad, task.battery_capacity))
             for pad in charging_pads(episode)
         ],
     }
@@ -203,54 +186,34 @@ def _cell_values(
     from drone_env.planning.elsewhere import places_in_parts
 
     task, q_here = episode.task, None
-    values: dict[int, float] = {}
-    best_actions: dict[int, list[Direction]] = {}
-    network_actions: dict[int, Direction] = {}
-    disagree: dict[int, bool] = {}
+    shape = (task.height, task.width)
+    values, best_actions, network_actions, disagree = np.full((4, task.height * task.width), None, object)
     for places in places_in_parts(episode):
-        flying, over = places.cells[places.flying].tolist(), places.cells[~places.flying].tolist()
-        grids, states, telemetry = (array[places.flying] for array in places[1:])
-        best = actions = None
+        is_flying, best = places.flying, None
+        flying, over, grids = places.cells[is_flying], places.cells[~is_flying], places.grids[is_flying]
         if solver is not None:
-            q_values = solver.q_values_of(grids, states)
+            q_values = solver.q_values_of(grids, places.states[is_flying])
             best = q_values == q_values.max(axis=1, keepdims=True)
-            values.update(zip(flying, q_values.max(axis=1).tolist(), strict=True))
-            values.update(
-                (cell, score(interpreted(task), view(state)))
-                for cell, state in zip(over, places.states[~places.flying], strict=True)
-            )
-            best_actions.update(zip(flying, map(_directions, best), strict=True))
-            best_actions.update((cell, []) for cell in over)
-            if episode.cell in flying:
-                q_here = dict(zip(DIRECTIONS, q_values[flying.index(episode.cell)].tolist(), strict=True))
+            values[flying] = q_values.max(axis=1)
+            values[over] = [score(interpreted(task), view(state)) for state in places.states[~is_flying]]
+            for cell, chosen in zip(flying, best.tolist(), strict=True):
+                best_actions[cell] = [name for name, is_best in zip(DIRECTIONS, chosen, strict=True) if is_best]
+            for cell in over:
+                best_actions[cell] = []
+            for here in q_values[flying == episode.cell].tolist():
+                q_here = dict(zip(DIRECTIONS, here, strict=True))
         if agent is not None:
-            actions = agent.act_batch(grids.reshape(-1, task.height, task.width), telemetry)
-            network_actions.update(zip(flying, [DIRECTIONS[action] for action in actions.tolist()], strict=True))
-        if best is not None and actions is not None:
-            disagree.update(zip(flying, (~best[np.arange(len(flying)), actions]).tolist(), strict=True))
-    is_solved, is_asked = solver is not None, agent is not None
+            actions = agent.act_batch(grids.reshape(-1, *shape), places.telemetry[is_flying])
+            network_actions[flying] = np.array(DIRECTIONS, object)[actions]
+            if best is not None:
+                disagree[flying] = ~best[np.arange(len(flying)), actions]
     cells = CellValues(
-        values=_rows(task, values) if is_solved else None,
-        best_actions=_rows(task, best_actions) if is_solved else None,
-        network_actions=_rows(task, network_actions) if is_asked else None,
-        disagree=_rows(task, disagree) if is_solved and is_asked else None,
+        values=values.reshape(shape).tolist() if solver else None,
+        best_actions=best_actions.reshape(shape).tolist() if solver else None,
+        network_actions=network_actions.reshape(shape).tolist() if agent else None,
+        disagree=disagree.reshape(shape).tolist() if solver and agent else None,
     )
     return cells, q_here
-
-
-def _directions(chosen: npt.NDArray[np.bool_]) -> list[Direction]:
-    """The names of the actions that are chosen, bool[5]."""
-    return [name for name, is_chosen in zip(DIRECTIONS, chosen.tolist(), strict=True) if is_chosen]
-
-
-def _units(task: TaskConfig, most: npt.NDArray[np.int64]) -> Rows[int]:
-    """What `battery_range` found, as rows."""
-    return _rows(task, {cell: units for cell, units in enumerate(most.tolist()) if units >= 0})
-
-
-def _rows(task: TaskConfig, found: Mapping[int, Item]) -> Rows[Item]:
-    """Items at cells as rows [y][x], None at all others."""
-    return [[found.get(y * task.width + x) for x in range(task.width)] for y in range(task.height)]
 
 
 @router.post(
