@@ -2,7 +2,7 @@
 
     python benchmarks/dashboard.py [--seconds 10] [--speed 6] [--visits 10] [--json FILE]
 
-Frames are those of four pilots over hard map 7, on one board and on one each, and of eight flights over the task
+Frames are those of four pilots over hard map 7, and of eight flights over the task
 `city`, Helsinki on 64 x 64 cells, whole and from nearby while the map follows the drone. The server flies at most four
 on a map: there the other four are these again, mirrored.
 
@@ -122,12 +122,6 @@ def four(page: Page) -> None:
     page.goto(FOUR)
 
 
-def apart(page: Page) -> None:
-    """Four flights over a board each."""
-    page.goto(FOUR)
-    page.get_by_role("checkbox", name="A board each").check()
-
-
 def eight(page: Page) -> None:
     """Eight flights over a real city, all of it."""
     page.route_web_socket("**/live", double)
@@ -135,7 +129,7 @@ def eight(page: Page) -> None:
 
 
 def nearby(page: Page) -> None:
-    """The same twice as large, a small map beside it: the map moves with the drone."""
+    """The same twice as large: the map moves with the drone."""
     eight(page)
     expect(page.locator("#start")).to_be_enabled()
     for _ in range(2):
@@ -196,7 +190,7 @@ def main() -> None:
         launched(chromium) as browser,
     ):
         frames: dict[str, dict[str, Any]] = {}
-        for opened in (four, apart, eight, nearby):
+        for opened in (four, eight, nearby):
             intervals, scripts = flying(browser, server.url, opened, given.seconds, given.speed)
             costs = {"frame_ms": percentiles(intervals), "script_ms": percentiles(scripts)}
             frames[opened.__name__] = {"frames": len(intervals), **costs}

@@ -74,7 +74,7 @@ def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
     tabs.forget()
     page.evaluate(
         "localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close());"
-        "document.querySelectorAll('.telemetry[open], .strip-more[open]').forEach(one => { one.open = false; })"
+        "document.querySelectorAll('.telemetry[open]').forEach(one => { one.open = false; })"
     )
     yield page
     assert tabs.unexpected() == []

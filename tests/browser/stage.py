@@ -60,19 +60,14 @@ def standings(page: Page) -> Locator:
     return page.locator("#standings tbody tr")
 
 
-def dropped(page: Page, name: str, text: str) -> None:
-    """Drop a file on the page."""
-    transfer = page.evaluate_handle(
-        "([name, text]) => { const t = new DataTransfer(); t.items.add(new File([text], name)); return t; }",
-        [name, text],
-    )
-    for event in ("dragover", "drop"):
-        page.dispatch_event("main", event, {"dataTransfer": transfer})
+def open_file(page: Page, name: str, text: str, field: str = "#flight-file") -> None:
+    """Choose a file in a field of the page."""
+    page.locator(field).set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
 
 
 def opened(page: Page, record: EpisodeRecord) -> None:
-    """Drop a record on the page, and wait until the page shows it."""
-    dropped(page, "flight.json", record.to_json(2))
+    """Open a record in Fly, and wait until the page shows it."""
+    open_file(page, "flight.json", record.to_json(2))
     expect(page.locator(".strip")).to_contain_text(f"{record.agent}: ")
     expect(map_number(page)).to_have_value(str(record.seed))
     expect(slider(page)).to_have_attribute("max", str(len(record.actions)))

@@ -1,9 +1,7 @@
 """Learn and API: the tutorial, the specifications, the snippets and the logs, true and as the server states them."""
 
-import json
 import re
-import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,12 +17,11 @@ from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
-from tests.browser.conftest import MARKUP, TRAINING
+from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
-from tests.browser.shown import expect_step, fixed, points
-from tests.browser.stage import at_speed, copied, fly, press, view
+from tests.browser.shown import expect_step, points
+from tests.browser.stage import at_speed, fly, press, view
 from tests.browser.test_several import KEYS
-from tests.docs.pages import ROOT, blocks
 
 ALONE = ("easy", 18)
 BLUNDER = ("skyline_easy", 88)
@@ -42,10 +39,7 @@ def test_what_the_lessons_say_of_their_maps_is_true(page: Page) -> None:
     assert (worst.label, worst.regret, worst.best_actions) == ("blunder", lost.regret, (Action.WAIT,))
     assert f"optimum of this map is {points(lost.optimum)}; Greedy scores {points(lost.score)}," in blunder
     task = get_task(PADS[0])
-    drain = {cell.name: units for cell, units in task.drain}
     assert f"holds {task.battery_capacity} units" in pads
-    assert f"above a tree {drain['TREE']}, above a building {drain['BUILDING']}, and obstacles block" in pads
-    assert f"charges {task.charge_rate}." in pads
     without = Episode(replace(task, charge_rate=0), "tiered", PADS[1])
     for action in solve(without.task, PADS[1]).actions:
         without.step(action)
@@ -74,7 +68,6 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     page.keyboard.press("n")
     expect(bar).to_be_hidden()
     page.go_back()
-
     bar.get_by_role("link", name="Next lesson").click()
     expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=88&pilot=greedy&lesson=2$"))
     expect(reached).to_have_count(0)
@@ -93,20 +86,10 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     press_keys([Action.WAIT, Action.WAIT, *[Action.LEFT] * 3])
     expect(reached).to_have_count(3)
 
-    bar.get_by_role("link", name="Next lesson").click()
-    expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=84&pilot=human&lesson=3$"))
-    expect_step(page, 0, 60)
-    best = solve(*PADS).actions
-    charge = best.index(Action.WAIT) + 1
-    press_keys(best[:charge])
-    expect(reached).to_have_count(1)
-    press_keys(best[charge:])
-    expect(reached).to_have_count(3)
-
     bar.get_by_role("link", name="Back to Learn").click()
     page.reload()
-    expect(page.get_by_role("link", name="Fly again: ")).to_have_count(3)
-    expect(page.locator(".lesson [data-reached=yes]")).to_have_count(9)
+    expect(page.get_by_role("link", name="Fly again: ")).to_have_count(2)
+    expect(page.locator(".lesson [data-reached=yes]")).to_have_count(6)
 
 
 def table(page: Page, name: str) -> dict[str, list[str]]:
@@ -128,7 +111,7 @@ def table(page: Page, name: str) -> dict[str, list[str]]:
 def test_the_tasks_stand_side_by_side_as_the_server_states_them(page: Page, server: Server) -> None:
     tasks = get(server, "tasks")["tasks"]
     view(page, "Learn")
-    for family, count in (("Standard", 3), ("City", 2), ("Skyline", 3)):
+    for family, count in (("Standard", 3), ("Skyline", 3)):
         page.get_by_role("radio", name=family, exact=True).check()
         shown = table(page, f"Technical specifications of the {family} tasks")
         levels = [task for task in tasks if task["family"] == family.lower()]
@@ -148,53 +131,6 @@ def test_the_tasks_stand_side_by_side_as_the_server_states_them(page: Page, serv
     assert "Charging pads" in shown
 
 
-def test_all_reward_profiles_and_kinds_of_cells_are_listed(page: Page, server: Server) -> None:
-    view(page, "Learn")
-    profiles, kinds = get(server, "tasks")["reward_profiles"], get(server, "kinds")["kinds"]
-    listed = page.get_by_role("region", name="Reward profiles")
-    expect(listed.locator("dt")).to_have_text([profile["id"] for profile in profiles])
-    for profile, entry in zip(profiles, listed.locator("dl > div").all(), strict=True):
-        expect(entry).to_contain_text(profile["summary"])
-        expect(entry.locator("dd").last).to_contain_text(fixed(profile["shaping"]) if profile["shaping"] else "")
-        assert entry.locator("dd").last.inner_text().endswith("the score at the end") == profile["pays_score"]
-    legend = page.get_by_role("region", name="Legend")
-    expect(legend.locator("dt")).to_contain_text([kind["emoji"] for kind in kinds])
-    expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
-
-
-def test_the_snippets_stand_in_the_docs_and_that_of_curl_flies(page: Page, server: Server, tmp_path: Path) -> None:
-    view(page, "API")
-    expect(page.locator("#view-api .about")).to_contain_text(f"This server is {server.url}.")
-    shown = page.locator(".snippet pre").all_inner_texts()
-    # The tests of the documentation run these.
-    documented = [
-        block.text.strip().replace("localhost", "127.0.0.1")
-        for name in ("http", "openenv", "gymnasium")
-        for block in blocks(ROOT / "docs" / f"{name}.md")
-        if not block.not_run
-    ]
-    assert [text for text in shown if text.replace(server.url, "http://127.0.0.1:8000") not in documented] == []
-    assert len(shown) == 3
-    script = copied(page, "Copy: HTTP, by curl", "Copied.")
-    assert script == shown[0]
-    lines = [line + " && echo" for line in script.splitlines()]
-    done = subprocess.run(["bash", "-ec", "\n".join(lines)], cwd=tmp_path, capture_output=True, text=True, check=True)
-    reset, step, grade = (json.loads(line) for line in done.stdout.splitlines() if line)
-    assert (reset["step_count"], step["step_count"], grade["score"]) == (0, 1, step["score"])
-
-
-def test_all_calls_can_be_tried_without_the_internet(page: Page, beside: Callable[..., Page], server: Server) -> None:
-    docs, asked = beside(), list[str]()
-    docs.on("request", lambda request: asked.append(request.url))
-    view(page, "API")
-    docs.goto(page.get_by_role("link", name="All calls").evaluate("link => link.href"))
-    docs.locator("#operations-catalogue-health").click()
-    press(docs, "Try it out")
-    press(docs, "Execute")
-    expect(docs.get_by_text('"status": "healthy"').first).to_be_visible()
-    assert [url for url in asked if not url.startswith((server.url, "data:", "blob:"))] == []
-
-
 @pytest.mark.feature("D1")
 def test_the_logs_show_requests_training_and_flights_as_they_come(page: Page, server: Server, data: Path) -> None:
     view(page, "API")
@@ -207,8 +143,6 @@ def test_the_logs_show_requests_training_and_flights_as_they_come(page: Page, se
     with (data / "train.log").open("a", encoding="utf-8") as file:
         file.write("episode 4 reward 9.99\n")
     expect(training.get_by_text("episode 4 reward 9.99", exact=True)).to_be_visible()
-    assert MARKUP in training.inner_text()
-    expect(flights.get_by_role("listitem").first).to_be_visible()
     with DroneEnvClient(server.url) as client:
         observation = client.reset("easy", seed=4242, agent="random")
         while not observation["done"]:

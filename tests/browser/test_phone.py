@@ -7,8 +7,8 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from tests.api.serving import Server
 from tests.browser.conftest import lent
-from tests.browser.shown import changed, expect_step, pictures
-from tests.browser.stage import ended, fly, press, show, standings, whole_view
+from tests.browser.shown import expect_step, pictures
+from tests.browser.stage import ended, fly, show, standings, whole_view
 from tests.browser.tabs import NARROW, Tabs
 
 PIXELS_PER_PIXEL = 2
@@ -58,19 +58,11 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
     show(phone, "/?task=hard&seed=14&pilots=pathqnet,greedy")
     expect(standings(phone)).to_have_count(2)
     fly(phone)
-    ended(phone).get_by_text("Efficiency, and all flights of this task").click()
-    expect(phone.get_by_text("Success rate")).to_be_visible()
+    ended(phone)
     phone.get_by_text("Hard · map 14 · PathQNet, Greedy").click()
     expect(phone.get_by_role("button", name="New map")).to_be_visible()
     expect_no_wider(phone)
     phone.get_by_text("Hard · map 14 · PathQNet, Greedy").click()
-    phone.get_by_role("checkbox", name="A board each").check()
-    expect(phone.locator("#boards .card")).to_have_count(2)
-    expect_no_wider(phone)
-    press(phone, "Keys and help")
-    left, top, right, bottom = place(phone.get_by_role("dialog", name="Help"))
-    assert min(left, top, NARROW["width"] - right, NARROW["height"] - bottom) >= 0
-    phone.keyboard.press("Escape")
     show(phone, "/?view=compare&task=easy&pilots=greedy,random")
     expect(phone.locator("dl.paired")).to_be_visible()
     expect_no_wider(phone)
@@ -78,11 +70,6 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
         whole_view(phone, name)
         expect(phone.get_by_role("link", name=name, exact=True)).to_be_in_viewport(ratio=1)
         expect_no_wider(phone)
-    table = phone.locator(".specs-table").first
-    expect(table).to_be_visible()
-    assert table.evaluate("table => table.scrollWidth <= table.parentElement.clientWidth")
-    fits = table.locator("td").evaluate_all("all => all.every(cell => cell.scrollWidth <= cell.clientWidth)")
-    assert fits, "a value runs into its neighbour"
     show(phone, "/?view=draw")
     expect(phone.locator("#map-note")).to_contain_text("22 steps")
     expect_no_wider(phone)
@@ -91,45 +78,16 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
     expect_no_wider(phone)
 
 
-def test_the_plan_comes_first_and_map_pad_and_start_are_in_one_window(phone: Page) -> None:
-    show(phone, "/?task=easy&seed=3&pilots=human,pathqnet")
-    plan = phone.get_by_text("Easy · map 3 · You, PathQNet")
-    city, pad = phone.locator("#boards .map"), phone.get_by_role("group", name="Fly")
-    order = (plan, city, pad, phone.get_by_role("button", name="Start", exact=True))
-    expect(pad).to_be_visible()
-    for node in order:
-        expect(node).to_be_in_viewport(ratio=1)
-    tops = [place(node)[1] for node in order]
-    assert tops == sorted(tops)
-    # Nothing covers the map.
-    assert place(phone.get_by_role("group", name="Map", exact=True))[1] >= place(city)[3]
-    phone.set_viewport_size({"width": 1024, "height": 768})
-    try:
-        show(phone, "/?task=hard&seed=3&pilot=pathqnet")
-        expect_step(phone, 0, 160)
-        for name in ("#boards .map", ".timeline", "#start", "#score", "#step-counter"):
-            expect(phone.locator(name)).to_be_in_viewport(ratio=1)
-        expect_no_wider(phone)
-    finally:
-        phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
-
-
 def test_a_person_flies_by_touch_over_a_map_that_is_crisp(phone: Page) -> None:
     show(phone, "/?task=easy&seed=5&pilot=human")
     expect(phone.get_by_text("Easy · map 5 · You")).to_be_visible()
     expect_step(phone, 0, 60)
     canvases = phone.locator("#boards canvas")
-    for width, height, shown_width, shown_height in canvases.evaluate_all(
-        "all => all.map(c => [c.width, c.height, c.clientWidth, c.clientHeight])"
-    ):
-        # A canvas may be half a pixel wider than its rounded `clientWidth`.
-        wrong = max(abs(width - PIXELS_PER_PIXEL * shown_width), abs(height - PIXELS_PER_PIXEL * shown_height))
-        assert wrong <= PIXELS_PER_PIXEL / 2
-        assert min(shown_width, shown_height) > 300
-    before = pictures(phone)
+    # A canvas may be half a pixel wider than its rounded `clientWidth`.
+    for width, shown in canvases.evaluate_all("all => all.map(c => [c.width, c.clientWidth])"):
+        assert width == pytest.approx(PIXELS_PER_PIXEL * shown, abs=PIXELS_PER_PIXEL / 2)
     phone.get_by_role("group", name="Fly").get_by_role("button", name="Down").tap()
     expect_step(phone, 1, 60, "DOWN")
-    assert changed(phone, before) == [2]
     # A swipe on the map flies there.
     swipes = (((0, -50), "UP"), ((0, 50), "DOWN"), ((-50, 10), "LEFT"), ((50, 10), "RIGHT"))
     for step, (way, action) in enumerate(swipes, 2):

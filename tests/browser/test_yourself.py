@@ -29,7 +29,7 @@ def question(page: Page) -> Locator:
 
 
 def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server: Server) -> None:
-    flown = ("RIGHT", "LEFT", "WAIT", "DOWN", "RIGHT", "WAIT", "DOWN", "LEFT", "UP")
+    flown = ("RIGHT", "LEFT", "DOWN", "RIGHT", "WAIT", "UP")
     flight = iter(frames(server, record_of(by_hand("easy", 7, (Action[name] for name in flown)), "me"))[1:])
     over(page, 7, "/?task=easy&seed=7&pilot=greedy")
     expect_step(page, 0, 60)
@@ -43,22 +43,14 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
         }"""
     )
     expect_frame(page, next(flight), 60)
-    for name in ("Left", "Wait"):
-        page.get_by_role("group", name="Fly").get_by_role("button", name=name, exact=True).click()
-        expect_frame(page, next(flight), 60)
+    page.get_by_role("group", name="Fly").get_by_role("button", name="Left", exact=True).click()
+    expect_frame(page, next(flight), 60)
     # Outside the buttons, which react to the space bar themselves.
     page.locator("#step-counter").click()
     for name in ("ArrowDown", "d", " "):
         page.keyboard.press(name)
         expect_frame(page, next(flight), 60)
-    # After a look back the next move is flown where the flight is.
-    press(page, "First step")
-    page.keyboard.press("ArrowDown")
-    expect_frame(page, next(flight), 60)
     # After a choice by mouse, the arrows still fly.
-    page.get_by_role("radio", name="Easy", exact=True).click()
-    page.keyboard.press("ArrowLeft")
-    expect_frame(page, next(flight), 60)
     speed = page.get_by_role("combobox", name="Speed")
     speed.focus()
     speed.dispatch_event("pointerdown")
@@ -82,7 +74,6 @@ def test_others_move_along_with_a_person_and_end_by_themselves(page: Page) -> No
     # Once the others have ended, no pilot is left that flies by itself.
     fly(page, "Go on")
     expect(page.locator("#start")).to_be_hidden()
-    expect(greedy.nth(1)).to_have_text("1/1")
 
 
 def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Server) -> None:
@@ -94,7 +85,6 @@ def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Ser
     thoughts, possible = page.get_by_role("table", name="Each move from here"), page.locator("#possible")
     expect(thoughts.get_by_role("cell")).to_have_text([DASH] * 10)
     expect(possible).to_have_text(DASH)
-    expect(page.locator("#lost")).to_have_text(DASH)
     arrows, ask = page.get_by_role("checkbox", name="What the network thinks"), "Show what is possible"
     expect(arrows).to_be_hidden()
     press(page, ask)
@@ -105,11 +95,8 @@ def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Ser
         page.keyboard.press(key)
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 5)["agent"] == "human with values"
-    # They are hidden again in the next flight.
     page.keyboard.press("r")
     expect_step(page, 0, 60)
-    expect(page.get_by_role("button", name=ask)).to_be_visible()
-    expect(possible).to_have_text(DASH)
     for key in way:
         page.keyboard.down(key)
     ended(page)
@@ -123,10 +110,6 @@ def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Ser
     page.keyboard.press(" ")
     pictures(page)
     assert counter(page) == len(way)
-    page.keyboard.press("End")
-    page.keyboard.press(" ")
-    expect(page.get_by_role("button", name="Pause", exact=True)).to_be_visible()
-    page.keyboard.press(" ")
 
 
 def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Page, server: Server) -> None:
@@ -146,8 +129,6 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
         lambda: page.keyboard.press("Enter"),
         lambda: rewards.select_option("aligned"),
         lambda: pilot(page, "Greedy").click(),
-        lambda: page.get_by_role("radio", name="Medium", exact=True).click(),
-        lambda: page.keyboard.press("r"),
         lambda: page.keyboard.press("n"),
     ):
         ask()
@@ -156,18 +137,12 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
         expect_step(page, 1, 60)
         expect(map_number(page)).to_have_value("8")
         expect(rewards).to_have_value("tiered")
-        expect(page.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
         expect_flying(page, "You")
     for key in way[1:]:
         page.keyboard.press(key)
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 8)["agent"] == "human with undo"
     # A flight that has ended is stored: the page does not ask.
-    page.keyboard.press("r")
-    expect_step(page, 0, 60)
-    page.keyboard.press(way[0])
-    expect_step(page, 1, 60)
     page.keyboard.press("n")
-    question(page).get_by_role("button", name="Give it up").click()
     expect_step(page, 0, 60)
     expect(map_number(page)).not_to_have_value(re.compile("^8?$"))

@@ -89,6 +89,7 @@ class Page:
         self._changed = asyncio.Event()
         self._lacking = asyncio.Event()
         self._feed: Feed | None = None
+        self._subscribed = asyncio.Event()
         self._tasks: TaskGroup
 
     async def run(self) -> None:
@@ -123,6 +124,7 @@ class Page:
             match command:
                 case Subscribe(topics=topics):
                     self._feed = Feed(self._shared, topics) if topics else None
+                    self._subscribed.set() if topics else self._subscribed.clear()
                 case Plain(type="pause"):
                     await self._set_playing(False)
                 case Play(speed=speed):
@@ -260,8 +262,10 @@ class Page:
                 await self._set_playing(False)
 
     async def _tell_news(self) -> None:
+        """Look for news while the page wants any: other processes write the log and the store."""
         failing = False
         while True:
+            await self._subscribed.wait()
             failing = not await self._answering(self._send_news, silent=failing)
             await asyncio.sleep(FEED_SECONDS)
 

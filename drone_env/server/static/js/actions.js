@@ -1,6 +1,6 @@
 // What a visitor can do in Fly, by button or key.
 import { ask } from "./dom.js";
-import { SPEEDS } from "./clock.js";
+import { SPEEDS } from "./stage.js";
 
 /** @typedef {ReturnType<typeof actionsOf>} Actions */
 

@@ -1,6 +1,6 @@
 // The server's HTTP calls. All addresses are relative to the page, which may lie under a prefix.
-
-import { recall, remember } from "./storage.js";
+import { recall, remember } from "./base.js";
+import { el } from "./dom.js";
 
 const TOKEN = "drone-env-token";
 /** What a header can carry; with anything else a request could not even be made. */
@@ -15,8 +15,7 @@ export class ApiError extends Error {
   }
 }
 
-/** @param {() => Promise<string>} askForToken Called where the server wants one. */
-export function createApi(askForToken) {
+export function createApi() {
   let token = recall(TOKEN, "sessionStorage");
 
   async function call(method, path, body) {
@@ -67,4 +66,47 @@ function search(query) {
 function base64url(text) {
   const bytes = String.fromCharCode(...new TextEncoder().encode(text));
   return btoa(bytes).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+}
+
+let asking = null;
+
+/** Asks for the token of the server. @param {boolean} wrong Whether there was a token, which the server refused. @returns {Promise<string>} */
+function askForToken(wrong) {
+  asking ??= tokenOf(wrong).finally(() => {
+    asking = null;
+  });
+  return asking;
+}
+
+function tokenOf(wrong) {
+  const dialog = document.getElementById("token");
+  const input = el("input.input", {
+    type: "password",
+    id: "token-input",
+    autocomplete: "current-password",
+    required: true,
+  });
+  const form = el(
+    "form",
+    { method: "dialog" },
+    el("h2", { id: "token-title", text: "This server asks for a token" }),
+    el("p.note", {
+      text: wrong
+        ? "The token was refused. Try another."
+        : "It is the value of DRONE_ENV_TOKEN that the server was started with. It is kept for this tab.",
+    }),
+    el("label.eyebrow", { for: "token-input", text: "Token" }),
+    input,
+    el("button.button.primary", { type: "submit", text: "Enter" }),
+  );
+  dialog.replaceChildren(form);
+  if (!dialog.open) dialog.showModal();
+  return new Promise((resolve) => {
+    let given = null;
+    form.addEventListener("submit", () => {
+      given = input.value.trim();
+    });
+    // Without a token there is no page. "cancel" is no help: browsers let the second Escape through.
+    dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
+  });
 }

@@ -1,8 +1,7 @@
 // API: how programs connect to this server, and what it does now: requests, training, flights that end.
 import { address } from "./api.js";
 import { copyText, el } from "./dom.js";
-import { fixed, moment, outcome, points } from "./format.js";
-import { flightName } from "./names.js";
+import { fixed, flightName, moment, outcome, points } from "./format.js";
 import { linkOf } from "./router.js";
 
 const KEPT = 200;
@@ -28,15 +27,6 @@ with DroneDeliveryClient("${url}").sync() as env:
     while not result.done:
         result = env.step(DroneAction(direction="RIGHT"))
     print(result.observation.score, env.state().seed)`,
-  ],
-  [
-    "Gymnasium, without a server",
-    `import gymnasium
-
-env = gymnasium.make("drone_env:DroneDelivery-Hard-v1", render_mode="ansi")
-observation, info = env.reset(seed=7)
-observation, reward, terminated, truncated, info = env.step(3)
-print(env.render(), observation["telemetry"], info)`,
   ],
 ];
 

@@ -1,11 +1,14 @@
-// Large maps and real places from above: the cells of one kind that touch each other are one shape with one outline.
+// Large maps and real places: cells of one kind that touch are drawn as one block.
+import { colourOf } from "./base.js";
 import { drawFigure } from "./figures.js";
 import { drawGrid, drawLabels, variety } from "./layer_city.js";
-import { colourOf } from "./palette.js";
 
-/** From the outline of its cells, an outline lies so much inside: blocks that meet at a corner stay apart. */
-const INSET = 0.07;
 const TONES = 3;
+/** Kinds of cells that are drawn as blocks. */
+export const BLOCKS = new Set(["building", "tree", "obstacle"]);
+/** Whether a map is drawn with blocks: a large one, or of a real place. */
+export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
+
 /** How far roofs stand above the ground, in cells, and where their shadow lies. */
 const HEIGHT = 0.16;
 const SHADOW = 0.17;
@@ -13,88 +16,82 @@ const SHADOW = 0.17;
 const FINE = 13;
 const SMALLEST_SIGN = 12;
 
-/** Shapes in cells, found once for each map: they are drawn in all sizes and colours. @type {WeakMap<object, object>} */
+/** Paths in cells, made once for each map: they are drawn in all sizes and colours. @type {WeakMap<object, object>} */
 const shapes = new WeakMap();
 
-/** @param {CanvasRenderingContext2D} ctx @param {number} [smallest] CSS pixels that a sign takes at least. */
-export function drawBlocks(ctx, { world, layout, names }, smallest = SMALLEST_SIGN) {
+/** @param {CanvasRenderingContext2D} ctx */
+export function drawBlocks(ctx, { world, layout, names }) {
   const { cell, left, top, scale } = layout;
   if (!shapes.has(world)) shapes.set(world, shapesOf(world, names));
-  const found = shapes.get(world);
-  const { buildings, trees, obstacles, hatching, signs } = found;
-  const line = (pixels) => Math.max(scale * pixels, 1) / cell;
+  const { buildings, trees, crowns, obstacles, hatching, pads } = shapes.get(world);
   const fine = cell >= FINE * scale;
-  const place = (dx = 0, dy = 0) => ctx.setTransform(cell, 0, 0, cell, left + dx * cell, top + dy * cell);
+  // Whole pixels: the sides of neighbouring cells leave no seam.
+  const place = (dx = 0, dy = 0) => ctx.setTransform(cell, 0, 0, cell, left + Math.round(dx * cell), top + Math.round(dy * cell));
   const paint = (path, colour) => {
     ctx.fillStyle = colourOf(colour);
     ctx.fill(path);
   };
-  const outline = (path, colour, pixels = 1) => {
-    ctx.lineWidth = line(pixels);
-    ctx.strokeStyle = colourOf(colour);
+  /** A block with an outline: the stroke between its cells is painted over. */
+  const outlined = (path, colour, edge) => {
+    ctx.lineWidth = (2 * Math.max(scale, 1)) / cell;
+    ctx.strokeStyle = colourOf(edge);
     ctx.stroke(path);
+    paint(path, colour);
   };
   ctx.lineJoin = "round";
   place();
   ctx.fillStyle = colourOf("--block-street");
   ctx.fillRect(0, 0, world.width, world.height);
-  paint(obstacles, "--block-closed");
+  outlined(obstacles, "--block-closed", "--block-hatch");
   ctx.save();
   ctx.clip(obstacles);
-  outline(hatching, "--block-hatch");
-  place(fine ? 0.5 : 0);
-  outline(hatching, "--block-hatch");
+  ctx.lineWidth = Math.max(scale, 1) / cell;
+  ctx.stroke(hatching);
   ctx.restore();
-  outline(obstacles, "--block-hatch");
-  paint(trees, "--block-wood");
-  if (fine) paint((found.crowns ??= crownsOf(world, names)), "--block-crown");
-  outline(trees, "--block-crown");
+  outlined(trees, "--block-wood", "--block-crown");
+  if (fine) paint(crowns, "--block-crown");
   place(SHADOW, SHADOW);
   for (const tone of buildings) paint(tone, "--map-shade");
   place();
   for (const tone of buildings) paint(tone, "--block-wall");
   place(0, -HEIGHT);
-  buildings.forEach((tone, i) => paint(tone, `--block-roof-${i + 1}`));
-  for (const tone of buildings) outline(tone, "--block-edge");
+  buildings.forEach((tone, i) => outlined(tone, `--block-roof-${i + 1}`, "--block-edge"));
   ctx.setTransform(1, 0, 0, 1, 0, 0);
   ctx.globalAlpha = fine ? 0.35 : 0;
   drawGrid(ctx, world, layout);
   ctx.globalAlpha = 1;
   ctx.strokeRect(left - 0.5, top - 0.5, world.width * cell + 1, world.height * cell + 1);
-  const side = Math.max(cell, smallest * scale);
-  for (const [kind, x, y] of signs) drawFigure(ctx, kind, left + (x + 0.5) * cell, top + (y + 0.5) * cell, side);
+  const side = Math.max(cell, SMALLEST_SIGN * scale);
+  for (const [x, y] of pads) drawFigure(ctx, "pad", left + (x + 0.5) * cell, top + (y + 0.5) * cell, side);
   if (layout.labels) drawLabels(ctx, world, layout);
 }
 
 function shapesOf(world, names) {
   const { cells, width, height } = world;
   const tones = toneOfBlocks(world, names.indexOf("building"));
-  const of = (kind, round) => joined(world, names.indexOf(kind), round, [new Path2D()])[0];
   const found = {
-    buildings: joined(
-      world,
-      names.indexOf("building"),
-      0.16,
-      Array.from({ length: TONES }, () => new Path2D()),
-      (cell) => tones[cell],
-    ),
-    trees: of("tree", 0.42),
-    obstacles: of("obstacle", 0.2),
+    buildings: Array.from({ length: TONES }, () => new Path2D()),
+    trees: new Path2D(),
+    crowns: new Path2D(),
+    obstacles: new Path2D(),
     hatching: new Path2D(),
-    signs: [],
+    pads: [],
   };
-  for (let at = -height; at < width; at++) {
+  for (let at = -height; at < width; at += 0.5) {
     found.hatching.moveTo(at, 0);
     found.hatching.lineTo(at + height, height);
   }
-  cells.forEach((row, y) => row.forEach((id, x) => names[id] === "pad" && found.signs.push(["pad", x, y])));
+  const add = {
+    building: (x, y) => found.buildings[tones[y * width + x]].rect(x, y, 1, 1),
+    tree(x, y) {
+      found.trees.rect(x, y, 1, 1);
+      addCrowns(found.crowns, x, y);
+    },
+    obstacle: (x, y) => found.obstacles.rect(x, y, 1, 1),
+    pad: (x, y) => found.pads.push([x, y]),
+  };
+  cells.forEach((row, y) => row.forEach((id, x) => add[names[id]]?.(x, y)));
   return found;
-}
-
-function crownsOf({ cells }, names) {
-  const path = new Path2D();
-  cells.forEach((row, y) => row.forEach((id, x) => names[id] === "tree" && addCrowns(path, x, y)));
-  return path;
 }
 
 /** Three trees in a cell, not two cells alike. */
@@ -129,82 +126,4 @@ function toneOfBlocks({ cells, width, height }, building) {
     }
   }
   return tones;
-}
-
-/** The four ways along the sides of cells, each a turn to the right of the one before. */
-const WAYS = [
-  [1, 0],
-  [0, 1],
-  [-1, 0],
-  [0, -1],
-];
-const TURNS = [1, 0, 3];
-
-/**
- * Outlines of the shapes that cells make which share a side, with what they enclose on their right.
- *
- * @param {number} kind Of the cells. @param {number} round Radius of the corners. @param {Path2D[]} paths Get the outlines.
- * @param {(cell: number) => number} [which] Into which path that of a cell goes, whose number grows along the rows.
- */
-function joined({ cells, width, height }, kind, round, paths, which = () => 0) {
-  const corner = (x, y) => y * (width + 1) + x;
-  /** By the corner where it begins, and way: the number of the cell on its right, from 1. An editor draws anew with every cell. */
-  const sides = new Int32Array(4 * (width + 1) * (height + 1));
-  const starts = [];
-  const add = (x, y, way, cell) => {
-    sides[corner(x, y) * 4 + way] = cell;
-    starts.push(corner(x, y) * 4 + way);
-  };
-  for (let y = 0; y < height; y++) {
-    const row = cells[y];
-    for (let x = 0; x < width; x++) {
-      if (row[x] !== kind) continue;
-      const cell = y * width + x + 1;
-      if (!y || cells[y - 1][x] !== kind) add(x, y, 0, cell);
-      if (row[x + 1] !== kind) add(x + 1, y, 1, cell);
-      if (y + 1 === height || cells[y + 1][x] !== kind) add(x + 1, y + 1, 2, cell);
-      if (!x || row[x - 1] !== kind) add(x, y + 1, 3, cell);
-    }
-  }
-  for (const start of starts) {
-    if (!sides[start]) continue;
-    const cell = sides[start] - 1;
-    let way = start % 4;
-    let x = Math.floor(start / 4) % (width + 1);
-    let y = Math.floor(start / 4 / (width + 1));
-    const corners = [];
-    while (sides[corner(x, y) * 4 + way]) {
-      sides[corner(x, y) * 4 + way] = 0;
-      x += WAYS[way][0];
-      y += WAYS[way][1];
-      // Where two shapes meet at a corner, a turn to the right stays with the own one.
-      const turn = TURNS.find((turn) => sides[corner(x, y) * 4 + ((way + turn) % 4)]);
-      const to = turn === undefined ? start % 4 : (way + turn) % 4;
-      if (to !== way) corners.push(within(x, y, way, to));
-      way = to;
-    }
-    outlineOf(paths[which(cell)], corners, round);
-  }
-  return paths;
-}
-
-/** A corner of an outline, moved inside from the two sides that meet there. */
-function within(x, y, way, next) {
-  const moved = [x, y];
-  for (const [dx, dy] of [WAYS[way], WAYS[next]]) {
-    moved[0] -= dy * INSET;
-    moved[1] += dx * INSET;
-  }
-  return moved;
-}
-
-function outlineOf(path, corners, round) {
-  const last = corners.at(-1);
-  path.moveTo((last[0] + corners[0][0]) / 2, (last[1] + corners[0][1]) / 2);
-  for (let i = 0; i < corners.length; i++) {
-    const [x, y] = corners[i];
-    const [nextX, nextY] = corners[(i + 1) % corners.length];
-    path.arcTo(x, y, nextX, nextY, round);
-  }
-  path.closePath();
 }

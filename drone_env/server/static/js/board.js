@@ -1,9 +1,8 @@
 // Draws a map with the flights over it on three canvases: the city, what is known of its cells, and what moves.
+import { fit, lessMotion, nextFrame } from "./base.js";
 import { el } from "./dom.js";
-import { fit } from "./fitted.js";
 import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
-import { lessMotion, nextFrame, noFrame } from "./loop.js";
 
 const SPIN = 0.03;
 const PLACES = ["ground", "cells", "air"];
@@ -12,12 +11,10 @@ export class Board {
   /**
    * @param {HTMLElement} root Filled with the canvases, which take its size.
    * @param {import("./context.js").Context} context For the stage, the camera, the layers that are shown, and the theme.
-   * @param {import("./track.js").Track|null} only The one flight that is drawn; null for all, the selected one in front.
    */
-  constructor(root, context, only = null) {
+  constructor(root, context) {
     this.context = context;
     this.stage = context.stage;
-    this.only = only;
     this.names = [];
     for (const kind of context.kinds) this.names[kind.id] = kind.name;
     this.canvases = PLACES.map((place) => el(`canvas.map-${place}`, { "aria-hidden": "true" }));
@@ -31,29 +28,19 @@ export class Board {
     this.drawn = {};
     this.draw = this.draw.bind(this);
     // A canvas that has another size is empty: it is drawn at once, before the browser shows it.
-    this.size = fit(root, [air], () => {
+    this.size = fit(root, air, () => {
       this.drawn = {};
       this.draw(performance.now());
     });
     const anew = () => this.reload();
-    const ends = [
-      this.stage.on("load", anew),
-      this.stage.on("change", () => this.refresh()),
-      context.on("layers", () => this.refresh()),
-      context.on("camera", () => this.refresh()),
-      context.on("theme", anew),
-      context.on("terrain", anew),
-      this.size.stop,
-      () => noFrame(this.draw),
-    ];
-    this.destroy = () => ends.forEach((end) => end());
+    const again = () => this.refresh();
+    this.stage.on("load", anew);
+    this.stage.on("change", again);
+    context.on("layers", again);
+    context.on("camera", again);
+    context.on("theme", anew);
     document.fonts.ready.then(anew);
     anew();
-  }
-
-  /** The flight that is drawn in full. */
-  get track() {
-    return this.only ?? this.stage.track;
   }
 
   /** Draws again in the next animation frame. */
@@ -69,8 +56,8 @@ export class Board {
   }
 
   draw(now) {
-    const { stage, track } = this;
-    const { world, clock } = stage;
+    const { stage } = this;
+    const { world, track, clock } = stage;
     if (!this.size.width || !this.size.height) return;
     const [ground, cells, air] = this.canvases;
     const ctx = air.getContext("2d");
@@ -92,7 +79,7 @@ export class Board {
       stage,
       world,
       track,
-      tracks: this.only ? [this.only] : stage.tracks,
+      tracks: stage.tracks,
       clock,
       layout,
       names: this.names,
@@ -102,7 +89,7 @@ export class Board {
     const shown = LAYERS.filter((layer) => this.context.shows(layer.id));
     // What lies in cells is drawn for the whole map, and moved by the browser as the camera moves.
     this.drawCells(ground, view, shown, "ground", "");
-    this.drawCells(cells, view, track === stage.track ? shown : [], "cells", `${stage.values?.key} ${stage.pad}`);
+    this.drawCells(cells, view, shown, "cells", stage.values?.key);
     cells.classList.toggle("waiting", stage.answer === null);
     for (const layer of shown) if (layer.place === "air") layer.draw(ctx, view);
     this.context.emit("drawn", view);
@@ -127,7 +114,6 @@ export class Board {
     canvas.style.transform = zoomed
       ? `translate(${(layout.left - own.left) / scale}px, ${(layout.top - own.top) / scale}px)`
       : "";
-    canvas.at = zoomed ? [layout.left - own.left, layout.top - own.top] : [0, 0];
   }
 }
 

@@ -36,20 +36,10 @@ export class Camera {
     return this.zoom === ZOOMS.at(-1) || this.zoom * this.whole >= this.most;
   }
 
-  /**
-   * One step nearer or farther.
-   *
-   * @param {number[]} [at] What is to stay where it is, [x, y] in cells, unless a drone is followed from nearby.
-   * @returns {boolean} Whether that was possible.
-   */
-  nearer(by, at) {
+  /** One step nearer or farther. @returns {boolean} Whether that was possible. */
+  nearer(by) {
     const next = ZOOMS[ZOOMS.indexOf(this.zoom) + by];
     if (!next || (by > 0 && this.nearest)) return false;
-    if (at && (this.zoom === 1 || !this.following)) {
-      const middle = this.centre ?? this.middle;
-      this.centre = at.map((cell, axis) => cell + ((middle[axis] - cell) * this.zoom) / next);
-      this.following = false;
-    }
     this.zoom = next;
     if (next === 1) this.reset();
     return true;
@@ -67,9 +57,9 @@ export class Camera {
     const whole = fitted(world, size);
     this.whole = whole.cell;
     this.most = Math.floor(WIDEST / Math.max(world.width, world.height));
-    this.middle = [world.width / 2, world.height / 2];
     if (this.zoom === 1) return whole;
     const cell = Math.max(whole.cell, Math.min(Math.floor(whole.cell * this.zoom), this.most));
+    this.cell = cell / size.scale;
     const middle = [at[0] + 0.5, at[1] + 0.5];
     this.centre ??= middle;
     const along = (axis, cells, room) => {

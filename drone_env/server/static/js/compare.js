@@ -1,9 +1,8 @@
 // Compare: who flies a task best, two of them map by map, runs over the same maps, trainings, and the newest flights.
-import { el, toast } from "./dom.js";
-import { title } from "./format.js";
+import { el } from "./dom.js";
 import { Flights } from "./flights.js";
-import { leaderboard, mapsOf, runsOf } from "./rankings.js";
-import { paired } from "./paired.js";
+import { title } from "./format.js";
+import { leaderboard, mapsOf, paired, runsOf } from "./rankings.js";
 import { Training } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
@@ -15,7 +14,7 @@ const MOST = 2;
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
-  const training = new Training(root, context);
+  const training = new Training(root);
   let shown = false;
   const look = () => {
     const before = shown;
@@ -26,20 +25,11 @@ export function mount(root, context) {
       compare.load();
     }
   };
-  router.on("address", () => {
-    look();
-    told();
-  });
+  router.on("address", look);
   live.on("training", ({ curve }) => shown && training.show(curve));
   live.on("episodes", ({ episodes }) => shown && compare.heard(episodes));
   live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
-  /** What of the address is not shown. */
-  function told() {
-    const left = shown ? router.address.pilots.slice(MOST) : [];
-    if (left.length) toast(`${MOST} pilots are compared at a time: without ${left.join(", ")}.`);
-  }
   look();
-  told();
 }
 
 class Compare {

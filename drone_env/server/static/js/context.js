@@ -1,6 +1,7 @@
 // What all parts of the page share.
+import { ApiError } from "./api.js";
+import { Emitter } from "./base.js";
 import { Camera } from "./camera.js";
-import { Emitter } from "./emitter.js";
 import { LAYERS } from "./layers.js";
 import { Stage } from "./stage.js";
 
@@ -43,6 +44,27 @@ export function createContext(parts) {
       context.emit("layers");
     },
   });
-  context.meet = async (name) => name?.startsWith("drawn_") && (await import("./drawn.js")).meet(context, name);
+  context.meet = (name) => meet(context, name);
   return context;
+}
+
+/** One more task, as `GET /tasks/{task_name}` tells it. @param {import("./context.js").Context} context */
+export function add(context, { task, pilots }) {
+  const { families } = context;
+  if (context.tasks.some(({ id }) => id === task.id)) return;
+  context.tasks.push(task);
+  families.set(task.family, [...(families.get(task.family) ?? []), task]);
+  for (const pilot of context.pilots) if (pilots.includes(pilot.id)) pilot.tasks.push(task.id);
+  context.emit("task", task);
+}
+
+/** Asks for the task of a drawn map by its name, unless it is known. */
+async function meet(context, name) {
+  if (!name?.startsWith("drawn_") || context.tasks.some(({ id }) => id === name)) return;
+  try {
+    add(context, await context.api.get(`tasks/${encodeURIComponent(name)}`));
+  } catch (error) {
+    // Of a map that is not kept here the server says so where it is to be flown.
+    if (!(error instanceof ApiError && error.status === 404)) throw error;
+  }
 }

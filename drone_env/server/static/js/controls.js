@@ -1,7 +1,7 @@
 // Below the maps: the graph, and the transport of flights that go on or have ended.
-import { SPEEDS } from "./clock.js";
 import { el, icon, setText } from "./dom.js";
 import { signed, title } from "./format.js";
+import { SPEEDS } from "./stage.js";
 import { mountTimeline } from "./timeline.js";
 
 const PLAY = ["!M7 4.500v15l13-7.500z"];
@@ -9,7 +9,7 @@ const PAUSE = ["!M7 5h3.500v14H7z", "!M13.500 5H17v14h-3.500z"];
 
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {import("./actions.js").Actions} acts @returns {HTMLCanvasElement} The graph.
+ * @param {import("./actions.js").Actions} acts
  */
 export function mountControls(root, context, fleet, acts) {
   const { stage } = context;
@@ -34,7 +34,7 @@ export function mountControls(root, context, fleet, acts) {
   const strip = el("div");
   const buttons = el("div.transport", { role: "group", "aria-label": "Playback" }, first, back, forward, last);
   root.append(strip, el("div.controls", toggle, buttons, speed, undo, fork, reset), where);
-  const graph = mountTimeline(strip, context);
+  mountTimeline(strip, context);
 
   function update() {
     const { track } = stage;
@@ -62,7 +62,6 @@ export function mountControls(root, context, fleet, acts) {
   for (const event of ["playing", "setup", "begun"]) fleet.on(event, update);
   context.live.on("state", update);
   update();
-  return graph;
 }
 
 /** Where we are, in words: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */

@@ -1,5 +1,5 @@
 // What is drawn: a map, the stroke that paints it cell by cell, and the way back.
-import { Emitter } from "./emitter.js";
+import { Emitter } from "./base.js";
 
 const UNDONE = 100;
 const same = (a, b) => a[0] === b[0] && a[1] === b[1];
@@ -24,7 +24,6 @@ export class Drawing extends Emitter {
   become(map) {
     this.map = map;
     this.past = [];
-    this.undone = [];
     /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
     this.stroke = null;
   }
@@ -133,18 +132,9 @@ export class Drawing extends Emitter {
   end() {
     if (this.stroke && this.stroke.before !== JSON.stringify(this.map)) {
       this.past = [...this.past, this.stroke.before].slice(-UNDONE);
-      this.undone = [];
       this.emit("end");
     }
     this.stroke = null;
-  }
-
-  /** Takes the stroke back. */
-  drop() {
-    if (!this.stroke) return;
-    this.map = JSON.parse(this.stroke.before);
-    this.stroke = null;
-    this.emit("stroke");
   }
 
   /** One change as a whole. */
@@ -155,21 +145,11 @@ export class Drawing extends Emitter {
     this.emit("map");
   }
 
+  /** Shows the map before the last stroke. */
   undo() {
     this.end();
-    this.turn(this.past, this.undone);
-  }
-
-  redo() {
-    this.end();
-    this.turn(this.undone, this.past);
-  }
-
-  /** Shows the map that one of the two was left with last; the other gets this one. */
-  turn(from, to) {
-    if (!from.length) return;
-    to.push(JSON.stringify(this.map));
-    this.map = JSON.parse(from.pop());
+    if (!this.past.length) return;
+    this.map = JSON.parse(this.past.pop());
     this.emit("map");
   }
 

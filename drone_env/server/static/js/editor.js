@@ -1,17 +1,15 @@
 // Draw: a map that people paint; the server says at once what it is worth, keeps it as a task and writes its file.
 import { ApiError } from "./api.js";
+import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
+import { add } from "./context.js";
 import { announce, copyText, download, el, icon, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
-import { add } from "./drawn.js";
-import { Emitter } from "./emitter.js";
 import { cellName, points } from "./format.js";
-import { isJoined } from "./layer_city.js";
 import { drawSign } from "./legend.js";
 import { linkOf } from "./router.js";
 import { Stage } from "./stage.js";
-import { recall, remember } from "./storage.js";
 import { Track } from "./track.js";
 
 const SIDES = [2, 128];
@@ -34,7 +32,7 @@ function keep(key, map) {
 }
 
 /** Opens the file of a city. @throws {ApiError} Where it is none. @param {File} file @param {import("./context.js").Context} context */
-export async function openMap(file, { api, router }) {
+async function openMap(file, { api, router }) {
   const address = { view: "draw", file: file.name };
   keep(keyOf(address), await api.post("maps/file", { toml: await file.text() }));
   router.go(address);
@@ -49,19 +47,17 @@ export function mount(root, context) {
     camera: new Camera(),
     shows: (id) => SHOWN.has(id),
   });
-  for (const event of ["theme", "terrain"]) context.on(event, () => own.emit(event));
+  context.on("theme", () => own.emit("theme"));
   const { stage, camera } = own;
   const drawing = new Drawing(kinds);
   let key = null;
   /** What the map is worth, as the server says. */
   let worth = null;
   let cursor = null;
-  let blocks = null;
 
   // What stands on the page.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
-  const redoing = el("button.button.small", { text: "Redo", title: "Redo (Ctrl Shift Z)", press: () => drawing.redo() });
   const blank = el("a.button.small", { href: "?view=draw", text: "Empty map" });
   const again = el("button.button.small", { text: "Start over", title: "As it was before you drew", press: startOver });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
@@ -84,7 +80,7 @@ export function mount(root, context) {
   );
   const middle = el("div.middle");
   root.append(
-    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, redoing, again, blank)),
+    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, again, blank)),
     middle,
     el(
       "aside.draw-side",
@@ -99,7 +95,7 @@ export function mount(root, context) {
     ),
   );
   root.classList.add("draw");
-  const boards = mountBoards(middle, own);
+  const board = mountBoards(middle, own);
   const grid = middle.querySelector(".boards");
   grid.id = "drawing";
   Object.assign(grid, { tabIndex: 0, ariaLabel: "Map: arrows move the cursor, Space or Enter paints", role: "application" });
@@ -129,7 +125,6 @@ export function mount(root, context) {
 
   function turns() {
     undoing.disabled = !drawing.past.length;
-    redoing.disabled = !drawing.undone.length;
   }
 
   function setNumber(name) {
@@ -143,8 +138,6 @@ export function mount(root, context) {
   }
 
   // What is shown.
-  /** Large maps and real places are drawn by what most visits do not load. */
-  const join = () => (blocks ??= trying(async () => (await (await import("./around.js")).join(), own.emit("terrain"))));
   /** The map has another size, or is another. */
   function show() {
     turns();
@@ -162,9 +155,8 @@ export function mount(root, context) {
     const track = new Track({ opening: { pilot: "", by: "", forked_at: null }, frames }, { name: "", colour: "--accent" });
     const task = { short_name: "drawing", attribution: map.attribution };
     stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
-    if (isJoined(stage.world)) join();
     stage.tracks = [track];
-    for (const board of boards.boards) board.reload();
+    board.reload();
     setText(whose, map.attribution);
     drawBest();
   }
@@ -172,7 +164,7 @@ export function mount(root, context) {
   /** What the server says of the map; the map itself is drawn already. */
   function drawBest() {
     stage.track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
-    for (const board of boards.boards) board.refresh();
+    board.refresh();
     fill();
   }
 
@@ -277,30 +269,23 @@ export function mount(root, context) {
     const { cell, left, top, scale } = layout();
     return [clientX - box.left, clientY - box.top].map((p, i) => Math.floor((p * scale - [left, top][i]) / cell));
   };
-  const pointers = new Set();
   grid.addEventListener("pointerdown", (event) => {
-    pointers.add(event.pointerId);
     point(null);
-    if (pointers.size > 1)
-      // Two fingers move the map: what the first has drawn was not meant.
-      drawing.drop();
-    else if (event.button === 0 && drawing.map && drawing.inside(cellBelow(event))) {
-      drawing.begin(cellBelow(event));
-      // What is drawn goes on where the pointer has left the map and come back elsewhere.
-      if (drawing.stroke) grid.setPointerCapture(event.pointerId);
-    }
+    if (event.button !== 0 || !event.isPrimary || !drawing.map || !drawing.inside(cellBelow(event))) return;
+    drawing.begin(cellBelow(event));
+    // The stroke goes on if the pointer leaves the map and comes back elsewhere.
+    if (drawing.stroke) grid.setPointerCapture(event.pointerId);
   });
   grid.addEventListener(
     "pointermove",
     (event) => {
-      if (!drawing.stroke || pointers.size > 1) return;
+      if (!drawing.stroke) return;
       event.stopImmediatePropagation();
-      drawing.goOn(cellBelow(event));
+      if (event.isPrimary) drawing.goOn(cellBelow(event));
     },
     { capture: true },
   );
-  for (const type of ["pointerup", "pointercancel"])
-    window.addEventListener(type, ({ pointerId }) => pointers.delete(pointerId) && drawing.end());
+  for (const type of ["pointerup", "pointercancel"]) grid.addEventListener(type, () => drawing.end());
 
   /** Moves the map as far as it takes to see a cell. */
   function follow(cell) {
@@ -347,7 +332,8 @@ export function mount(root, context) {
       if (!drawing.stroke?.held) drawing.end();
       point(cursor);
     } else if ("+=-".includes(event.key)) {
-      if (camera.nearer(event.key === "-" ? -1 : 1, cursor)) own.emit("camera");
+      if (camera.nearer(event.key === "-" ? -1 : 1)) own.emit("camera");
+      if (cursor) follow(cursor);
     } else if (PALETTE[event.key - 1]) tools.querySelectorAll("input")[event.key - 1].click();
     else return;
     event.preventDefault();
@@ -358,11 +344,10 @@ export function mount(root, context) {
   });
   own.on("camera", () => cursor && point(cursor));
   document.addEventListener("keydown", (event) => {
-    const key = (event.ctrlKey || event.metaKey) && event.key.toLowerCase();
-    if (!"zy".includes(key) || context.view !== "draw" || event.target.matches("input[type=number]")) return;
+    const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
+    if (!undoes || context.view !== "draw" || event.target.matches("input[type=number]")) return;
     event.preventDefault();
-    if (key === "y" || event.shiftKey) drawing.redo();
-    else drawing.undo();
+    drawing.undo();
   });
 
   // Which map it is, the address says.

@@ -1,6 +1,6 @@
 // What stands on maps: the sheet of figures from which the pictures of Gymnasium are drawn too, and the marks of the page.
+import { colourOf, font } from "./base.js";
 import { el } from "./dom.js";
-import { colourOf, font } from "./palette.js";
 
 /** A figure's field on the sheet is so much wider than the cell in its middle. */
 const FIELD = 1.8;
@@ -134,7 +134,7 @@ export function drawMark(ctx, x, y, size, mark, colour) {
   ctx.arc(x, y, size * 0.5, 0, 2 * Math.PI);
   ctx.fill();
   ctx.fillStyle = colourOf("--ground");
-  ctx.font = font(size * 0.62, 600);
+  ctx.font = font(size * 0.62);
   ctx.textAlign = "center";
   ctx.textBaseline = "middle";
   ctx.fillText(mark, x, y + size * 0.04);

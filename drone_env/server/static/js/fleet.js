@@ -1,6 +1,6 @@
 // The live flights of this page: what is asked of the server, and what it tells.
+import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
-import { Emitter } from "./emitter.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";

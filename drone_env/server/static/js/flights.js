@@ -1,12 +1,9 @@
-// The newest flights over a task, by all or by one, with charts of those that are listed.
-import { grid } from "./rankings.js";
-import { Chart } from "./charts.js";
+// The newest flights over a task, by all or by one.
 import { el } from "./dom.js";
-import { fixed, moment, outcome, percent, points } from "./format.js";
-import { flightName, who } from "./names.js";
+import { fixed, flightName, moment, outcome, points, who } from "./format.js";
+import { grid } from "./rankings.js";
 
 const PAGE = 50;
-const ROLLING = 20;
 
 export class Flights {
   /** @param {import("./context.js").Context} context */
@@ -25,25 +22,11 @@ export class Flights {
     this.older = el("button.button.small", { text: "Older", press: () => this.turn(older) });
     this.note = el("p.note", { role: "status" });
     this.list = el("div.flight-list");
-    this.charts = el("div.charts.flight-charts");
-    const pick = (i) => this.open(this.shown[i]);
-    const chart = (options) => new Chart(this.charts, context, { x: "Flight", pick, ...options });
-    const lost = { title: "Lost", y: "Lost", format: (v) => points(v) };
-    this.lost = chart({ ...lost, file: "lost", kind: "points", least: 0.01 });
-    this.success = chart({
-      title: `Success, last ${ROLLING} flights`,
-      file: "success",
-      kind: "line",
-      y: "Success",
-      format: (v) => percent(v),
-      range: [0, 1],
-    });
     this.heading = el("h2", { text: "Newest flights", tabindex: "-1" });
     const choice = el("label", { for: "compare-agent" }, el("span", { text: "Pilot" }), this.agent);
     this.root = el(
       "section.compare-part",
       el("div.view-head", this.heading, el("div.filters", choice, this.map)),
-      this.charts,
       this.list,
       el("div.pager", this.newer, this.older, this.note),
     );
@@ -83,8 +66,6 @@ export class Flights {
     const { episodes, next } = await this.context.api.get("episodes", query);
     if (asked !== this.asked) return;
     this.next = next;
-    /** Oldest first, as charts go. */
-    this.shown = [...episodes].reverse();
     this.map.hidden = seed === null;
     this.map.textContent = `Map ${seed} ×`;
     this.map.setAttribute("aria-label", `All maps, not only map ${seed}`);
@@ -93,16 +74,6 @@ export class Flights {
     const none = "No flight yet. Fly one, and it stands here.";
     this.note.textContent = episodes.length ? `Page ${this.pages.length}` : none;
     this.draw(episodes);
-    const wins = this.shown.map(({ success }) => Number(success));
-    const rolling = wins.map((_, i) => mean(wins.slice(Math.max(0, i + 1 - ROLLING), i + 1)));
-    const lost = this.shown.map(({ regret }) => regret);
-    const known = lost.filter((regret) => regret !== null);
-    // Of several pilots a mean says nothing.
-    this.charts.classList.toggle("of-one", agent !== "");
-    this.charts.hidden = !episodes.length;
-    const words = agent && known.length ? `${points(mean(known))} on average over ${known.length} flights.` : "";
-    const delivered = `${percent(wins.length ? mean(wins) : null)} of these ${wins.length} delivered everything.`;
-    await Promise.all([this.lost.show(lost, words), this.success.show(rolling, delivered)]);
   }
 
   draw(episodes) {
@@ -134,5 +105,3 @@ export class Flights {
     if (key) this.list.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
   }
 }
-
-const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;

@@ -1,23 +1,21 @@
 // Fly: a map with flights over it, live or past; puts plan, boards, controls and instruments together.
 import { actionsOf } from "./actions.js";
 import { mountBoards } from "./boards.js";
+import { mountCalls } from "./calls.js";
 import { mountControls } from "./controls.js";
-import { el, toast } from "./dom.js";
-import { listenToDrops, mountFiles } from "./drops.js";
+import { el } from "./dom.js";
 import { Fleet } from "./fleet.js";
-import { mountHuman } from "./human.js";
+import { help } from "./help.js";
 import { mountInstruments } from "./instruments.js";
-import { mountKeys } from "./keys.js";
-import { isJoined } from "./layer_city.js";
+import { mountHuman, mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
-import { mountMapValues } from "./map_values.js";
+import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
-import { explain, Past } from "./past.js";
+import { explain, mountFiles, Past } from "./past.js";
 import { mountPlan } from "./plan.js";
 import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
-import { mountSwitches } from "./switches.js";
 import { mountTelemetry } from "./telemetry.js";
 import { mountThinking } from "./thinking.js";
 
@@ -44,28 +42,25 @@ export function mountFly(root, context) {
 
   mountPlan(plan, context, fleet, acts);
   mountFiles(plan, past, openFile);
-  mountLegend(plan, context);
-  const lesson = el("div", { hidden: true });
+  const lesson = el("div.lesson-bar", { hidden: true });
+  let teaching = null;
   middle.append(lesson);
   const problem = below("problems", mountProblem, fleet);
-  const boards = below("boards-panel", mountBoards);
+  below("boards-panel", mountBoards);
+  mountLegend(plan, context);
   below("strip", mountStrip, fleet, acts);
-  const graph = below("controls-panel", mountControls, fleet, acts);
+  below("controls-panel", mountControls, fleet, acts);
   below("human", mountHuman, fleet);
-  panel("standings-panel", mountStandings, boards);
+  panel("standings-panel", mountStandings);
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);
   panel("thinking", mountThinking, fleet, acts);
-  panel("calls", mountLater);
+  panel("calls", mountCalls);
   panel("moves-panel", mountMoves);
-  panel("telemetry-panel", mountTelemetry, { boards: () => boards.boards, graph });
+  panel("telemetry-panel", mountTelemetry);
   mountKeys(context, fleet, acts, help);
   document.getElementById("help-button").addEventListener("click", help);
   mountMapValues(context);
-  listenToDrops((file) => {
-    if (!/\.toml$/i.test(file.name)) openFile(() => past.openFile(file));
-    else import("./editor.js").then(({ openMap }) => openMap(file, context)).catch(({ message }) => toast(message));
-  });
 
   /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
   async function open(flights) {
@@ -82,7 +77,6 @@ export function mountFly(root, context) {
 
   /** The same of a file. */
   async function openFile(flights) {
-    if (context.view !== "fly") context.router.open("fly");
     if (await open(flights)) context.router.go({ file: past.file });
   }
 
@@ -116,7 +110,6 @@ export function mountFly(root, context) {
   });
   stage.on("frames", () => greets() && sayWhatIsFlown());
   stage.on("load", () => root.classList.remove("empty"));
-  stage.on("load", () => isJoined(stage.world) && mountAround(context));
   root.classList.add("empty");
   fleet.on("ended", (track) => {
     explain(context, track);
@@ -129,8 +122,17 @@ export function mountFly(root, context) {
   /** Shows what the address says. */
   async function follow(view) {
     const { address } = context.router;
+    // A flight that an earlier address asked for is not shown any more.
+    past.asked += 1;
+    if (address.lesson)
+      teaching ??= import("./lessons.js").then(
+        ({ mountLesson }) => mountLesson(lesson, context),
+        ({ message }) => {
+          teaching = null;
+          problem.say(`The lesson could not be loaded: ${message}`);
+        },
+      );
     if (greeting) greeting.hidden = !greets();
-    if (address.lesson) teach(lesson, context);
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
@@ -175,49 +177,6 @@ export function mountFly(root, context) {
     const now = told();
     if (now.actions || !stage.flying) context.router.moment(now);
   });
-}
-
-/** The keys, which are loaded with the first question for them. */
-const help = () =>
-  import("./help.js").then(
-    (loaded) => loaded.help(),
-    (error) => toast(`The help could not be loaded: ${error.message}`),
-  );
-
-/** What language models were asked, loaded with the first flight of one. */
-function mountLater(root, context) {
-  root.hidden = true;
-  const end = context.stage.on("change", async () => {
-    if (!context.stage.track?.calls) return;
-    end();
-    (await import("./calls.js")).mountCalls(root, context);
-  });
-}
-
-let around = null;
-
-/** Large maps and real places: how they are drawn, and what stands around them. */
-function mountAround(context) {
-  around ??= import("./around.js").then(
-    ({ mount }) => mount(context),
-    (error) => {
-      around = null;
-      toast(`The map could not be loaded: ${error.message}`);
-    },
-  );
-}
-
-let teaching = null;
-
-/** Puts the lesson above the maps; what there is to learn is loaded once somebody learns. */
-function teach(root, context) {
-  teaching ??= import("./lesson.js").then(
-    ({ mountLesson }) => mountLesson(root, context),
-    (error) => {
-      teaching = null;
-      toast(`The lesson could not be loaded: ${error.message}`);
-    },
-  );
 }
 
 /** What went wrong, above the maps; where nothing is flown, with a way on. */

@@ -14,7 +14,7 @@ const KEYS = [
   [".", "The next step"],
   ["F", "Try from here: fly on yourself from the moment that is shown"],
   ["N R", "New map; reset to the start of this one"],
-  ["+ − or Z X", "Nearer, farther"],
+  ["+ −", "Nearer, farther"],
   ["Shift ↑ ↓ ← →", "Move a map that is seen from nearby"],
   ["< >", "Slower, faster"],
   ["1 to 9", "Look at another flight"],

@@ -1,17 +1,12 @@
 // What does not move: the ground, its grid and numbers, and what stands on it.
+import { colourOf, font } from "./base.js";
+import { drawBlocks, isJoined } from "./blocks.js";
 import { drawFigure } from "./figures.js";
-import { colourOf, font } from "./palette.js";
-
-/** Draws what is no field of single signs; `blocks.js` does, once it is loaded. */
-export const joined = { draw() {} };
-
-/** Whether a map is drawn with its buildings joined to blocks: a large one, or of a real place. */
-export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
 
 /** @param {CanvasRenderingContext2D} ctx */
 export function drawCity(ctx, view) {
   if (isJoined(view.world)) {
-    joined.draw(ctx, view);
+    drawBlocks(ctx, view);
     return;
   }
   const { world, layout, names } = view;

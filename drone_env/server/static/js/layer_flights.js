@@ -1,6 +1,6 @@
 // What moves: trails, parcels, target, the network's values as arrows, the best flight and the drones.
+import { colourOf, labelColour } from "./base.js";
 import { drawArrow, drawDrone, drawFigure, drawMark, drawTarget } from "./figures.js";
-import { colourOf, labelColour } from "./palette.js";
 
 export const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
 const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };

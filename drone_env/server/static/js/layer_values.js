@@ -1,7 +1,7 @@
 // What is known of each cell at a moment: what can still be reached from there, what the network would do, the battery's range.
+import { colourOf, font } from "./base.js";
 import { drawArrow } from "./figures.js";
 import { STEP } from "./layer_flights.js";
-import { colourOf, font } from "./palette.js";
 
 const SMALL = 18;
 
@@ -54,13 +54,11 @@ function drawMove(ctx, { cell, left, top }, action, x, y) {
   drawArrow(ctx, cx + dx * cell * 0.12, cy + dy * cell * 0.12, cx + dx * cell * 0.42, cy + dy * cell * 0.42, cell * 0.11);
 }
 
-/** What lies within the battery's range, with the units left there: from here, or from a pad that is chosen, charged in full. */
+/** What lies within the battery's range, with the units left there. */
 export function drawRange(ctx, { stage, world, layout }) {
-  const answer = stage.values?.answer;
-  if (!answer?.range) return;
+  const range = stage.values?.answer?.range;
+  if (!range) return;
   const { cell, left, top, scale } = layout;
-  const pad = answer.pads[stage.pad];
-  const range = pad?.units ?? answer.range;
   range.forEach((row, y) =>
     row.forEach((units, x) => {
       ctx.fillStyle = colourOf(units === null ? "--ground" : "--good");
@@ -72,10 +70,6 @@ export function drawRange(ctx, { stage, world, layout }) {
   ctx.lineWidth = Math.max(2, 2.5 * scale);
   ctx.strokeStyle = colourOf("--good");
   outline(ctx, layout, range);
-  if (pad) {
-    ctx.strokeStyle = colourOf("--warn");
-    ctx.strokeRect(left + pad.position[0] * cell, top + pad.position[1] * cell, cell, cell);
-  }
   if (cell < SMALL * 1.8 * scale) return;
   ctx.fillStyle = colourOf("--ink");
   ctx.font = font(Math.round(cell * 0.26));

@@ -1,6 +1,7 @@
 // What can be shown on a map, from the ground up. A layer is added here, and nowhere else.
 import { drawCity } from "./layer_city.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
+import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
 /**
  * @typedef {Object} Layer
@@ -13,13 +14,6 @@ import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./l
  * @property {(ctx: CanvasRenderingContext2D, view: Object) => void} draw
  */
 
-/** What `layer_values.js` draws; it is loaded with the first answer that it shows. */
-export const ofValues = {};
-const later =
-  (name) =>
-  (...view) =>
-    ofValues[name]?.(...view);
-
 /** @type {Layer[]} */
 export const LAYERS = [
   { id: "city", place: "ground", draw: drawCity },
@@ -30,7 +24,7 @@ export const LAYERS = [
     hint: "What is best from each cell, with the battery, parcels and steps of this moment; the greener, the more is still possible",
     key: "v",
     asks: true,
-    draw: later("drawValues"),
+    draw: drawValues,
   },
   {
     id: "network",
@@ -39,17 +33,17 @@ export const LAYERS = [
     hint: "The network's move at each cell where it gives something away",
     key: "e",
     asks: true,
-    draw: later("drawNetwork"),
+    draw: drawNetwork,
   },
   {
     id: "range",
     place: "cells",
     name: "Range of the battery",
-    hint: "What can be reached with the battery that is left, or from a pad with a full one",
+    hint: "What can be reached with the battery that is left; the numbers are the units left there",
     key: "b",
     asks: true,
     when: ({ world }) => Boolean(world?.task.pads),
-    draw: later("drawRange"),
+    draw: drawRange,
   },
   { id: "trails", place: "air", draw: drawTrails },
   {

@@ -1,14 +1,12 @@
 // The socket to the server: messages both ways, and a connection that comes back by itself.
 import { address } from "./api.js";
-import { Emitter } from "./emitter.js";
+import { Emitter } from "./base.js";
 
 const WAITS = [500, 1000, 2000, 4000, 8000];
 const NOT_ALLOWED = 1008;
 const TRY_LATER = 1013;
 /** A connection that lasts so long, in milliseconds, is a good one. */
 const STEADY = 10_000;
-/** So many in a row that the server has ended sooner, and it is for the visitor to say that another is tried. */
-const MOST_ENDED = 5;
 
 /**
  * @typedef {"connecting"|"open"|"away"|"full"|"refused"} LinkState
@@ -24,7 +22,6 @@ export class Live extends Emitter {
     this.topics = [];
     this.state = "connecting";
     this.failures = 0;
-    this.ended = 0;
     this.timer = 0;
     this.steady = 0;
     this.socket = null;
@@ -41,18 +38,14 @@ export class Live extends Emitter {
     url.search = url.hash = "";
     const socket = new WebSocket(url, this.protocols());
     this.socket = socket;
-    let accepted = false;
-    socket.onopen = () => {
-      accepted = true;
-      // A server that is full says so only now: one that has answered has room. Nothing flies on a new connection.
-      this.send({ type: "pause" });
-    };
+    // A server that is full says so only now: one that has answered has room. Nothing flies on a new connection.
+    socket.onopen = () => this.send({ type: "pause" });
     socket.onmessage = (event) => {
       if (this.state !== "open") this.opened();
       const message = JSON.parse(event.data);
       this.emit(message.type, message);
     };
-    socket.onclose = (event) => this.closed(event, accepted);
+    socket.onclose = (event) => this.closed(event);
   }
 
   /** Sends a message; false where there is no connection. */
@@ -70,24 +63,18 @@ export class Live extends Emitter {
 
   opened() {
     this.steady = setTimeout(() => {
-      this.failures = this.ended = 0;
+      this.failures = 0;
     }, STEADY);
     this.change("open", 0, "");
     if (this.topics.length) this.subscribe(this.topics);
   }
 
-  closed(event, accepted) {
+  closed(event) {
     if (event.code === NOT_ALLOWED) {
       this.change("refused", 0, event.reason);
       return;
     }
     clearTimeout(this.steady);
-    // What comes back and does the same again may be what ends it.
-    if (accepted && event.code !== TRY_LATER) this.ended += 1;
-    if (this.ended >= MOST_ENDED) {
-      this.change("refused", 0, `it has ended ${this.ended} in a row`);
-      return;
-    }
     const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
     this.failures += 1;
     this.timer = setTimeout(() => this.connect(), wait);

@@ -1,13 +1,13 @@
-// Asks the server what can still be reached from the moment that is shown, where a layer shows it or a flight is a fork.
+// The layers that lie on the map: their switches, and what `POST /values` says of the moment that is shown.
 import { ApiError } from "./api.js";
-import { toast } from "./dom.js";
-import { LAYERS, ofValues } from "./layers.js";
+import { el, toast } from "./dom.js";
+import { LAYERS } from "./layers.js";
 
 const KEPT = 60;
 /** Milliseconds until it is asked about the moment that is looked at then. */
 const LOOK = 120;
 
-/** @param {import("./context.js").Context} context */
+/** Asks for the values if a layer shows them or the flight is a fork. @param {import("./context.js").Context} context */
 export function mountMapValues(context) {
   const { stage, api } = context;
   const kept = new Map();
@@ -43,9 +43,7 @@ export function mountMapValues(context) {
     asking = true;
     let answer = null;
     try {
-      const [told, drawing] = await Promise.all([api.post("values", flight), import("./layer_values.js")]);
-      answer = told;
-      Object.assign(ofValues, drawing);
+      answer = await api.post("values", flight);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       toast(error.message);
@@ -68,4 +66,29 @@ export function mountMapValues(context) {
 
   stage.on("change", look);
   context.on("layers", look);
+}
+
+/** The switches of the layers. @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./actions.js").Actions} acts */
+export function mountSwitches(root, context, acts) {
+  const { stage } = context;
+  const rows = LAYERS.filter(({ name }) => name).map((layer) => {
+    const box = el("input", { type: "checkbox", id: `layer-${layer.id}`, on: { change: () => acts.flick(layer) } });
+    const key = el("kbd", { text: layer.key.toUpperCase(), "aria-hidden": "true" });
+    return { layer, box, node: el("label.switch", { title: layer.hint }, box, el("span", { text: layer.name }), key) };
+  });
+  const unsolved = el("p.note", { id: "unsolved", role: "status" });
+  root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), unsolved);
+
+  function draw() {
+    root.hidden = !stage.world;
+    for (const { layer, box, node } of rows) {
+      node.hidden = layer.when ? !layer.when(stage) : false;
+      box.checked = context.shows(layer.id);
+    }
+    unsolved.textContent = stage.values?.answer?.unsolved ?? "";
+  }
+
+  stage.on("change", draw);
+  context.on("layers", draw);
+  draw();
 }

@@ -1,6 +1,7 @@
 // Flights of the past: a stored one, or those in a file, flown again by the server and annotated move by move.
 import { ApiError } from "./api.js";
-import { toast } from "./dom.js";
+import { el, toast } from "./dom.js";
+import { flightName } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -45,7 +46,6 @@ export class Past {
   /** Shows the flights of a file, one of them at a time. */
   async openFile(file) {
     const asked = ++this.asked;
-    const { readFlights } = await import("./flight_file.js");
     const records = await readFlights(file);
     this.files.set(file.name, records);
     if (asked === this.asked) await this.openRecord(0, file.name);
@@ -72,7 +72,7 @@ export class Past {
   }
 
   async flown(record) {
-    await this.context.meet(record.task);
+    await this.context.meet(record?.task);
     const flown = await this.context.api.post("replay", record);
     const track = new Track(flown, this.fleet.look(flown.opening.pilot));
     track.record = record;
@@ -126,3 +126,58 @@ export async function explain(context, track) {
 }
 
 const lost = (value, { optimal_score: optimum }) => ({ value, regret: Math.max(0, optimum - value) });
+
+const ENDINGS = [".json", ".jsonl"];
+
+/** The records in a file: one as JSON, or one per line. The server checks them. @param {File} file @returns {Promise<object[]>} */
+async function readFlights(file) {
+  if (!ENDINGS.some((ending) => file.name.toLowerCase().endsWith(ending))) {
+    throw new Error(`${file.name} is not a file of flights: its name must end in ${ENDINGS.join(" or ")}.`);
+  }
+  const text = await file.text();
+  try {
+    return [JSON.parse(text)];
+  } catch {
+    const lines = text
+      .split("\n")
+      .map((line, i) => [line, i + 1])
+      .filter(([line]) => line.trim());
+    if (!lines.length) throw new Error(`${file.name} is empty.`);
+    return lines.map(([line, number]) => parsed(line, `${file.name}, line ${number}`));
+  }
+}
+
+function parsed(text, where) {
+  try {
+    return JSON.parse(text);
+  } catch (error) {
+    throw new Error(`${where} is not JSON: ${error.message}.`);
+  }
+}
+
+/** @param {HTMLElement} root @param {import("./past.js").Past} past @param {(flights: () => Promise<void>) => void} open */
+export function mountFiles(root, past, open) {
+  const input = el("input.visually-hidden", {
+    type: "file",
+    id: "flight-file",
+    accept: ".json,.jsonl",
+    on: {
+      change: async () => {
+        const [file] = input.files;
+        if (file) await open(() => past.openFile(file));
+        input.value = "";
+      },
+    },
+  });
+  const change = () => open(() => past.openRecord(flights.selectedIndex));
+  const flights = el("select", { id: "flight-of-file", "aria-label": "Flight of the file", hidden: true, on: { change } });
+  root.append(el("div.field", input, el("label.button.small", { for: "flight-file", text: "Open a file…" }), flights));
+
+  let offered = past.records;
+  past.context.stage.on("load", () => {
+    if (past.records === offered) return;
+    offered = past.records;
+    flights.hidden = past.records.length < 2;
+    flights.replaceChildren(...past.records.map((record, i) => el("option", { text: `${i + 1}. ${flightName(past.context, record)}` })));
+  });
+}

@@ -1,11 +1,9 @@
 // The address of the page is its state: which view is shown, which flight stands in it, and which moment of it. Back,
 // forward and reload show what the address says.
+import { Emitter } from "./base.js";
 import { copyText, toast } from "./dom.js";
-import { Emitter } from "./emitter.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
-/** What views were called in links of earlier versions. */
-const OLDER = { watch: "fly", race: "fly", replay: "fly", history: "compare", specs: "learn", logs: "api" };
 
 /** Milliseconds between two changes of an entry: browsers allow few. */
 const PAUSE = 200;
@@ -137,7 +135,7 @@ export function says(address, flown) {
 }
 
 /** @returns {Address} */
-function read({ search, hash }) {
+function read({ search }) {
   const link = new URLSearchParams(search);
   const text = (name) => link.get(name) || null;
   const number = (name) => {
@@ -151,12 +149,11 @@ function read({ search, hash }) {
     unread.push(`${name}=${value}`);
     return null;
   };
-  // Links of earlier versions name the view behind a #.
-  const named = [link.get("view"), hash.slice(1)].map((view) => (Object.hasOwn(OLDER, view) ? OLDER[view] : view));
-  const view = named.find((view) => VIEWS.has(view));
-  if (!view && link.get("view")) unread.push(`view=${link.get("view")}`);
+  const named = link.get("view") ?? "fly";
+  const view = VIEWS.has(named) ? named : "fly";
+  if (view !== named) unread.push(`view=${named}`);
   return {
-    view: view ?? "fly",
+    view,
     task: text("task"),
     seed: number("seed"),
     profile: text("profile"),

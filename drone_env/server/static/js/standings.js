@@ -4,18 +4,12 @@ import { outcome, points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Possible", true], ["Lost", true]];
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {{apart: (apart: boolean) => void}} boards */
-export function mountStandings(root, context, boards) {
-  const { stage } = context;
+/** @param {HTMLElement} root @param {import("./context.js").Context} context */
+export function mountStandings(root, { stage }) {
   const body = el("tbody");
-  const apart = el("input", { type: "checkbox", id: "apart", on: { change: () => boards.apart(apart.checked) } });
-  const head = el(
-    "div.panel-head",
-    el("h2.eyebrow", { text: "Standings" }),
-    el("label.switch", apart, el("span", { text: "A board each" })),
-  );
   const note = el("p.note", { id: "standings-note" });
-  root.append(head, table("table.table.standings", { id: "standings" }, "Standings", COLUMNS, body), note);
+  const shown = table("table.table.standings", { id: "standings" }, "Standings", COLUMNS, body);
+  root.append(el("h2.eyebrow", { text: "Standings" }), shown, note);
   let rows = [];
 
   function build() {
@@ -26,7 +20,6 @@ export function mountStandings(root, context, boards) {
       return { track, cells, node };
     });
     root.hidden = rows.length < 2;
-    if (rows.length < 2) apart.checked = false;
     draw();
   }
 

@@ -1,7 +1,6 @@
 // Under the map once the flight that is looked at has ended: how it went, its worst move, and what comes next.
-import { announce, copyText, el, setText } from "./dom.js";
+import { announce, el, setText } from "./dom.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
-import { linkOf } from "./router.js";
 
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
@@ -22,14 +21,9 @@ export function mountStrip(root, context, fleet, acts) {
   });
   const worstLine = el("div.strip-worst", see, tryIt);
   const next = el("button.button.small.primary", { id: "next", press: () => goOn(context, fleet, acts) });
-  const copy = el("button.button.small", { text: "Copy result", press: () => copyText(result(stage), "Result copied.") });
-  const share = el("button.button.small", { text: "Copy link", press: () => context.router.copy() });
+  const efficiency = el("p.note.strip-efficiency", { id: "efficiency-parts" });
   const analysis = el("p.note.strip-analysis");
-  const more = el("details.strip-more", el("summary", { text: "Efficiency, and all flights of this task" }));
-  const body = el("div.strip-body");
-  more.append(body);
-  more.addEventListener("toggle", () => more.open && fill());
-  root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next, copy, share), analysis, more);
+  root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next), efficiency, analysis);
   root.hidden = true;
   let said = null;
 
@@ -42,6 +36,7 @@ export function mountStrip(root, context, fleet, acts) {
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
+    setText(efficiency, efficiencyOf(last));
     worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
     if (worst) {
@@ -52,13 +47,12 @@ export function mountStrip(root, context, fleet, acts) {
     setText(next, `Next: ${title(after.short_name)}`);
     if (said === track) return;
     said = track;
-    more.open = false;
     analysis.hidden = Boolean(track.past);
     if (!track.past) analyse(stage.world.task);
     if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
-  /** Shows what all flights of the task come to, this one among them. */
+  /** Shows the statistics of all flights of the task, this one included. */
   async function analyse(task) {
     setText(analysis, "Counting the flights of this task …");
     try {
@@ -69,17 +63,13 @@ export function mountStrip(root, context, fleet, acts) {
     }
   }
 
-  /** What most visits never unfold is loaded once somebody does. */
-  async function fill() {
-    try {
-      const { unfold } = await import("./strip_more.js");
-      await unfold(body, context);
-    } catch (error) {
-      body.replaceChildren(el("p.note", { text: `This could not be counted: ${error.message}` }));
-    }
-  }
-
   stage.on("change", draw);
+}
+
+/** The efficiency in its parts: `Efficiency 87.5 of 100: parcels 100 % (weight 75), ...`. */
+function efficiencyOf({ efficiency, efficiency_parts: parts }) {
+  const words = parts.map(({ name, weight, share }) => `${title(name).toLowerCase()} ${percent(share)} (weight ${weight})`);
+  return `Efficiency ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
 }
 
 function summary({ world }, { last, annotation, steps, done }) {
@@ -92,25 +82,18 @@ function summary({ world }, { last, annotation, steps, done }) {
   return `${parts.join(", ")}.`.replace(/^./, (letter) => letter.toUpperCase());
 }
 
-/** The flights in a line to send to somebody: `You 15, PathQNet 8, optimum 8 · Hard, map 7`, and where to see it. */
-function result({ tracks, world }) {
-  const steps = (track) =>
-    track.last.outcome === "delivered"
-      ? String(track.steps)
-      : `${track.last.deliveries_done} of ${world.parcels.length} parcels`;
-  const flown = tracks.filter(({ done }) => done).map((track) => `${track.name}${track.forkedAt ? ":" : ""} ${steps(track)}`);
-  const best = tracks.find(({ annotation }) => annotation)?.annotation;
-  if (best) flown.push(`optimum ${best.optimal_steps}`);
-  const map = linkOf({ task: world.task.short_name, seed: world.seed });
-  return `${flown.join(", ")} · ${title(world.task.short_name)}, map ${world.seed} · ${map}`;
-}
-
 function inWords(figures, task) {
   const trend = figures.success_trend === null ? "" : ` (trend ${signed(figures.success_trend * 100, 0)} points)`;
   const shares = Object.entries(figures.action_distribution).map(([action, share]) => `${action} ${percent(share)}`);
+  const means = [
+    `score ${points(figures.average_score)}`,
+    `lost ${points(figures.mean_regret)}`,
+    `reward ${fixed(figures.average_reward)}`,
+    `${fixed(figures.average_steps, 1)} steps`,
+    `success ${percent(figures.success_rate)}${trend}`,
+  ];
   const flights = figures.episodes === 1 ? "1 flight" : `${figures.episodes} flights`;
-  const success = `success ${percent(figures.success_rate)}${trend}`;
-  return `${flights} of ${title(task.short_name)} here: mean reward ${fixed(figures.average_reward)}, ${success}, ${shares.join(", ")}.`;
+  return `${flights} of ${title(task.short_name)} here, on average: ${[...means, ...shares].join(", ")}.`;
 }
 
 /** Easy, Medium, Hard, Easy; every family goes round. */

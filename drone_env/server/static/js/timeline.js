@@ -1,9 +1,7 @@
 // The flights as an evaluation graph: by step, the score that was still possible, a line for each; a slider lies over it.
+import { colourOf, fit, font, labelColour, nextFrame } from "./base.js";
 import { el } from "./dom.js";
-import { cleared, fit } from "./fitted.js";
 import { points } from "./format.js";
-import { nextFrame } from "./loop.js";
-import { colourOf, font, labelColour } from "./palette.js";
 
 const MARKED = { inaccuracy: 2.5, mistake: 4, blunder: 5.5 };
 const ROOM = { top: 15, bottom: 14, side: 2 };
@@ -12,7 +10,7 @@ const ASIDE = 1.5;
 /** Of the fewest steps that the graph is wide. */
 const SHORTEST = 10;
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @returns {HTMLCanvasElement} */
+/** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountTimeline(root, context) {
   const { stage } = context;
   const canvas = el("canvas.timeline-graph", { "aria-hidden": "true" });
@@ -24,21 +22,17 @@ export function mountTimeline(root, context) {
     step: "1",
     value: "0",
     "aria-label": "Step of the flight that is shown",
-    on: {
-      input: () => stage.clock.goTo(Number(slider.value)),
-      pointermove: (event) => {
-        const step = Math.round((event.offsetX / slider.clientWidth) * Number(slider.max));
-        slider.title = tip(stage.track, step);
-      },
-    },
+    on: { input: () => stage.clock.goTo(Number(slider.value)) },
   });
   root.classList.add("timeline");
   root.append(canvas, slider);
 
   function draw() {
-    const ctx = cleared(canvas, size);
-    if (!ctx || !stage.tracks.length) return;
-    const { width, height } = size;
+    const { width, height, scale } = size;
+    const ctx = canvas.getContext("2d");
+    ctx.setTransform(scale, 0, 0, scale, 0, 0);
+    ctx.clearRect(0, 0, width, height);
+    if (!stage.tracks.length) return;
     const { clock, track, tracks } = stage;
     const x = (step) => ROOM.side + (step / wide()) * (width - 2 * ROOM.side);
     const [low, high] = range(tracks);
@@ -66,11 +60,10 @@ export function mountTimeline(root, context) {
     nextFrame(draw);
   }
 
-  const size = fit(root, [canvas], draw);
+  const size = fit(root, canvas, draw);
   context.on("theme", () => nextFrame(draw));
   document.fonts.ready.then(() => nextFrame(draw));
   stage.on("change", refresh);
-  return canvas;
 }
 
 /** From the least to the most that was possible, in tens. */

@@ -1,9 +1,8 @@
 // The curves of the newest training, as it goes.
-import { Chart } from "./charts.js";
 import { el } from "./dom.js";
 import { fixed, percent, points, title } from "./format.js";
 
-/** What is drawn where the training tells it, and how it is written; the reward comes last. */
+/** The figures that are drawn if the training reports them, and how they are written; the reward comes last. */
 const DRAWN = {
   validation: ["Score on the validation maps", points],
   success: ["Success", percent],
@@ -13,33 +12,49 @@ const DRAWN = {
 };
 
 export class Training {
-  /** @param {HTMLElement} root @param {import("./context.js").Context} context */
-  constructor(root, context) {
-    this.context = context;
-    this.charts = new Map();
+  /** @param {HTMLElement} root */
+  constructor(root) {
     this.body = el("div.charts");
     this.root = el("section.compare-part", { hidden: true }, el("h2", { text: "Newest training" }), this.body);
     root.append(this.root);
   }
 
-  /** @param {Object<string, (number|null)[]>} curve As `/live` tells it; its first figure counts. */
+  /** @param {Object<string, (number|null)[]>} curve As `/live` sends it; its first figure counts. */
   show(curve) {
     const [count] = Object.keys(curve);
     this.root.hidden = count === undefined;
-    for (const [name, [words, write]] of Object.entries(DRAWN)) {
-      const drawn = curve[name];
-      if (drawn && !this.charts.has(name)) {
-        const labels = { title: words, x: title(count), y: words };
-        const options = { ...labels, file: name, kind: "line", format: (v) => write(v) };
-        this.charts.set(name, new Chart(this.body, this.context, options));
-      }
-      const chart = this.charts.get(name);
-      if (!chart) continue;
-      chart.root.hidden = !drawn;
-      const last = drawn?.at(-1);
-      const optimum = name === "validation" && curve.optimum?.at(-1);
-      const best = optimum ? ` The optimum of these maps: ${write(optimum)}.` : "";
-      if (drawn) chart.show(drawn, `${write(last)} at ${count} ${curve[count].at(-1)}.${best}`, curve[count]);
-    }
+    const drawn = Object.keys(DRAWN).filter((name) => curve[name]?.some((value) => value !== null));
+    this.body.replaceChildren(...drawn.map((name) => chart(name, curve, count)));
   }
+}
+
+function chart(name, curve, count) {
+  const [words, format] = DRAWN[name];
+  const write = (value) => format(value);
+  const at = curve[count];
+  const known = curve[name].map((value, i) => [at[i], value]).filter(([, value]) => value !== null);
+  const values = known.map(([, value]) => value);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const across = (x) => (100 * (x - at[0])) / (at.at(-1) - at[0] || 1);
+  const up = (value) => 100 - (100 * (value - low)) / (high - low || 1);
+  const [last, newest] = known.at(-1);
+  const optimum = name === "validation" && curve.optimum?.at(-1);
+  const best = optimum ? ` The optimum of these maps: ${write(optimum)}.` : "";
+  const line = known.map(([x, value]) => `${across(x)} ${up(value)}`).join("L");
+  const label = (place, text) => el(`span.chart-${place}`, { text });
+  return el(
+    "figure.chart",
+    { data: { chart: name } },
+    el("figcaption", el("h3", { text: words }), el("p.note", { text: `${write(newest)} at ${count} ${last}.${best}` })),
+    el(
+      "div.chart-frame",
+      { "aria-hidden": "true" },
+      // A line of one value is a dot.
+      el("svg:svg", { viewBox: "0 0 100 100", preserveAspectRatio: "none" }, el("svg:path", { d: `M${line}h0` })),
+      label("high", write(high)),
+      label("low", low === high ? "" : write(low)),
+      label("from", `${title(count)} ${at[0]}`),
+      label("to", String(at.at(-1))),
+    ),
+  );
 }
