@@ -66,6 +66,30 @@ class RangeRequest(SplitRequest):
     stop: int | None = Field(default=None, description="The one after the last.")
 
 
+class TaskSpecs(Message):
+    """Maps of a split."""
+
+    tasks: list[TaskSpec]
+
+
+class NamedTaskSpecs(TaskSpecs):
+    """Maps of a split, and the environment's name."""
+
+    env_name: str = ENV_NAME
+
+
+class TaskCount(Message):
+    """How many maps a split has."""
+
+    num_tasks: int
+
+
+class OneTask(Message):
+    """One map."""
+
+    task: TaskSpec
+
+
 @router.get("/metadata")
 async def metadata() -> Metadata:
     """What the environment is."""
@@ -103,30 +127,30 @@ async def splits() -> list[SplitInfo]:
 
 
 @named.post("/tasks", responses=BODY_ERRORS)
-def split_tasks(body: SplitRequest) -> dict[str, str | list[TaskSpec]]:
-    """The first 1,000 maps of a split, and the environment's name."""
-    return {"tasks": api.list_tasks(body.split), "env_name": ENV_NAME}
+def split_tasks(body: SplitRequest) -> NamedTaskSpecs:
+    """The first 1,000 maps of a split."""
+    return NamedTaskSpecs(tasks=api.list_tasks(body.split))
 
 
 @named.post("/num_tasks", responses=BODY_ERRORS)
-async def num_tasks(body: SplitRequest) -> dict[str, int]:
+async def num_tasks(body: SplitRequest) -> TaskCount:
     """How many maps a split has."""
-    return {"num_tasks": api.num_tasks(body.split)}
+    return TaskCount(num_tasks=api.num_tasks(body.split))
 
 
 @named.post("/task", responses=BODY_ERRORS)
-async def split_task(body: TaskRequest) -> dict[str, TaskSpec]:
+async def split_task(body: TaskRequest) -> OneTask:
     """One map of a split."""
     try:
-        return {"task": api.get_task(body.split, body.index)}
+        return OneTask(task=api.get_task(body.split, body.index))
     except IndexError as error:
         raise RequestError(400, "index", str(error)) from None
 
 
 @named.post("/task_range", responses=BODY_ERRORS)
-def task_range(body: RangeRequest) -> dict[str, list[TaskSpec]]:
+def task_range(body: RangeRequest) -> TaskSpecs:
     """Maps start to stop (exclusive) of a split, at most 1,000."""
-    return {"tasks": api.get_task_range(body.split, body.start, body.stop)}
+    return TaskSpecs(tasks=api.get_task_range(body.split, body.start, body.stop))
 
 
 router.include_router(named)
