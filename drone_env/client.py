@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["DroneDeliveryClient", "DroneEnvClient", "ServerError"]
 
 DEFAULT_URL = "http://localhost:8000"
-NO_CONTENT = 204
 BROKEN = (httpx.ReadError, httpx.RemoteProtocolError, httpx.WriteError)
 
 
@@ -212,14 +211,12 @@ class DroneEnvClient:
             raise ServerError(0, "no_answer", f"{method} {path}: {error or type(error).__name__}") from error
         answer: Any = None
         with suppress(ValueError):
-            answer = {} if response.status_code == NO_CONTENT else response.json()
-        found = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
-        if response.is_success and found is not None:
+            answer = {} if response.status_code == httpx.codes.NO_CONTENT else response.json()
+        found = cast(dict[str, Any], answer) if isinstance(answer, dict) else {"detail": response.text[:200]}
+        if response.is_success and found is answer:
             return found
-        code, detail = "http", response.text[:200]
-        if found is not None:
-            code, detail = found.get("code", code), found.get("detail", detail)
-        raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
+        message = f"{method} {path}: {response.status_code}: {found.get('detail', '')}"
+        raise ServerError(response.status_code, found.get("code", "http"), message)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -102,9 +102,7 @@ class DroneObservation(Message):
     battery_steps_remaining: Count = Field(description="Battery units left; in the standard tasks each step costs one.")
     deliveries_total: int = Field(ge=1, description="Parcels to deliver.")
     deliveries_done: Count = Field(description="Parcels delivered.")
-    current_target: Position | None = Field(
-        description="[x, y] of the next parcel; null when all are delivered."
-    )
+    current_target: Position | None = Field(description="[x, y] of the next parcel; null when all are delivered.")
     distance_to_target: float | None = Field(ge=0, description="Manhattan distance to the current target in cells.")
     step_count: Count = Field(description="Steps taken.")
     max_steps: int = Field(ge=1, description="Steps after which the episode ends.")

@@ -164,8 +164,7 @@ class Page:
         if missed:
             await self._tell([(number, missed)])
         else:
-            step, by = live.episode.steps, live.row.agent
-            await self._send({"type": "undone", "flight": number, "step": step, "by": by})
+            await self._send({"type": "undone", "flight": number, "step": live.episode.steps, "by": live.row.agent})
 
     async def _step_all(self) -> None:
         automatic = [(number, live) for number, live in enumerate(self.episodes) if live.automatic]
