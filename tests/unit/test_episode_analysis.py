@@ -45,10 +45,10 @@ def test_an_analysis_looks_at_the_newest(store: Store) -> None:
 
 
 def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store) -> None:
-    for seed in range(20):
+    for seed in range(200):
         store.add_episode(flown("hard", seed, "4"), "someone")
-    assert store.analysis("hard", patience=0).regret_episodes < 20
-    eventually(lambda: store.analysis("hard", patience=0).regret_episodes == 20)
+    assert store.analysis("hard", patience=0).regret_episodes < 200
+    eventually(lambda: store.analysis("hard", patience=0).regret_episodes == 200)
 
 
 def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
