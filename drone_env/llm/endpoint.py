@@ -139,7 +139,7 @@ class Endpoint:
     def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
         """Treat an error in a 200 response like one with the status that it carries."""
         reason = f"{self._clean(_message_of(error))} (in a 200 response)"
-        fields: Mapping[str, Any] = error if isinstance(error, Mapping) else {}
+        fields: Mapping[str, Any] = cast(Mapping[str, Any], error) if isinstance(error, Mapping) else {}
         named = (str(fields.get(name)) for name in ("code", "status"))
         status = next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
         if status is not None:
@@ -177,11 +177,12 @@ async def _read(response: httpx.Response) -> bytes:
 
 def _answer(completion: Any) -> dict[str, Any]:
     """The fields of the answer in a completion; foreign servers omit many fields."""
-    choices = completion.get("choices")
+    choices: Any = completion.get("choices")
     if completion.get("error") or completion.get("object") == "error" or not choices:
         raise _SentError(completion.get("error") or completion)
-    choice = choices[0] or {}
-    message, reason = choice.get("message"), choice.get("finish_reason")
+    choice: Any = choices[0] or {}
+    message: Any = choice.get("message")
+    reason: Any = choice.get("finish_reason")
     if message is None:
         raise _SentError({"message": "there is no message"})
     if choice.get("error") or reason == "error":
@@ -199,11 +200,11 @@ def _answer(completion: Any) -> dict[str, Any]:
     joined = {name: "".join(found) or None for name, found in texts.items()}
     if not any(joined.values()) and reason is None:
         raise _SentError({"message": "the message is empty"})
-    usage = completion.get("usage") or {}
-    counts = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
+    usage: Any = completion.get("usage") or {}
+    counts: dict[str, Any] = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
     counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
-    last = {"finish_reason": reason, "model": completion.get("model")}
-    return {**joined, "text": joined["text"] or "", **last, **counted}
+    joined["text"] = joined["text"] or ""
+    return {**joined, **counted, "finish_reason": reason, "model": completion.get("model")}
 
 
 def _pieces(content: Any) -> Iterator[tuple[str, str]]:

@@ -122,7 +122,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
             state.messages, state.output = [*asked, output.message], output
-            return chosen.read(_answer(output))
+            return chosen.read_answer(_answer(output))
 
         flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
         await fly(flown, chosen, history, ask)

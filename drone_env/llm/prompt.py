@@ -55,11 +55,11 @@ class Prompt(PromptFile):
     """One version of a prompt."""
 
     id: str = Field(description="Name and version, such as `minimal-2`.")
-    names: frozenset[str] = Field(description="The values that its templates use, the parts they include; `picture`.")
+    names: frozenset[str] = Field(description="The values that its templates use, and the parts they include.")
     digest: str = Field(description="SHA-256 of the file and its parts, with LF line ends, 16 hex digits.")
     own: str | None = Field(description="The text of a file that is not part of the package.")
 
-    def read(self, answer: Answer) -> Reading:
+    def read_answer(self, answer: Answer) -> Reading:
         """Understand an answer."""
         return read_answer(answer, self.plan, self.marks)
 
@@ -132,7 +132,6 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
             allowed = ", ".join(sorted(known | parts.keys()))
             raise InvalidValueError(f"{path}: {part}: unknown {unknown[0]!r}; there are {allowed}")
         names |= used - {"reason"}
-    names |= {"picture"} if data.picture else set()
     whole = "".join([text, *(parts[name] for name in sorted(names & parts.keys()))])
     digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
     fields = data.model_dump() | {name: template.strip() for name, template in texts.items()}

@@ -133,7 +133,7 @@ class Calls:
         known = self._transcript.answered.get(key)
         if known is not None and known.answer is not None:
             known.require_same(messages, request, body.get("seed"))
-            return self._prompt.read(known.answer)
+            return self._prompt.read_answer(known.answer)
         self._limiter.check_going_on()
         # Repeats and repairs draw again from the model: only equal ones share an answer.
         name = digest([self._url, request, repeat, key.attempt])
@@ -175,7 +175,7 @@ class Calls:
             except TryFailedError as failed:
                 record(None, "api_error")
                 self._give_up(failed)
-        reading = self._prompt.read(answer)
+        reading = self._prompt.read_answer(answer)
         record(answer, reading.kind)
         if cache is not None and not cached:
             write_text(cache, answer.model_dump_json())

@@ -68,7 +68,7 @@ def verified_run(path: Path) -> VerifiedRun:
             if call is not None and call.answer is not None:
                 call.require_same(messages, digest({"body": body, "messages": messages}), body.get("seed"))
                 used.add(key)
-                return prompt.read(call.answer)
+                return prompt.read_answer(call.answer)
             # After the last answer the flight ended as its result says, which is compared with the rest of it.
             if ended.status == "errored" and key in failed:
                 raise CallFailedError(ended.error or "")

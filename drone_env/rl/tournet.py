@@ -285,7 +285,8 @@ class TourTrainer:
             raise InvalidValueError("no choice drawn so far matters: raise maps_per_chunk or states_per_map")
         window = self._windows[int(rng.choice(len(shares), p=shares / shares.sum()))]
         batch = sample_batch([samples for samples in window if len(samples.values)], config.batch_size, rng)
-        choice, regret, completion = distillation_losses(*self.online(*batch.inputs), batch, config.temperature)
+        preference, completions = self.online(*batch.inputs)
+        choice, regret, completion = distillation_losses(preference, completions, batch, config.temperature)
         loss = choice + config.regret_weight * regret + config.completion_weight * completion
         if not loss.isfinite():
             raise InvalidValueError(f"loss NaN after {self.updates} updates: lower learning_rate, or raise warm_up")

@@ -213,7 +213,7 @@ def test_the_command_trains_and_leaves_what_it_says(
     [
         (["--task", "all"], "add --network tournet"),
         (["--reward-profile", "generous"], "allowed: aligned"),
-        (["--replay-size", "1000000000000000"], "Lower the sizes that you set, such as --replay-size"),
+        (["--replay-size", "1000000000000000"], "out of memory"),
         (["--network", "tournet", "--preset", "original"], "--preset"),
     ],
 )
