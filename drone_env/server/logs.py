@@ -43,6 +43,7 @@ class RequestLog:
         self.count = 0
         self.followers = 0
         self._changed = asyncio.Event()
+        self._batch: tuple[int, int, bytes] = (0, 0, b"")
 
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
         """Note one answer."""
@@ -70,9 +71,15 @@ class RequestLog:
                 self._changed.clear()
                 await self._changed.wait()
                 await asyncio.sleep(BATCH_SECONDS)
-            lines = [f"id: {one.number}\r\ndata: {one.model_dump_json()}\r\n\r\n" for one in self.since(seen)]
-            seen = self.count
-            yield "".join(lines).encode()
+            start, seen = seen, self.count
+            yield self._events(start)
+
+    def _events(self, start: int) -> bytes:
+        """The events after this number, written once for all followers that are equally far."""
+        if self._batch[:2] != (start, self.count):
+            lines = [f"id: {one.number}\r\ndata: {one.model_dump_json()}\r\n\r\n" for one in self.since(start)]
+            self._batch = start, self.count, "".join(lines).encode()
+        return self._batch[2]
 
 
 class LogRequests:

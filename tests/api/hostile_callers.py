@@ -1,11 +1,20 @@
 """Hostile callers against a server of their own: does it answer others meanwhile, and in how much memory?
 
-    python tests/api/hostile_callers.py [--seconds 10]
+    python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
 
-A process of its own asks for `/health` all the time, each time over a new connection. In turn come floods of requests,
-of long heads, of WebSocket frames, pings and one-byte fragments, some from callers that read nothing, and an end while
-nobody reads. The check fails if the event loop used more than 0.2 CPU seconds before it answered `/health`, if the
-server had more than 300 MB, or if it was not healthy or left a traceback (Linux).
+A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with
+thousands of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read
+slowly or not at all, 100 addresses that draw maps while eight people fly, fuzzed requests, and an end while nobody
+reads. It fails if `/health` took longer than 0.5 s or the event loop used more than 0.2 CPU seconds before it
+answered; if a request or connection cost the loop more than 5 ms; if the server had more than 300 MB, or 400 MB with
+its worker processes; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
+
+Before that, in this process, the most expensive bodies and frames of each kind: none may take 5 ms of the event loop.
+
+The time of an answer is counted without that for which server or asker could have run while the machine was busy with
+others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
+is shown beside it, and a quiet server's for comparison.
 """
 
 import argparse
@@ -13,65 +22,66 @@ import asyncio
 import contextlib
 import http.client
 import multiprocessing
+import os
+import random
 import socket
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+from tests.api.hostile_bodies import costs_of_routes, costs_of_sockets
+from tests.api.hostile_maps import crowd
 from tests.api.serving import Server, serving
 
-MOST_LOOP_SECONDS, MOST_MEGABYTES = 0.2, 300
+MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH = 0.5, 0.2, 0.005
+MOST_MEGABYTES, MOST_MEGABYTES_IN_ALL = 300, 400
 HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
-HEADERS = b"".join([b"a%04d: x\r\n" % number for number in range(6500)])
+PING, BEGIN, GO_ON = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
+"""Masked frames: a ping without payload, and one-byte fragments of a text."""
+Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-class Flood(NamedTuple):
-    """What callers send as fast as the server takes it; they connect again if it closes the connection."""
-
-    name: str
-    data: bytes
-    path: str = ""
-    """Of a WebSocket; requests if empty."""
-    first: bytes = b""
-    reads: bool = True
+def megabytes(process: int, what: str) -> float:
+    """A size of a process (Linux): `VmRSS` now, `VmHWM` the most."""
+    status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    return int(status.partition(f"{what}:")[2].split()[0]) / 1024
 
 
-def masked(payload: bytes, first: int = 0x81) -> bytes:
-    """A frame as clients send it, masked with zeros."""
-    return bytes([first, 0x80 | len(payload)]) + bytes(4) + payload
-
-
-FLOODS = [
-    Flood("requests, no answer read", (HEAD.format("GET /x") + "\r\n").encode() * 2000, reads=False),
-    Flood("requests with 6,500 headers", HEAD.format("GET /health").encode() + HEADERS + b"\r\n"),
-    Flood("descriptions, no answer read", (HEAD.format("GET /openapi.json") + "\r\n").encode() * 50, reads=False),
-    Flood("frames", masked(b'{"type":"mcp"}') * 5000, "/ws"),
-    Flood("frames, no answer read", masked(b'{"type":"mcp"}') * 5000, "/ws", reads=False),
-    Flood("frames of pages", masked(b'{"type":"pause"}') * 5000, "/live"),
-    Flood("pings to /ws", masked(b"", 0x89) * 500, "/ws"),
-    Flood("pings to /live", masked(b"", 0x89) * 500, "/live"),
-    Flood("fragments to /ws", masked(b"x", 0) * 500, "/ws", masked(b"x", 1)),
-    Flood("fragments to /live", masked(b"x", 0) * 500, "/live", masked(b"x", 1)),
-]
+def scheduled(process: int) -> tuple[float, float]:
+    """Seconds for which the threads of a process have run, and for which they could have and others had the cores."""
+    ran = waited = 0
+    for file in Path(f"/proc/{process}/task").glob("*/schedstat"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
+            of_thread = file.read_text(encoding="utf-8").split()
+            ran, waited = ran + int(of_thread[0]), waited + int(of_thread[1])
+    return ran / 1e9, waited / 1e9
 
 
 def loop_seconds(process: int) -> float:
-    """CPU seconds of a process's first thread, which runs the event loop."""
+    """CPU seconds of a process's first thread, which runs the event loop (Linux)."""
     return int(Path(f"/proc/{process}/schedstat").read_text(encoding="utf-8").split()[0]) / 1e9
 
 
 def watch(port: int, process: int, told: Connection) -> None:
-    """Ask for its health until it is gone; send when, the CPU seconds of the event loop meanwhile, and the fault."""
+    """Ask for its health until it is gone, and send the figures of each answer.
+
+    They are: when, seconds, seconds on a free machine, CPU seconds of the event loop, megabytes, what is wrong.
+    """
     while True:
         wrong = ""
         try:
-            began, looped = time.monotonic(), loop_seconds(process)
+            (ran, waited), (_, own), began = scheduled(process), scheduled(os.getpid()), time.monotonic()
+            looped = loop_seconds(process)
             try:
                 asked = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
                 asked.request("GET", "/health")
@@ -79,81 +89,367 @@ def watch(port: int, process: int, told: Connection) -> None:
                 asked.close()
             except OSError as error:
                 wrong = repr(error)
-            told.send((began, loop_seconds(process) - looped, wrong))
+            took, looped = time.monotonic() - began, loop_seconds(process) - looped
+            (ran_since, waited_since), (_, own_since) = scheduled(process), scheduled(os.getpid())
+            # Threads wait side by side, so what they waited for together may be more than was lost.
+            free = min(took, max(ran_since - ran, took - (waited_since - waited) - (own_since - own)))
+            told.send((began, took, free, looped, megabytes(process, "VmRSS"), wrong))
         except (OSError, IndexError):
             return
         time.sleep(0.02)
 
 
-async def flood(port: int, one: Flood, until: float) -> int:
-    """Send until a moment; return the number of connections that this took."""
-    connections = 0
-    while time.monotonic() < until:
+class Campaign:
+    """What is done to a server, and how it took that."""
+
+    def __init__(self, server: Server, seconds: float) -> None:
+        self.server = server
+        self.seconds = seconds
+        self.port = int(server.url.rpartition(":")[2])
+        self.faults: list[str] = []
+        self.told, telling = multiprocessing.Pipe(duplex=False)
+        self.watcher = multiprocessing.Process(target=watch, args=(self.port, server.process.pid, telling), daemon=True)
+        self.watcher.start()
+
+    async def under(self, name: str, attack: Awaitable[str]) -> None:
+        """Attack, and print how the server did."""
+        note = await attack
+        ended = time.monotonic()
+        samples: list[tuple[float, float, float, float, float, str]] = []
+        # Until one was asked after it: the last may still be on its way.
+        while not samples or samples[-1][0] < ended:
+            while not self.told.poll():
+                await asyncio.sleep(0.01)
+            samples.append(self.told.recv())
+        _, slowest, worst, looped, most, _ = (max(column) for column in zip(*samples, strict=True))
+        wrong = Counter(s[5] for s in samples if s[5])
+        times = f"{worst:6.3f} s at worst of {len(samples):4} ({slowest:6.3f} s with waits for a core)"
+        times += f", {looped:6.3f} CPU s of the loop"
+        print(f"{name:34} /health {times}, {most:4.0f} MB; {note}", flush=True)
+        if worst > MOST_SECONDS:
+            self.faults.append(f"{name}: /health took {worst:.2f} s")
+        if looped > MOST_LOOP_SECONDS:
+            self.faults.append(f"{name}: the event loop used {looped:.2f} CPU s before it answered /health")
+        self.faults += [f"{name}: /health: {what}, {times} times" for what, times in wrong.items()]
+
+    async def open(self, data: bytes = b"", limit: int = 1 << 16) -> Streams:
+        """A connection on which this was sent, and which keeps little of what is on its way."""
         sock = socket.socket()
         sock.setblocking(False)
         for size in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             sock.setsockopt(socket.SOL_SOCKET, size, 1 << 15)
-        await asyncio.get_running_loop().sock_connect(sock, ("127.0.0.1", port))
-        reader, writer = await asyncio.open_connection(sock=sock)
-        connections += 1
-        with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.TimeoutError):
-            if one.path:
-                writer.write((HEAD.format(f"GET {one.path}") + UPGRADE.format("A" * 22 + "==")).encode())
-                await reader.readuntil(b"\r\n\r\n")
-            writer.write(one.first)
-            reading = asyncio.create_task(swallow(reader)) if one.reads else None
-            writer.transport.set_write_buffer_limits(0)
-            while not (reading is not None and reading.done()):
-                writer.write(one.data)
+        await asyncio.get_running_loop().sock_connect(sock, ("127.0.0.1", self.port))
+        reader, writer = await asyncio.open_connection(sock=sock, limit=limit)
+        writer.write(data)
+        return reader, writer
+
+    async def open_socket(self, path: str) -> Streams:
+        """A WebSocket."""
+        reader, writer = await self.open((HEAD.format(f"GET {path}") + UPGRADE.format("A" * 22 + "==")).encode())
+        await reader.readuntil(b"\r\n\r\n")
+        return reader, writer
+
+    async def push(self, writer: asyncio.StreamWriter, data: bytes, times: int, until: float) -> int:
+        """Send the same again and again, as long as the server takes it: the bytes that it took."""
+        writer.transport.set_write_buffer_limits(0)
+        for sent in range(times):
+            writer.write(data)
+            try:
                 await asyncio.wait_for(writer.drain(), until - time.monotonic())
+            except (asyncio.TimeoutError, OSError):
+                return sent * len(data)
+        return times * len(data)
+
+    async def pipeline(self) -> str:
+        request = (HEAD.format("GET /x") + "\r\n").encode()
+        streams = [await self.open() for _ in range(20)]
+        data, until = request * (100_000 // len(request)), time.monotonic() + self.seconds
+        # As many bytes as 26 MB, also where it answers too fast.
+        pushes = [self.push(writer, data, 26_000_000 // len(data), until) for _, writer in streams]
+        for reader, _ in streams:
+            reader._transport.pause_reading()  # pyright: ignore
+        taken = await asyncio.gather(*pushes)
+        abort(streams)
+        return f"{sum(taken) / 1e6:.0f} MB taken from 20 that read nothing"
+
+    async def send_halves(self) -> str:
+        head = HEAD.format("POST /step") + "Content-Type: application/json\r\n"
+        halves = [head[:20], head, head + "Content-Length: 20\r\n\r\n", head + 'Content-Length: 20\r\n\r\n{"direc']
+        streams = [await self.open(halves[number % 4].encode()) for number in range(1000)]
+        began = time.monotonic()
+        ends = [asyncio.wait_for(reader.read(), 90) for reader, _ in streams]
+        ended = [end for end in await asyncio.gather(*ends, return_exceptions=True) if not is_late(end)]
+        abort(streams)
+        if len(ended) < 1000:
+            self.faults.append(f"{1000 - len(ended)} half requests stay")
+        return f"{len(ended)} of 1,000 halves were ended within {time.monotonic() - began:.0f} s"
+
+    async def flood(self, frame: bytes, reads: bool, path: str = "/ws") -> str:
+        streams = [await self.open_socket(path) for _ in range(10)]
+        until = time.monotonic() + self.seconds
+        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams if reads]
+        if not reads:
+            for reader, _ in streams:
+                reader._transport.pause_reading()  # pyright: ignore
+        data = frame * (100_000 // len(frame))
+        taken = await asyncio.gather(*[self.push(writer, data, 10_000, until) for _, writer in streams])
+        for task in readers:
+            task.cancel()
+        abort(streams)
+        return f"{sum(taken) / len(frame):,.0f} frames taken from 10"
+
+    async def send_long_heads(self) -> str:
+        """Send requests with 6,500 headers, from 128 callers."""
+        headers = b"".join([b"a%04d: x\r\n" % number for number in range(6500)])
+        request = HEAD.format("GET /health").encode() + headers + b"\r\n"
+
+        async def ask(_: float) -> int:
+            reader, writer = await self.open(request)
+            with contextlib.suppress(OSError):  # the server may close before it has read everything
+                await reader.readline()
+            writer.transport.abort()
+            return 1
+
+        return await self.repeat(128, ask)
+
+    async def send_small_frames(self, path: str, first: bytes, frame: bytes) -> str:
+        """Send as many frames as the server takes, from 64 callers that connect again when it closes."""
+
+        async def flood(until: float) -> int:
+            reader, writer = await self.open_socket(path)
+            reading = asyncio.create_task(swallow(reader))
+            writer.write(first)
+            await self.push(writer, frame * 500, 1_000_000, until)
+            writer.transport.abort()
+            await asyncio.gather(reading, return_exceptions=True)
+            return 1
+
+        return await self.repeat(64, flood)
+
+    async def follow_requests(self) -> str:
+        """Read the request log with 296 callers while 8 others call."""
+        request = (HEAD.format("GET /terminal_logs") + "Accept: text/event-stream\r\n\r\n").encode()
+        streams = [await self.open(request) for _ in range(296)]
+        statuses = Counter([(await reader.readline())[9:12].decode() for reader, _ in streams])
+        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams]
+
+        async def ask(_: float) -> int:
+            reader, writer = await self.open((HEAD.format("GET /x") + "\r\n").encode())
+            await reader.readline()
+            writer.transport.abort()
+            return 1
+
+        note = await self.repeat(8, ask)
+        abort(streams)
+        await asyncio.gather(*readers, return_exceptions=True)
+        return f"readers by status: {dict(statuses)}; requests: {note}"
+
+    async def repeat(self, callers: int, act: Callable[[float], Awaitable[int]]) -> str:
+        """Have callers act until the time is over: how often they did, and what that cost the event loop."""
+        process, until, done = self.server.process.pid, time.monotonic() + self.seconds, 0
+        before = loop_seconds(process)
+
+        async def go_on() -> None:
+            nonlocal done
+            while time.monotonic() < until:
+                with contextlib.suppress(OSError, asyncio.IncompleteReadError):
+                    acted = await act(until)
+                    done += acted
+
+        await asyncio.gather(*[go_on() for _ in range(callers)])
+        each = (loop_seconds(process) - before) / max(done, 1)
+        if each > MOST_LOOP_SECONDS_EACH:
+            self.faults.append(f"each of {done:,} cost the event loop {each * 1000:.1f} ms")
+        return f"{done:,} from {callers}, {each * 1000:.3f} ms of the event loop each"
+
+    async def read_slowly(self) -> str:
+        page = (HEAD.format("GET /") + "\r\n").encode() * 50
+        script = (HEAD.format("GET /openapi.json") + "\r\n").encode() * 50
+        streams = [await self.open(page if number % 2 else script, limit=16) for number in range(40)]
+        streams += [await self.open_socket("/live") for _ in range(10)]
+        for _, writer in streams[40:]:
+            writer.write(masked(b'{"type":"subscribe","topics":["requests","episodes"]}'))
+        until, read = time.monotonic() + self.seconds, 0
+        while time.monotonic() < until:
+            for reader, _ in streams[:40]:
+                read += len(await reader.read(1))
+            await asyncio.sleep(0.2)
+        abort(streams)
+        return f"{read} bytes read by 40, and none by 10 pages"
+
+    async def fuzz(self, times: int, seed: int) -> str:
+        chance = random.Random(seed)
+        requests = iter([fuzzed(chance) for _ in range(times)])
+        seen: Counter[str] = Counter()
+
+        async def go_on() -> None:
+            for request in requests:
+                try:
+                    reader, writer = await self.open(request, limit=1 << 22)
+                    answer = await asyncio.wait_for(reader.readline(), 5)
+                    status = answer[9:12].decode() or "none"
+                    writer.transport.abort()
+                except (asyncio.TimeoutError, OSError) as error:
+                    status = type(error).__name__
+                seen[status] += 1
+                if status[0] == "5" and status != "503":
+                    self.faults.append(f"{status} for {request!r}")
+
+        await asyncio.gather(*[go_on() for _ in range(16)])
+        return ", ".join(f"{status}: {number}" for status, number in sorted(seen.items()))
+
+    async def draw_maps(self) -> str:
+        before, during, most, seen = await crowd(self.server.url, self.server.process.pid, 2 * self.seconds)
+        times = [1000 * sorted(took)[int(0.99 * len(took))] for took in (before, during)]
+        answers = ", ".join(f"{what}: {number}" for what, number in sorted(seen.items()))
+        self.faults += [f"{what}, {number} times" for what, number in seen.items() if what.endswith(" 500")]
+        if most > MOST_MEGABYTES_IN_ALL:
+            self.faults.append(f"the server and its worker processes had {most:.0f} MB")
+        frames = f"a live frame takes {times[0]:.0f} ms before and {times[1]:.0f} ms meanwhile (p99)"
+        return f"{frames}; {most:.0f} MB with worker processes; {answers}"
+
+    async def end(self) -> None:
+        """End it while nobody reads."""
+        streams = [await self.open((HEAD.format("GET /openapi.json") + "\r\n").encode() * 200) for _ in range(100)]
+        sockets = [await self.open_socket("/ws") for _ in range(10)]
+        for reader, _ in streams + sockets:
+            reader._transport.pause_reading()  # pyright: ignore
+        frames = masked(b'{"type":"mcp"}') * 5000
+        await asyncio.gather(*[self.push(writer, frames, 20, time.monotonic() + 2) for _, writer in sockets])
+        most = megabytes(self.server.process.pid, "VmHWM")
+        if most > MOST_MEGABYTES:
+            self.faults.append(f"the server had {most:.0f} MB")
+        print(f"{'most memory of all the time':34} {most:.0f} MB", flush=True)
+        self.server.process.terminate()
+        began = time.monotonic()
+        with contextlib.suppress(Exception):
+            await asyncio.to_thread(self.server.process.wait, 60)
+        print(f"{'asked to end':34} {time.monotonic() - began:.1f} s, with {self.server.process.poll()}", flush=True)
+        abort(streams + sockets)
+        told = self.server.log.read_text(errors="replace")
+        print(f"{'its log':34} {told.count(chr(10))} lines, {told.count('Traceback')} tracebacks", flush=True)
+        if "Traceback" in told:
+            self.faults.append(f"tracebacks in the log: {told[told.index('Traceback') :][:3000]}")
+
+
+async def measure_bodies(data: Path) -> list[str]:
+    """The CPU time that the event loop spends on the most expensive bodies and frames, in a server in this process."""
+    faults: list[str] = []
+    app = create_app(Settings(data=data))
+    async with app.router.lifespan_context(app):
+        # Twice, since whatever is first made then is counted the first time.
+        runs = [await costs_of_routes(app) | await costs_of_sockets(app) for _ in range(2)]
+    for path, first in runs[0].items():
+        costs = [min(pair) for pair in zip(first, runs[1][path], strict=True)]
+        worst = max(costs)
+        note = f"{1000 * worst.seconds:6.2f} ms at worst of {len(costs):4}, for {worst.name}"
+        print(f"{path:34} {note}", flush=True)
+        if worst.seconds > MOST_LOOP_SECONDS_EACH:
+            faults.append(f"{path}: {note}")
+    return faults
+
+
+def masked(payload: bytes, opcode: int = 1) -> bytes:
+    """A frame as clients send it, masked with zeros."""
+    return bytes([0x80 | opcode, 0x80 | len(payload)]) + bytes(4) + payload
+
+
+def is_late(end: Any) -> bool:
+    return isinstance(end, asyncio.TimeoutError)
+
+
+def abort(streams: list[Streams]) -> None:
+    for _, writer in streams:
         writer.transport.abort()
-    return connections
 
 
 async def swallow(reader: asyncio.StreamReader) -> None:
-    with contextlib.suppress(OSError):
-        while await reader.read(1 << 16):
-            pass
+    while await reader.read(1 << 16):
+        pass
 
 
-async def attack(server: Server, seconds: float) -> list[str]:
-    """Attack a server in each way, and end it during the last: what is wrong."""
-    faults: list[str] = []
-    process, port = server.process.pid, int(server.url.rpartition(":")[2])
-    told, telling = multiprocessing.Pipe(duplex=False)
-    multiprocessing.Process(target=watch, args=(port, process, telling), daemon=True).start()
-    for one in FLOODS:
-        until = time.monotonic() + seconds
-        connections = sum(await asyncio.gather(*[flood(port, one, until) for _ in range(20)]))
-        samples: list[tuple[float, float, str]] = []
-        # Until one was asked after it: the last may still be on its way.
-        while not samples or samples[-1][0] < until:
-            while not told.poll():
-                await asyncio.sleep(0.01)
-            samples.append(told.recv())
-        _, looped, wrong = (max(column) for column in zip(*samples, strict=True))
-        times = f"{looped:6.3f} CPU s of the loop before /health at worst of {len(samples)}"
-        print(f"{one.name:30} {times}; {connections:,} connections", flush=True)
-        if looped > MOST_LOOP_SECONDS or wrong:
-            faults.append(f"{one.name}: {looped:.2f} CPU s of the event loop before /health {wrong}")
-    status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
-    most = int(status.partition("VmHWM:")[2].split()[0]) / 1024
-    print(f"{'most memory of all the time':30} {most:.0f} MB", flush=True)
-    if most > MOST_MEGABYTES:
-        faults.append(f"the server had {most:.0f} MB")
-    last = asyncio.gather(*[flood(port, FLOODS[0], time.monotonic() + 60) for _ in range(20)], return_exceptions=True)
-    await asyncio.sleep(1)
-    server.process.terminate()
-    await asyncio.to_thread(server.process.wait, 60)
-    await last
-    return faults + ["tracebacks in the log"] * ("Traceback" in server.log.read_text(errors="replace"))
+PATHS = """
+/reset /step /state /health /tasks /predict /replay /annotate /values /solution /session /path_history /memory_logs
+/episodes /logs /terminal_logs /metadata /schema /mcp /live /grade/easy /graders /analyse/hard /history/easy /episodes/x
+/static/js/main.js /ws /
+"""
+SHORT = 'null true 0 -1 1e400 NaN 18446744073709551616 "" "easy" "UP" [] {} "\\ud800" {"a":1,"a":2} "🚁"'
+VALUES = [*SHORT.split(), '{"direction":"UP"}', '"' + "x" * 3000 + '"', "[" * 40 + "]" * 40, "{" * 2000, "1" * 5000]
+POSTED = "/reset /step /predict /replay /annotate /values /mcp"
+BODIES = '{"direction":"UP"} {"direction":"WAIT"} {"task_name":"easy","seed":1} {"task_name":"skyline_hard"}'
+FIELDS = "direction task_name seed agent reward_profile task grid record jsonrpc method id"
+
+
+def fuzzed(chance: random.Random) -> bytes:
+    """A request that nobody would send, or nearly one."""
+    path = chance.choice(PATHS.split())
+    if chance.random() < 0.3:
+        path += (
+            chance.choice(("?", "/", "%00", "?limit=", "?before=-1", "//", "/..", "%ff")) + chance.choice(VALUES)[:50]
+        )
+    method = "POST" if path in POSTED.split() else "GET"
+    if chance.random() < 0.15:
+        method = chance.choice(("GET", "POST", "DELETE", "PUT", "HEAD", "OPTIONS", "BREW"))
+    body = chance.choice(VALUES).encode()
+    if chance.random() < 0.5:
+        body = chance.choice(["", *BODIES.split()]).encode()
+    elif chance.random() < 0.7:
+        pairs = (f'"{chance.choice(FIELDS.split())}":{chance.choice(VALUES)}' for _ in range(chance.randrange(4)))
+        body = ("{" + ",".join(pairs) + "}").encode()
+    # Most come as far as what they ask for: what stops them before that is tried by few.
+    rarely = chance.random() < 0.1
+    host = chance.choice(("x" * 300, "evil.example", "")) if rarely else chance.choice(("127.0.0.1", "localhost"))
+    kind = chance.choice(("text/plain", "x")) if chance.random() < 0.1 else "application/json"
+    headers = [f"Content-Length: {len(body)}", f"Host: {host}", f"Content-Type: {kind}"]
+    for name in chance.sample(("X-Step-Count", "Authorization", "Cookie", "Accept"), 1):
+        headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
+    for name in ("X-Session-Id", "Origin", "Expect"):
+        if chance.random() < 0.05:
+            headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
+    text = " ".join((method, path.replace(" ", "%20"), "HTTP/1.1")) + "\r\n" + "\r\n".join(headers) + "\r\n\r\n"
+    request = bytearray(text.encode() + body)
+    if chance.random() < 0.25:
+        for _ in range(chance.randrange(1, 8)):
+            at = chance.randrange(len(request))
+            request[at : at + chance.randrange(3)] = chance.randbytes(chance.randrange(3))
+        # What waits for more gets it.
+        request += b"\r\n\r\n" + b" " * 100
+    return bytes(request)
+
+
+async def go(server: Server, given: argparse.Namespace) -> list[str]:
+    campaign = Campaign(server, given.seconds)
+    quiet = asyncio.sleep(given.seconds / 2, "nobody else calls")
+    await campaign.under("quiet", quiet)
+    await campaign.under("requests sent, none read", campaign.pipeline())
+    await campaign.under("half requests", campaign.send_halves())
+    await campaign.under("flood of frames", campaign.flood(masked(b'{"type":"mcp"}'), True))
+    await campaign.under("flood of frames, no answer read", campaign.flood(masked(b'{"type":"mcp"}'), False))
+    await campaign.under("flood of frames of pages", campaign.flood(masked(b'{"type":"pause"}'), True, "/live"))
+    await campaign.under("flood of pings, no answer read", campaign.flood(masked(b"x" * 100, 9), False))
+    await campaign.under("requests with 6,500 headers", campaign.send_long_heads())
+    for path in ("/ws", "/live"):
+        await campaign.under(f"pings to {path}", campaign.send_small_frames(path, PING, PING))
+        await campaign.under(f"one-byte fragments to {path}", campaign.send_small_frames(path, BEGIN, GO_ON))
+    await campaign.under("readers of the request log", campaign.follow_requests())
+    await campaign.under("slow readers", campaign.read_slowly())
+    await campaign.under("100 draw maps while 8 people fly", campaign.draw_maps())
+    await campaign.under(f"{given.fuzzed:,} fuzzed requests", campaign.fuzz(given.fuzzed, given.seed))
+    await campaign.end()
+    return campaign.faults
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10, help="how long an attack lasts")
+    parser.add_argument("--fuzzed", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    with tempfile.TemporaryDirectory() as folder:
+        faults = asyncio.run(measure_bodies(Path(folder) / "here"))
     with tempfile.TemporaryDirectory() as folder, serving(Path(folder) / "data") as server:
-        faults = asyncio.run(attack(server, parser.parse_args().seconds))
+        faults += asyncio.run(go(server, given))
     for fault in faults:
         print(f"FAULT: {fault}")
     return 1 if faults else 0
