@@ -1,0 +1,220 @@
+"""Prompts state all that decides a flight: a planner that reads nothing but a prompt flies the optimum."""
+
+import re
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
+from drone_env.core.rules import score_of
+from drone_env.core.seeds import split_seeds
+from drone_env.core.tables import interpreted
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.prompt import FOLDER, Prompt, first_texts, get_prompt, prompt_ids, read_prompt
+from drone_env.planning.from_observation import episode_from_fields
+from drone_env.planning.optimal import solve, solver_of
+
+PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1" and not prompt.picture]
+PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
+GENERATED = [task for task in TASKS.values() if task.terrain is None]
+EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
+ODD = [
+    replace(EASY, battery_capacity=25, width=9),
+    replace(EASY, efficiency_needs_all=True, deliveries=2),
+    replace(EASY, impassable=frozenset({Cell.TREE, Cell.BUILDING})),
+    replace(EASY, drain=((Cell.ROAD, 2), (Cell.OBSTACLE, 0), (Cell.TREE, 1))),
+    replace(EASY, pads=3, drain=((Cell.PAD, 4),)),
+    replace(EASY, pads=3, charge_rate=7),
+    replace(SKYLINE, drain=((Cell.DELIVERY, 3), (Cell.PAD, 2)), efficiency_needs_all=False),
+]
+"""Tasks with rules that no task of the package has."""
+KINDS = {
+    "road": Cell.ROAD,
+    "building": Cell.BUILDING,
+    "tree": Cell.TREE,
+    "obstacle": Cell.OBSTACLE,
+    "parcel to deliver": Cell.DELIVERY,
+    "delivered": Cell.DELIVERED,
+    "delivered parcel": Cell.DELIVERED,
+    "charging pad": Cell.PAD,
+}
+TITLES = {
+    "Parcels to deliver": Cell.DELIVERY,
+    "Buildings": Cell.BUILDING,
+    "Trees": Cell.TREE,
+    "Obstacles": Cell.OBSTACLE,
+    "Charging pads": Cell.PAD,
+}
+LEGEND = r"^(\S) is the drone, (\S) a parcel to deliver, (\S) a delivered one, (.*)\.$"
+MOVES = [("UP", "y", "-"), ("DOWN", "y", "+"), ("LEFT", "x", "-"), ("RIGHT", "x", "+")]
+REWARDS = "delivery battery_dead wall blocked obstacle building tree wait step"
+
+
+class NotToldError(Exception):
+    """The text does not say what its reader has to know."""
+
+
+class Told(NamedTuple):
+    """What a prompt tells: the task without rewards, the score as a formula with bounds and an episode."""
+
+    task: TaskConfig
+    formula: str
+    bounds: tuple[float, float]
+    episode: Episode
+
+    def score(self, delivered: int, battery: int, steps: int) -> float:
+        """What a flight scores that ends so."""
+        names = {"delivered": delivered, "battery": battery, "steps": steps}
+        value = eval(self.formula, {}, {**names, "all": delivered == self.task.deliveries})
+        return min(max(value, self.bounds[0]), self.bounds[1])
+
+
+def said(text: str, pattern: str, what: str) -> tuple[str, ...]:
+    """The groups of a pattern in a text; raises if it is not there."""
+    found = re.search(pattern, text)
+    if not found:
+        raise NotToldError(what)
+    return found.groups()
+
+
+def read_text(rules: str, seen: str) -> Told:
+    """What the system's and the user's text of a prompt tell.
+
+    Raises:
+        NotToldError: at the first thing that they do not.
+    """
+    formula, lowest, highest = said(
+        rules, r"Score at the end: (.*?)(?:, where .*)?; at least (\S+), at most (\S+)\.\n", "score"
+    )
+    deliveries, capacity, max_steps = (
+        int(said(formula, rf"{name} / (\d+)", name)[0]) for name in ("delivered", "battery", "steps")
+    )
+    last = "; what the last step delivers still counts"
+    ends = rf"The flight ends when everything is delivered, at 0 units of battery, or after {max_steps} steps{last}"
+    said(rules, ends, "end")
+    said(rules, "Coming to a parcel's cell delivers it; any order will do", "delivery")
+    said(rules, "column x grows to the right from 0, row y grows downwards from 0", "axes")
+    if re.findall(r"\b([A-Z]+) \(([xy]) ([+-]) 1\)", rules) != MOVES:
+        raise NotToldError("actions")
+    width, height = map(int, said(rules, r"The grid is (\d+) x (\d+):", "size"))
+    ground = _ground(seen, width, height)
+    x, y = map(int, said(seen, r"Position: \((\d+), (\d+)\)", "position"))
+    ground[y, x] = KINDS[next(iter(re.findall("Below the drone: (.*)", seen)), "road")]
+    charging = rf"WAIT on a charging pad costs nothing and adds (\d+) units, up to {capacity} in all"
+    charge = said(rules, charging, "charging") if "charging pad costs" in rules else ()
+    if "all" in formula:
+        said(rules, "where all is 1 if everything is delivered, else 0;", "all")
+    counts = {f"{kind.name.lower()}s": int((ground == kind).sum()) for kind in TITLES.values() if kind != Cell.DELIVERY}
+    task = TaskConfig(
+        id="told",
+        short_name="told",
+        grader="none:none",
+        width=width,
+        height=height,
+        deliveries=deliveries,
+        max_steps=max_steps,
+        battery_capacity=capacity,
+        drain=_drain(rules),
+        impassable=_impassable(rules),
+        charge_rate=int(charge[0]) if charge else 0,
+        efficiency_needs_all="all" in formula,
+        **counts,
+        **{f"r_{name}": 0.0 for name in REWARDS.split()},
+    )
+    battery = int(said(seen, r"Battery: \d+% \((\d+) units\)", "battery")[0])
+    steps = int(said(seen, rf"Step: (\d+) of {max_steps}\b", "steps")[0])
+    wanted = np.flatnonzero(ground == Cell.DELIVERY).tolist()
+    # Where one was delivered decides nothing more; it is no place of another.
+    elsewhere = [cell for cell in range(width * height) if cell not in wanted][: deliveries - len(wanted)]
+    parcels = [(cell, False) for cell in wanted] + [(cell, True) for cell in elsewhere]
+    episode = episode_from_fields(task, ground, y * width + x, battery, steps, parcels)
+    return Told(task, formula, (float(lowest), float(highest)), episode)
+
+
+def _ground(seen: str, width: int, height: int) -> np.ndarray:
+    ground = np.zeros((height, width), np.uint8)
+    legend = re.search(LEGEND, seen, re.MULTILINE)
+    if legend:
+        rows = [line.split() for line in seen.splitlines()[:height]]
+        drone, parcel, delivered, rest = legend.groups()
+        letters = {drone: Cell.ROAD, parcel: Cell.DELIVERY, delivered: Cell.DELIVERED}
+        letters |= {one[0]: KINDS[one[2:]] for one in rest.split(", ")}
+        return np.array([[letters[letter] for letter in row] for row in rows], np.uint8)
+    lists = dict(re.findall(r"^([A-Z][a-z ]+): ((?:\(\d+, \d+\) ?)+|none)$", seen, re.MULTILINE))
+    if "Parcels to deliver" not in lists:
+        # Of one parcel the target is all.
+        lists["Parcels to deliver"] = said(seen, r"Target: (.*)", "parcels")[0]
+    for title, kind in TITLES.items():
+        for x, y in re.findall(r"\((\d+), (\d+)\)", lists.get(title, "")):
+            ground[int(y), int(x)] = kind
+    return ground
+
+
+def _drain(rules: str) -> tuple[tuple[Cell, int], ...]:
+    step = "Each step, waiting and bumping too, costs"
+    if f"{step} 1 unit of battery, whatever lies below the drone." in rules:
+        return ()
+    beyond = "With too little left it is still flown, and leaves 0"
+    (listed,) = said(rules, rf"{step} battery by the cell it ends on: (.*), any other 1 unit\. {beyond}", "drain")
+    return tuple((KINDS[name], int(units)) for name, units in re.findall(r"([a-z ]+?) (\d+)(?:, |$)", listed))
+
+
+def _impassable(rules: str) -> frozenset[Cell]:
+    bumps = "off the grid(?:,)? the drone bumps: it stays where it is"
+    said(rules, f"(?i){bumps}", "bumping")
+    if "blocks no way" in rules:
+        return frozenset()
+    (listed,) = said(rules, rf"Cells that cannot be entered: (.*)\. Into one of them, or {bumps}", "what blocks")
+    return frozenset(KINDS[name] for name in listed.split(", "))
+
+
+def told_by(prompt: Prompt, episode: Episode) -> Told:
+    """What a prompt tells of an episode."""
+    return read_text(*first_texts(prompt, episode))
+
+
+@pytest.mark.parametrize("task", [*GENERATED, *ODD], ids=lambda task: task.short_name)
+@pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
+def test_the_score_of_a_task_is_read_from_the_prompt_alone(prompt: Prompt, task: TaskConfig) -> None:
+    told = told_by(prompt, Episode(task, seed=3))
+    for name in ("width", "height", "deliveries", "max_steps", "battery_capacity", "impassable", "charge_rate"):
+        assert getattr(told.task, name) == getattr(task, name)
+    assert dict(told.task.drain) == {kind: units for kind, units in task.drain if units != 1}
+    for delivered in range(task.deliveries + 1):
+        for battery, steps in ((0, task.max_steps), (1, 7), (task.battery_capacity // 2, 20)):
+            score = score_of(interpreted(task), delivered, battery, steps)
+            assert told.score(delivered, battery, steps) == pytest.approx(score, abs=1e-12)
+
+
+def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
+    """The score of a planner that reads one prompt after another, or a single one that asks for the route."""
+    episode = Episode(task, seed=seed)
+    while not episode.ended:
+        flight, says = told_by(prompt, episode).episode, []
+        solver = solver_of(flight)
+        while not flight.ended and (prompt.plan or not says):
+            action = solver.optimal_actions(flight)[0]
+            flight.step(action)
+            says.append(action.name)
+        for action in read_answer(Answer(text=" ".join(says)), prompt.plan, prompt.marks).actions:
+            episode.step(action)
+    return episode.score
+
+
+@pytest.mark.parametrize("task", ["easy", "skyline_easy"])
+@pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
+def test_who_reads_nothing_but_the_prompt_flies_the_optimum(prompt: Prompt, task: str) -> None:
+    for seed in split_seeds("test", 1):
+        assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", [task.short_name for task in GENERATED])
+@pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
+def test_who_reads_nothing_but_the_prompt_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
+    for seed in split_seeds("test", 100 if prompt.id.startswith("minimal-") else 5):
+        assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
