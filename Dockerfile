@@ -30,6 +30,7 @@ ENV PATH=/opt/venv/bin:$PATH \
     PYTHONPATH=/app \
     PYTHONUNBUFFERED=1 \
     DRONE_ENV_DATA=/tmp/drone-env \
+    DRONE_ENV_CACHE=/tmp/drone-env-cache \
     MPLCONFIGDIR=/tmp/matplotlib
 USER 1000:1000
 EXPOSE 8000

@@ -1,4 +1,4 @@
-"""What the page costs: frames while pilots fly, first paint, weight.
+"""Measure the page: CPU time of frames while pilots fly, first paint, size.
 
     python benchmarks/dashboard.py [--seconds 10] [--speed 6] [--visits 10] [--json FILE]
 

@@ -1,6 +1,5 @@
 """Whole plans of the tour network, flown in the simulator to find the best of K."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -34,9 +33,6 @@ TEMPERATURES = 0.7, 2.0
 of plans at the first would leave its path."""
 FLIGHTS = 2048
 """Maximum number of flights at a time."""
-
-
-Watch = Callable[[npt.NDArray[np.int64], npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]], None]
 
 
 class Flights(NamedTuple):
@@ -139,13 +135,10 @@ class TourPlanner:
         task: The task.
         network: Chooses the paths.
         plans: K, the number of plans for each map: the first takes the best paths, the others are sampled.
-        temperatures: Sampling temperatures; the second is that of `is_hot`.
     """
 
-    def __init__(
-        self, task: TaskConfig, network: Network, plans: int, temperatures: tuple[float, float] = TEMPERATURES
-    ) -> None:
-        self._network, self._plans, self._temperatures = network, plans, temperatures
+    def __init__(self, task: TaskConfig, network: Network, plans: int) -> None:
+        self._network, self._plans = network, plans
         self._encoder = FeatureEncoder(task)
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
@@ -173,11 +166,7 @@ class TourPlanner:
         return np.concatenate(parts)
 
     def fly(
-        self,
-        grids: npt.NDArray[np.uint8],
-        states: npt.NDArray[np.uint16],
-        seeds: npt.NDArray[np.int64],
-        watch: Watch | None = None,
+        self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
     ) -> Flights:
         """All plans, flown to their ends, K for each of M states.
 
@@ -185,8 +174,6 @@ class TourPlanner:
             grids: uint8[M, cells], of episodes in flight.
             states: uint16[M, state size]
             seeds: int64[M], the agent seeds; the steps flown vary them.
-            watch: Called with the indices of the flights that choose, their grids and states, and the number of the
-                option that each takes, -1 if it has none.
         """
         m, plans, max_steps = len(grids), self._plans, self._tables.max_steps
         maps, numbers = np.divmod(np.arange(m * plans), plans)
@@ -200,11 +187,8 @@ class TourPlanner:
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
             number = numbers[flying]
-            warm, hot = (sample_options(choices, of, keys[flying], temperature) for temperature in self._temperatures)
+            warm, hot = (sample_options(choices, of, keys[flying], temperature) for temperature in TEMPERATURES)
             chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
-            if watch is not None:
-                of_each = np.where(chosen < 0, -1, chosen - choices.begins[of])
-                watch(flying, flights.grids[flying], flights.states[flying], of_each)
             options = np.zeros((len(flying), 4), np.int64)
             options[chosen >= 0] = choices.options[chosen[chosen >= 0]]
             fly_kernel(self._tables, self._rewards, self._counts, flights, flying, options, *self._work)

@@ -46,7 +46,7 @@ REGISTERED: dict[str, Callable[[str], Any]] = {
 
 
 def with_names(arguments: Sequence[str]) -> list[str]:
-    """The arguments with a name for each file of a city or a reward profile, which is registered.
+    """Register the files of cities and reward profiles, and replace them by their names.
 
     Raises:
         OSError: if the file cannot be read.
@@ -135,7 +135,7 @@ def parsed(command: Callable[..., int | None], program: str, arguments: Sequence
     except SystemExit as ended:
         if not ended.code:
             raise
-    # What the box says between its title and its next rule; without UTF-8 it has a rule below its title.
+    # The message is between the title and the next rule; without UTF-8 a rule follows the title.
     lines = dropwhile(_is_rule, (line.strip("│╰╯ ") for line in box.getvalue().splitlines()[1:]))
     told = " ".join(" ".join(takewhile(lambda line: not _is_rule(line), lines)).split())
     raise InvalidValueError(f"{told.partition(' Got errors')[0].rstrip('.')}; see {program} --help")

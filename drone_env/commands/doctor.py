@@ -59,15 +59,12 @@ def doctor(port: int | None = None, json: bool = False) -> int:
 def _diagnose(port: str) -> Iterator[Finding]:
     python = f"{platform.python_version()} ({sys.executable}), {platform.platform()}, {os.cpu_count()} cores"
     yield Finding("system", "python", "ok", python)
-    for extra in ("", *sorted(metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or [])):
-        missing = ", ".join(sorted(_missing(extra)))
-        status = "ok" if not missing else "absent" if extra else "broken"
-        detail = f"{install_command(extra)} brings {missing}" if missing else "complete"
-        yield Finding("extras" if extra else "packages", extra or "required", status, detail)
+    yield from _packages()
     for network in ("easy_delivery", "medium_delivery", "hard_delivery", "tournet"):
         yield _checked("networks", network, partial(_network, network))
-    for name, folder in (("data", data_folder()), ("results", data_folder("results")), ("cache", cache_folder())):
-        yield _checked("folders", name, partial(_writable, folder.absolute()))
+    folders = {"data": data_folder, "results": partial(data_folder, "results"), "cache": cache_folder}
+    for name, folder in folders.items():
+        yield _checked("folders", name, partial(_writable, folder))
     yield _checked("port", port, partial(_free, port), otherwise="attention")
     if find_spec("pydantic_settings") is not None:
         from drone_env.llm.settings import load_settings as llm
@@ -77,6 +74,19 @@ def _diagnose(port: str) -> Iterator[Finding]:
         yield _checked("settings", "llm", lambda: f"valid: {llm().model_name}", otherwise="absent")
     for plugin in plugin_names():
         yield _checked("plugins", plugin, partial(load_plugins, [plugin]))
+
+
+def _packages() -> Iterator[Finding]:
+    try:
+        extras = metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []
+    except metadata.PackageNotFoundError:
+        yield Finding("packages", "required", "attention", f"{DISTRIBUTION} is not installed: nothing to compare with")
+        return
+    for extra in ("", *sorted(extras)):
+        missing = ", ".join(sorted(_missing(extra)))
+        status = "ok" if not missing else "absent" if extra else "broken"
+        detail = f"{install_command(extra)} brings {missing}" if missing else "complete"
+        yield Finding("extras" if extra else "packages", extra or "required", status, detail)
 
 
 def _checked(topic: str, name: str, check: Callable[[], object], otherwise: str = "broken") -> Finding:
@@ -106,7 +116,8 @@ def _network(name: str) -> str:
     return f"digest {make_agent(agent, task).config['network']}"
 
 
-def _writable(folder: Path) -> str:
+def _writable(find: Callable[[], Path]) -> str:
+    folder = find().absolute()
     existing = next(parent for parent in (folder, *folder.parents) if os.path.exists(parent))
     tempfile.TemporaryFile(dir=existing).close()  # permissions alone do not show that a disk is read-only
     return f"{folder}, {shutil.disk_usage(existing).free / 1e9:.1f} GB free"

@@ -67,7 +67,7 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
 
 
 def _keys() -> Generator[str, None, None]:
-    """Keys in lower case, from a terminal as they are pressed."""
+    """Yield keys in lower case as a terminal sends them."""
     before = termios.tcgetattr(sys.stdin) if sys.platform != "win32" and sys.stdin.isatty() else None
     typed = ""
     try:

@@ -61,6 +61,8 @@ def cache_folder() -> Path:
         found = folder.lstat()
         if hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022):
             raise PermissionError(f"{folder} is not a folder that this user alone can write")
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(f"{folder} is not writable")
     return parent / LOADED
 
 

@@ -27,7 +27,7 @@ KEYS = {"action", "direction", "actions", "directions"}
 FENCED = re.compile(
     rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```", re.DOTALL | re.IGNORECASE
 )
-"""A code fence, perhaps with the name of a language, which no action is."""
+"""A code fence, optionally with a language; no action is a language."""
 # Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
 THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
 OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
@@ -121,7 +121,7 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
     Args:
         answer: What was sent.
         plan: Whether a whole route was asked for; else exactly one action.
-        marks: What the line of the answer may be marked with.
+        marks: Marks that may begin the line of the answer.
     """
     said = answer.text if answer.tool_arguments is None else answer.tool_arguments
 

@@ -37,7 +37,7 @@ from drone_env.planning.states import UNPAID, put_drone, state_arrays
 
 UNREACHED = -1
 PLACES_AT_ONCE = 256
-"""Places of `places_in_parts`: each has a grid of its own, and 3,600 of a city's would take 16 MB."""
+"""Maximum number of places per part: each has a grid, and all 3,600 of a city take 16 MB."""
 
 
 class Places(NamedTuple):

@@ -200,6 +200,8 @@ class Solver(ABC):
             t >= 0
             and np.array_equal(_unflown(episode), self._unflown)
             and set(waiting) <= set(self._waiting)
+            and all((x, y) != episode.position or delivered for x, y, delivered in episode.parcels)
+            and episode.under not in episode.task.impassable
             and 0 <= episode.battery_units - lowest[t] < sizes[t]
         )
         if not possible:

@@ -10,6 +10,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from drone_env.server.app import create_app
+from drone_env.server.incoming import SMALL
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.settings import Settings
@@ -20,6 +21,7 @@ from tests.api.live_page import Page
     ("frame", "code"),
     [
         ("", "invalid_request"),
+        ('{"type": "pause"}' + " " * SMALL, "invalid_request"),
         ({"type": "start", "task": "easy", "pilots": ["greedy"] * (MOST_EPISODES + 1)}, "invalid_request"),
         ({"type": "start", "task": "easy", "pilots": ["ghost"]}, "unknown_name"),
         ({"type": "start", "task": "skyline_easy", "pilots": ["greedy", "pathqnet"]}, "unsupported"),

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from drone_env.cli import main
 from drone_env.commands.arguments import own_profiles_forgotten
 
 
@@ -28,3 +29,17 @@ def test_callers_find_the_profile_and_are_paid_by_it(client: TestClient, tmp_pat
     refused = client.post("/reset", json={"seed": 7, "reward_profile": str(tmp_path / "mine.toml")})
     assert refused.status_code == 422, "no caller may have the server read a file"
     assert "allowed: aligned" in refused.text
+
+
+@pytest.mark.parametrize("text", [None, "id = 'aligned'"])
+def test_a_file_that_is_no_profile_is_said_before_the_server_starts(
+    text: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("PORT", "DATA", "REWARD_PROFILES"):
+        monkeypatch.setenv(f"DRONE_ENV_{name}", "")  # which the command sets for its workers
+    path = tmp_path / "mine.toml"
+    if text is not None:
+        path.write_text(text)
+    assert main(["serve", "--port", "0", "--data", str(tmp_path / "data"), "--reward-profiles", str(path)]) == 2
+    assert str(path) in capsys.readouterr().err
+    assert not (tmp_path / "data").exists()

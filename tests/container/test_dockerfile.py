@@ -61,6 +61,7 @@ def test_a_language_model_can_fly_in_it() -> None:
     folders = dict(part.split("=") for part in environment.split())
     assert folders["DRONE_ENV_DATA"].startswith("/tmp/")
     assert folders["MPLCONFIGDIR"].startswith("/tmp/")
+    assert folders["DRONE_ENV_CACHE"].startswith("/tmp/"), "else a user without a home compiles in every process"
 
 
 def test_what_it_copies_is_there_and_not_ignored() -> None:

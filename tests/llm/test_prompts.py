@@ -3,12 +3,10 @@
 import hashlib
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
@@ -16,18 +14,9 @@ from drone_env.llm.content import VALUES
 from drone_env.llm.prompt import FOLDER, first_messages, first_texts, get_prompt, prompt_ids, read_prompt, text_of_file
 
 from .conftest import Endpoint
+from .test_prompts_suffice import ODD
 
-EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
-SHOWN = [
-    *TASKS.values(),
-    replace(EASY, battery_capacity=25, width=9),
-    replace(EASY, efficiency_needs_all=True, deliveries=2),
-    replace(EASY, impassable=frozenset({Cell.TREE, Cell.BUILDING})),
-    replace(EASY, drain=((Cell.ROAD, 2), (Cell.OBSTACLE, 0), (Cell.TREE, 1))),
-    replace(EASY, pads=3, drain=((Cell.PAD, 4),)),
-    replace(EASY, pads=3, charge_rate=7),
-    replace(SKYLINE, drain=((Cell.DELIVERY, 3), (Cell.PAD, 2)), efficiency_needs_all=False),
-]
+SHOWN = [*TASKS.values(), *ODD]
 """The tasks of the package, and some with rules that none of those has."""
 GOLDEN = {
     "coordinates-2": "cb3bd9e2aa7ac77f",

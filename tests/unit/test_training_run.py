@@ -67,13 +67,13 @@ def test_what_starts_again_keeps_every_earlier_training(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_curves")
 @pytest.mark.parametrize(("episodes", "seconds"), [(6, 0), (2, 300)])
 def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(
-    tmp_path: Path, episodes: int, seconds: float
+    tmp_path: Path, episodes: int, seconds: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = replace(SMALL, num_envs=1, learning_starts=10_000, episodes=20, checkpoint_episodes=episodes,
                      checkpoint_seconds=seconds)  # fmt: skip
     trainer, kept = Trainer(config), list[tuple[int, int]]()
     run = TrainingRun(trainer, tmp_path, tmp_path, clock=lambda: trainer.steps)
-    run.save = lambda: kept.append((trainer.steps, trainer.episodes))  # type: ignore[method-assign]
+    monkeypatch.setattr(run, "save", lambda: kept.append((trainer.steps, trainer.episodes)))
     list(run.train())
     assert (kept[0][1], kept[-1]) == (episodes, (trainer.steps, 20))
     assert len(kept) > 3

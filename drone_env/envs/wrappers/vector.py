@@ -20,7 +20,7 @@ class VectorForm(VectorWrapper):  # pyright: ignore[reportMissingTypeArgument]
     """Shows the observations of many drones in another form, those that end episodes too.
 
     Args:
-        env: What `make_vec` makes, or Gymnasium's own vectorisation of single environments, in any autoreset mode.
+        env: The environment, native or vectorised by Gymnasium, in any autoreset mode.
     """
 
     observations: Callable[[Observations], Any]

@@ -1,6 +1,6 @@
 """What the page may send: one JSON object with a `type`."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from typing_extensions import Self
@@ -8,7 +8,7 @@ from typing_extensions import Self
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
-from drone_env.server.incoming import parse_json
+from drone_env.server.incoming import SMALL, parse_json
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
@@ -112,7 +112,10 @@ def parse_command(data: bytes) -> Command:
     Raises:
         InvalidValueError: if it is none; the message says what is allowed.
     """
+    value: Any = parse_json(data)
+    if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):
+        raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {len(data)}")
     try:
-        return _COMMAND.validate_python(parse_json(data))
+        return _COMMAND.validate_python(value)
     except ValidationError as error:
         raise InvalidValueError(text_of(error)) from None
