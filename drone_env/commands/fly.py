@@ -36,7 +36,7 @@ def fly(
         reward_profile: What steps pay: a reward profile, or a TOML file with one.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file at the end.
-        video: Save the flight as a film to this file at the end: .gif, or .mp4, which needs the extra `video`.
+        video: Save a film of the flight to this GIF file at the end.
         record: Save the flight to this JSON file at the end, for `replay` and `analyse-flight`; a file that ends in
             .jsonl keeps the flights that it holds, and gets one more line.
     """

@@ -114,7 +114,7 @@ def test_attributes_are_shared() -> None:
     assert env.get_attr("task", indices=[0, 2]) == [get_task("easy")] * 2
     env.set_attr("note", "mine")
     assert env.get_attr("note") == ["mine"] * N
-    with pytest.raises(InvalidValueError, match="share their attributes"):
+    with pytest.raises(InvalidValueError, match="apply to all"):
         env.set_attr("note", "yours", indices=[0, 1])
     assert env.get_attr("note") == ["mine"] * N
 
