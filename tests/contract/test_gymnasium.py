@@ -152,18 +152,6 @@ def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
         gymnasium.make("drone_env:DroneDelivery-Easy-v1", task="hard")
 
 
-def test_render_modes() -> None:
-    text = make(render_mode="ansi")
-    text.reset(seed=1)
-    assert "🚁" in text.render()
-    picture = make(render_mode="rgb_array")
-    picture.reset(seed=1)
-    before = picture.render()
-    assert (before.dtype, before.ndim, before.shape[2]) == (np.uint8, 3, 3)
-    picture.step(0)
-    assert not np.array_equal(before, picture.render())
-
-
 def test_the_flat_observation_holds_planes_and_telemetry() -> None:
     env, plain = FlatObservation(make()), make()
     flat, _ = env.reset(seed=2)

@@ -27,19 +27,6 @@ def actions_of(step: int) -> np.ndarray:
     return (np.arange(N) * 3 + step * step // 3) % 5
 
 
-@pytest.mark.parametrize("num_threads", [2, 64])
-def test_threads_change_nothing(num_threads: int) -> None:
-    env, single = make(num_threads=num_threads), make()
-    env.reset(seed=0)
-    single.reset(seed=0)
-    for step in range(150):
-        got, want = env.step(actions_of(step)), single.step(actions_of(step))
-        assert np.array_equal(got[0]["grid"], want[0]["grid"])
-        assert np.array_equal(got[1], want[1])
-        if "final_info" in want[4]:
-            assert np.array_equal(got[4]["final_info"]["score"], want[4]["final_info"]["score"])
-
-
 def test_copies_stay_as_they_are_and_live_buffers_do_not() -> None:
     for copy in (True, False):
         env = make(copy=copy)
