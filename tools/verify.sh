@@ -38,7 +38,7 @@ environment() {
 # The tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
 adapters() {
   environment adapters
-  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,trl,video]' \
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,trl]' \
     'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
 }

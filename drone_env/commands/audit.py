@@ -1,4 +1,4 @@
-"""`drone-env audit`: whether maximising a reward is the same as flying well."""
+"""`drone-env audit`: whether maximising a reward also maximises the score."""
 
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,13 @@ def audit(
     json: bool = False,
     jobs: int | None = None,
 ) -> int:
-    """Work out what a learner that maximises a reward would really do, and what that scores.
+    """Compute the flight that maximises a reward, and its score.
 
-    On each map, the exact return-maximising flight (of several, the one that scores lowest) stands beside the exact
-    optimum of the score. The verdict is `aligned` if they score the same on every map, else `exploitable`. Exit
-    status: 0 for aligned, 1 for exploitable, 2 if it could not be worked out.
+    On each map, compare the exact return-maximising flight (in a tie, the one with the lowest score) with the exact
+    optimum of the score. The verdict is `aligned` if the scores are equal on every map, else `exploitable`. Exit
+    status: 0 for aligned, 1 for exploitable, 2 for an error.
 
-    Potential-based shaping fits one discount: it is audited with `gamma` as its own, as the learner should set it.
+    Potential-based shaping uses `gamma`, because it preserves the best flights only at the learner's discount.
 
     Example: drone-env audit --task easy --reward tiered --maps 50 --replay worst.json
 
@@ -42,14 +42,14 @@ def audit(
         task: The task, by its short name, id or grader.
         reward: A reward profile, or a TOML file with one.
         gamma: The learner's discount, 0 to 1.
-        maps: How many maps of the split.
-        split: Whose first maps.
-        shaping_gamma: Audit the shaping with this discount instead.
-        replay: Write the flight over the worst map to this JSON file; analyse-flight shows what is wrong with it.
+        maps: Number of maps.
+        split: The split; its first maps are used.
+        shaping_gamma: Discount of the shaping, if not `gamma`.
+        replay: Write the flight over the worst map to this JSON file, for analyse-flight.
         json: Print JSON instead.
-        jobs: Maps at a time; as many as the machine has cores if nothing is said.
+        jobs: Number of threads; by default one per core.
     """
-    # These load a compiler, which other commands should not wait for.
+    # Imported lazily: they load a compiler.
     from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
     from drone_env.results.record import record_of, save_record
 

@@ -55,7 +55,6 @@ def prepare_film(path: Path | None) -> None:
 
     Raises:
         InvalidValueError, OSError: if its suffix names no film, and as `prepare_file`.
-        MissingPackageError: if what makes such a film is not installed.
     """
     if path is None:
         return

@@ -24,21 +24,20 @@ def fly(
 ) -> None:
     """Fly one map and print its log lines.
 
-    Standard output holds one [START] line, one [STEP] line per step and one [END] line, and nothing else; maps,
-    pictures' paths and the comparison with the optimum go to standard error.
+    Standard output contains one [START] line, one [STEP] line per step and one [END] line. Everything else goes to
+    standard error.
 
     Example: drone-env fly --task hard --agent greedy --seed 7 --render
 
     Args:
         task: The task, by its short name, id or grader.
-        agent: Who flies.
-        seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random and its number is printed.
-        reward_profile: What steps pay: a reward profile, or a TOML file with one.
+        agent: The agent that flies.
+        seed: Number of the map, 0 to 2^53 - 1; by default a random train map.
+        reward_profile: A reward profile, or a TOML file with one.
         render: Show the map after every step.
-        picture: Save a picture of the flight to this PNG file at the end.
-        video: Save the flight as a film to this file at the end: .gif, or .mp4, which needs the extra `video`.
-        record: Save the flight to this JSON file at the end, for `replay` and `analyse-flight`; a file that ends in
-            .jsonl keeps the flights that it holds, and gets one more line.
+        picture: Save a picture of the flight to this PNG file.
+        video: Save a film of the flight to this GIF file.
+        record: Save the flight to this JSON file, for `replay` and `analyse-flight`, or append it to this .jsonl file.
     """
     episode = Episode(task, reward_profile)
     say_trusted([agent])
@@ -59,7 +58,7 @@ def fly(
         print(f"picture: {picture}", file=sys.stderr)
     film(episode, video)
     if record is not None:
-        # Loads Pydantic, which only a record needs.
+        # Imported lazily: loads Pydantic.
         from drone_env.results.record import RecordWriter, record_of, save_record
 
         if record.suffix == ".jsonl":

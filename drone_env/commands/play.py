@@ -1,4 +1,4 @@
-"""`drone-env play`: a person flies, in the terminal."""
+"""`drone-env play`: fly a map yourself in the terminal."""
 
 import os
 import re
@@ -15,7 +15,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.envs.ansi import draw_text
 from drone_env.planning.optimal import best_of
 
-if sys.platform != "win32":  # where keys come with Enter
+if sys.platform != "win32":  # on Windows, press Enter after each key
     import termios
     import tty
 
@@ -28,20 +28,20 @@ KEYS = {
 }
 HELP = "Arrow keys or w a s d fly, space or . waits, q gives up."
 KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO.|\x1b[^\[O]|[^\x1b]", re.DOTALL)
-"""One key: an escape sequence as a whole, or a character."""
+"""One key: an escape sequence or a character."""
 
 
 def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName = DEFAULT_PROFILE) -> None:
-    """Fly a map yourself, against the optimum.
+    """Fly a map yourself, and compare your score with the optimum.
 
-    Arrow keys or w a s d fly, space or . waits, q gives up. Keys can also come from a pipe, one character each.
+    Arrow keys or w a s d fly, space or . waits, q gives up. Keys can also come from a pipe.
 
     Example: drone-env play --task hard --seed 7
 
     Args:
         task: The task, by its short name, id or grader.
-        seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
-        reward_profile: What steps pay: a reward profile, or a TOML file with one.
+        seed: Number of the map, 0 to 2^53 - 1; by default a random train map.
+        reward_profile: A reward profile, or a TOML file with one.
     """
     console = Console(highlight=False, markup=False)
     episode = Episode(task, reward_profile)
@@ -67,16 +67,16 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
 
 
 def _keys() -> Generator[str, None, None]:
-    """Yield keys in lower case as a terminal sends them."""
+    """Yield the keys of standard input in lower case."""
     before = termios.tcgetattr(sys.stdin) if sys.platform != "win32" and sys.stdin.isatty() else None
-    typed = ""
+    buffer = ""
     try:
         if before is not None:
-            tty.setcbreak(sys.stdin, termios.TCSADRAIN)  # which keeps the keys that were typed before
-        while piece := os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
-            typed += piece
-            while key := KEY.match(typed):
-                typed = typed[key.end() :]
+            tty.setcbreak(sys.stdin, termios.TCSADRAIN)  # TCSADRAIN keeps earlier keys
+        while chunk := os.read(sys.stdin.fileno(), 64).decode(errors="replace"):
+            buffer += chunk
+            while key := KEY.match(buffer):
+                buffer = buffer[key.end() :]
                 yield key[0].lower()
     finally:
         if before is not None:

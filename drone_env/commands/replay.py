@@ -39,8 +39,7 @@ def replay(
         verify: Check all flights and print one line for each, no log. Exits with 1 if one does not fit its record,
             or is of a task, a version or a profile that there is not.
         render: Show the map after every step; with --verify there is no log to show it beside.
-        video: Save the flight, which must be the only one, as a film to this file: .gif, or .mp4, which needs the extra
-            `video`.
+        video: Save the flight, which must be the only one, as a film to this .gif file.
         reward: What the steps are to pay, instead of the profile that the record names: another profile, or a TOML
             file with one. The rewards of another profile than the record's are not compared.
     """

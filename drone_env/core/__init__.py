@@ -1,4 +1,4 @@
 """The rules of the world, once."""
 
-# Before all others: it looks at the sources as they are when they are loaded.
+# First, because it hashes the sources that the process loads.
 import drone_env.core.compile_cache as _compile_cache  # noqa: F401  # pyright: ignore[reportUnusedImport]

@@ -29,7 +29,7 @@ ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
 
 
 def integer(value: Any) -> int | None:
-    """Any integer as a plain one; None for what is none, True and False among it."""
+    """An `int` from any integer type, or None if the value is not an integer. Booleans are not integers here."""
     try:
         return None if isinstance(value, bool) else operator.index(value)
     except TypeError:
@@ -37,7 +37,7 @@ def integer(value: Any) -> int | None:
 
 
 def check_action(action: object) -> int:
-    """An action as a plain integer.
+    """Convert an action to an `int`.
 
     Raises:
         InvalidValueError: if it is not an integer from 0 to 4.
@@ -49,7 +49,7 @@ def check_action(action: object) -> int:
 
 
 class Event(IntEnum):
-    """The event of a step: the first in this order that holds."""
+    """The event of a step: the first in this order whose condition is true."""
 
     DELIVERY = 0
     BATTERY_DEAD = 1
@@ -61,14 +61,14 @@ class Event(IntEnum):
     WAIT = 7
     STEP = 8
     NONE = 9
-    """No step was taken: the episode has just begun, or had already ended."""
+    """No step yet."""
 
 
 N_EVENTS = len(Event)
 
 
 class Outcome(IntEnum):
-    """The outcome of an episode. All but FLYING end it, as part of the task (`terminated`)."""
+    """The outcome of an episode. All but FLYING end it, and are part of the task (`terminated`)."""
 
     FLYING = 0
     DELIVERED = 1
@@ -77,7 +77,7 @@ class Outcome(IntEnum):
 
 
 FLYING = int(Outcome.FLYING)
-"""A plain integer, as compiled code takes it; so are those of `cells` and `rules`."""
+"""A plain integer, because compiled code cannot use enum members."""
 
 
 MESSAGES = {
@@ -92,7 +92,7 @@ MESSAGES = {
     Event.WAIT: "Waiting.",
     Event.STEP: "On the way.",
 }
-"""The last event, for people."""
+"""The last event, in words."""
 
 ENDINGS = {
     Outcome.FLYING: "",

@@ -1,6 +1,6 @@
-"""N episodes of one task at once: the functions of `rules`, compiled, in one loop over the episodes.
+"""N episodes of one task, stepped together: the compiled functions of `rules` in one loop over the episodes.
 
-Every buffer of a `Batch` is overwritten by the next step: copy what you keep.
+The next step overwrites every buffer of a `Batch`, so copy arrays that you need later.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
-from drone_env.core.compile_cache import compiled_once, tell_before_compiling
+from drone_env.core.compile_cache import compiled_once, print_before_compiling
 from drone_env.core.observation import open_actions, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import reset as reset_episode
@@ -27,15 +27,15 @@ from drone_env.errors import EpisodeError, InvalidValueError
 DELIVERED = int(Event.DELIVERY)
 prefetch = compiled.prefetch
 ACTION_BITS = 7
-"""Changes no action from 0 to 4; with it the compiler assumes that none is negative."""
-OWN_CACHE = 3 << 19
-"""Bytes of grids from which on a core's own cache no longer holds them between two steps (of 2 MiB, by measurement)."""
+"""A mask that does not change actions from 0 to 4. It shows the compiler that actions are not negative."""
+PREFETCH_BYTES = 3 << 19
+"""Size of all grids from which prefetching pays, measured on a core with 2 MiB of cache."""
 AHEAD, ONE = np.uint64(16), np.uint64(1)
-"""How many episodes ahead a step fetches their grids then."""
+"""Distance of prefetching, in episodes."""
 
 
 class Buffers(NamedTuple):
-    """The arrays of a batch of N episodes, as the kernels see them."""
+    """The arrays of a batch of N episodes, for kernels."""
 
     grids: Any
     """uint8[N, cells]"""
@@ -52,11 +52,11 @@ class Buffers(NamedTuple):
     terminated: Any
     """bool[N]"""
     ended: Any
-    """int64[N], the episodes that the last step ended, from the start of each thread's range on"""
-    begun: Any
-    """int64[N], likewise those that it began"""
+    """int64[N], the episodes that the last step ended; each thread writes from the start of its range"""
+    started: Any
+    """int64[N], the episodes that it started, in the same layout"""
     final_grids: Any
-    """uint8[N, cells], in the order of `ended`, as are the following"""
+    """uint8[N, cells], in the order of `ended`, like all following arrays"""
     final_telemetry: Any
     final_scores: Any
     final_steps: Any
@@ -64,22 +64,22 @@ class Buffers(NamedTuple):
     final_seeds: Any
 
 
-def begin(tables: Tables, buffers: Buffers, i: int) -> None:
-    """Begin episode `i` on the map of its entry in `seeds`."""
+def start_episode(tables: Tables, buffers: Buffers, i: int) -> None:
+    """Start episode `i` on map `seeds[i]`."""
     grid, state = buffers.grids[i], buffers.states[i]
     reset_episode(tables, grid, state, buffers.seeds[i])
     write_telemetry(tables, state, buffers.telemetry[i])
     buffers.open_actions[i] = open_actions(tables, grid, state)
 
 
-def begin_next(tables: Tables, buffers: Buffers, i: int) -> None:
-    """Begin episode `i` on the map that follows its last one."""
+def start_next_episode(tables: Tables, buffers: Buffers, i: int) -> None:
+    """Start episode `i` on its next map."""
     buffers.seeds[i] = next_seed(buffers.seeds[i])
-    begin(tables, buffers, i)
+    start_episode(tables, buffers, i)
 
 
-def keep_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
-    """Write how episode `i` ended into entry `k`."""
+def write_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
+    """Write the result of episode `i` into entry `k`."""
     state = buffers.states[i]
     buffers.final_scores[k] = score(tables, state)
     buffers.final_steps[k] = state[STEPS]
@@ -87,7 +87,7 @@ def keep_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     buffers.final_seeds[k] = buffers.seeds[i]
 
 
-def keep_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
+def write_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     """Write the last observation of episode `i` into entry `k`."""
     for cell in range(tables.cells):
         buffers.final_grids[k, cell] = buffers.grids[i, cell]
@@ -96,9 +96,9 @@ def keep_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> 
 
 @compiled.kernel
 def reset_kernel(tables: Tables, buffers: Buffers, chosen: Any) -> None:
-    """Begin the episodes whose numbers are in `chosen`, on the maps in `seeds`."""
+    """Start the episodes with the numbers `chosen`, on the maps in `seeds`."""
     for i in chosen:
-        begin(tables, buffers, i)
+        start_episode(tables, buffers, i)
         buffers.rewards[i] = 0.0
         buffers.terminated[i] = False
 
@@ -109,19 +109,19 @@ def step_kernel(
 ) -> int:
     """Step the episodes from `start` to `stop` and return how many ended.
 
-    The two are unsigned numbers: compiled code then needs no care for indices below zero.
+    `start` and `stop` are unsigned, because compiled code is slower if an index may be negative.
     """
     n_ended = 0
-    n_begun = 0
-    prefetching = (stop - start) * tables.cells > OWN_CACHE
+    n_started = 0
+    prefetching = (stop - start) * tables.cells > PREFETCH_BYTES
     for i in range(start, stop):
         if prefetching:
             ahead = min(i + AHEAD, stop - ONE)
             prefetch(buffers.grids, ahead, buffers.states[ahead, CELL])
         state = buffers.states[i]
         if state[OUTCOME] != FLYING:
-            buffers.begun[start + n_begun] = i
-            n_begun += 1
+            buffers.started[start + n_started] = i
+            n_started += 1
             buffers.rewards[i] = 0.0
             buffers.terminated[i] = False
             continue
@@ -135,15 +135,15 @@ def step_kernel(
         if state[EVENT] == DELIVERED:
             write_target_telemetry(tables, state, buffers.telemetry[i])
         buffers.open_actions[i] = open_actions(tables, buffers.grids[i], state)
-    # Rare work has separate loops: between the steps it would cost them registers.
+    # Rare work has separate loops, because it would take registers from the loop above.
     for k in range(start, start + n_ended):
-        keep_final(tables, buffers, buffers.ended[k], k)
+        write_final(tables, buffers, buffers.ended[k], k)
         if same_step:
-            keep_final_observation(tables, buffers, buffers.ended[k], k)
-            buffers.begun[start + n_begun] = buffers.ended[k]
-            n_begun += 1
-    for k in range(start, start + n_begun):
-        begin_next(tables, buffers, buffers.begun[k])
+            write_final_observation(tables, buffers, buffers.ended[k], k)
+            buffers.started[start + n_started] = buffers.ended[k]
+            n_started += 1
+    for k in range(start, start + n_started):
+        start_next_episode(tables, buffers, buffers.started[k])
     return n_ended
 
 
@@ -151,53 +151,53 @@ def step_kernel(
 def step_kernel_threads(
     tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
 ) -> None:
-    """Step the ranges between neighbouring `bounds`, one thread each."""
+    """Step each range between consecutive `bounds` in its own thread."""
     for t in numba.prange(len(bounds) - 1):
         n_ended[t] = step_kernel(tables, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
 
 
 @compiled.kernel
-def all_exist(actions: Any) -> bool:
-    """Whether all of the actions, int64[N], are from 0 to 4."""
-    allowed = True
+def all_valid(actions: Any) -> bool:
+    """Whether all actions, int64[N], are from 0 to 4."""
+    valid = True
     for i in range(len(actions)):
-        allowed &= (actions[i] >= 0) & (actions[i] < N_ACTIONS)
-    return allowed
+        valid &= (actions[i] >= 0) & (actions[i] < N_ACTIONS)
+    return valid
 
 
-for part in (begin, begin_next, keep_final, keep_final_observation):
-    register_jitable(forceinline=True, **compiled.OPTIONS)(part)
+for function in (start_episode, start_next_episode, write_final, write_final_observation):
+    register_jitable(forceinline=True, **compiled.OPTIONS)(function)
 
 
 def entry_point(kernel: Any, *arguments: Any) -> Any:
-    """The compiled function for arguments of these types: calling it skips the dispatch, some 4 microseconds."""
+    """The compiled function for arguments of these types. Calling it skips Numba's dispatch, about 4 microseconds."""
     return kernel.compile(tuple(kernel.typeof_pyval(argument) for argument in arguments))
 
 
 class Batch:
-    """N episodes of one task, stepped together. A copy, by `copy.deepcopy` or by pickle, flies on as the original does.
+    """N episodes of one task, stepped together. `copy.deepcopy` and pickle copy the whole state.
 
-    Attributes, all arrays over the episodes and overwritten by the next step:
+    Attributes (the next step overwrites all arrays):
         grids: uint8[N, height, width], cell ids as the drone sees them.
-        telemetry: float32[N, telemetry_size]: 5, 6 or 13 values, by the task.
-        action_masks: int8[N, 5], 0 for each action that would bump. Advice, never enforced.
-        rewards: float64[N], of the last step.
+        telemetry: float32[N, telemetry_size], with 5, 6 or 13 values.
+        action_masks: int8[N, 5], 0 for each action that would bump. Not enforced.
+        rewards: float64[N], rewards of the last step.
         terminated: bool[N], whether the last step ended the episode.
-        seeds: int64[N], the map that each episode flies.
+        seeds: int64[N], the map of each episode.
 
-    About the episodes that the last step ended: `ended`, `finals()`, `final_grids`, `final_telemetry`.
+    `ended`, `finals()`, `final_grids` and `final_telemetry` describe the episodes that the last step ended.
 
     Args:
         task: A task or its name.
         num_envs: N, at least 1.
         reward_profile: A reward profile or its name.
-        same_step: Whether a step that ends an episode begins the next one at once; otherwise the following step does,
-            whatever its action. Either way it flies the map that `seeds.next_seed` names.
-        num_threads: How many threads share a step.
+        same_step: If True, a step that ends an episode also starts the next one. If False, the following step starts
+            it and ignores its action. The next map is always `seeds.next_seed`.
+        num_threads: Threads that share a step.
 
     Raises:
         UnknownNameError: if there is no such task or profile.
-        InvalidValueError: if a number is not an integer or below 1.
+        InvalidValueError: if a number is not an integer of at least 1.
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class Batch:
             rewards=np.zeros(num_envs, np.float64),
             terminated=np.zeros(num_envs, np.bool_),
             ended=np.zeros(num_envs, np.int64),
-            begun=np.zeros(num_envs, np.int64),
+            started=np.zeros(num_envs, np.int64),
             final_grids=np.zeros((finals, cells), np.uint8),
             final_telemetry=np.zeros((finals, size), np.float32),
             final_scores=np.zeros(num_envs, np.float64),
@@ -244,28 +244,28 @@ class Batch:
         self._started = np.zeros(num_envs, np.bool_)
         self.started = False
         self._bounds = np.linspace(0, num_envs, min(num_threads, num_envs) + 1).astype(np.uint64)
-        self._all = (0, num_envs)  # plain numbers, which a call takes faster than those of an array
+        self._all = (0, num_envs)  # Python integers are faster arguments than array elements
         self._n_ended = np.zeros(len(self._bounds) - 1, np.int64)
         self._compile()
 
     def _compile(self) -> None:
-        tell_before_compiling()
+        print_before_compiling()
         tables = (self.tables, self._rewards, self._buffers, self.seeds)
-        self._all_exist = entry_point(all_exist, self.seeds)
+        self._all_valid = entry_point(all_valid, self.seeds)
         if len(self._bounds) == 2:
             self._step = entry_point(step_kernel, *tables, *self._bounds, self.same_step)
         else:
             self._step = entry_point(step_kernel_threads, *tables, self._bounds, self.same_step, self._n_ended)
 
     def reset(self, seeds: Sequence[int] | npt.NDArray[np.int64], chosen: npt.NDArray[np.bool_] | None = None) -> None:
-        """Begin episodes on the maps of these seeds.
+        """Start episodes on the maps of these seeds.
 
         Args:
-            seeds: One for each episode, in [0, 2^53).
-            chosen: bool[N], which episodes to begin; None for all. The seeds of the others are not used.
+            seeds: One per episode, in [0, 2^53).
+            chosen: bool[N], the episodes to start; None for all. The seeds of the others are ignored.
 
         Raises:
-            InvalidValueError: if the seeds are not N integers in [0, 2^53); nothing is changed.
+            InvalidValueError: if the seeds are not N integers in [0, 2^53); nothing changes.
         """
         values = np.asarray(seeds)
         if values.shape != (self.num_envs,) or values.dtype.kind not in "iu":
@@ -283,19 +283,19 @@ class Batch:
         """Fly one action in each episode and overwrite the buffers.
 
         Args:
-            actions: N integers from 0 to 4. In an episode that is to begin again its action is not used.
+            actions: N integers from 0 to 4.
 
         Raises:
-            InvalidValueError: if they are not; nothing is flown.
-            EpisodeError: if some episode has not been reset yet; nothing is flown.
+            InvalidValueError: if the actions are not N integers from 0 to 4; nothing changes.
+            EpisodeError: if an episode has not been reset yet; nothing changes.
         """
         values: Any = np.asarray(actions)
         if values.shape != (self.num_envs,) or values.dtype.kind not in "iu":
             raise InvalidValueError(f"actions must be {self.num_envs} integers, got {values.dtype}{list(values.shape)}")
         if not self.started:
-            raise EpisodeError("some episodes have not begun: call reset() before step()")
+            raise EpisodeError("some episodes have not started: call reset() before step()")
         integers = np.ascontiguousarray(values, np.int64)
-        if not self._all_exist(integers):
+        if not self._all_valid(integers):
             wrong = values[(values < 0) | (values >= N_ACTIONS)][0]
             raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
         tables = (self.tables, self._rewards, self._buffers, integers)
@@ -305,33 +305,33 @@ class Batch:
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
-        """A snapshot of all episodes, as copies of arrays; `set_state` returns to it."""
-        return {name: np.array(buffer) for name, buffer in self._kept().items()}
+        """A snapshot of all episodes for `set_state`, as copies of arrays."""
+        return {name: np.array(buffer) for name, buffer in self._arrays().items()}
 
     def set_state(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Return to a snapshot of a batch of the same task, size, mode and threads.
+        """Restore a snapshot of a batch with the same task, size, mode and threads.
 
         Raises:
-            InvalidValueError: if the snapshot is of another batch; nothing is changed.
+            InvalidValueError: if the snapshot does not fit this batch; nothing changes.
         """
-        own = self._kept()
-        for name, buffer in own.items():
+        arrays = self._arrays()
+        for name, buffer in arrays.items():
             given = state.get(name)
             if given is None or given.shape != buffer.shape or given.dtype != buffer.dtype:
                 raise InvalidValueError(f"the snapshot is of another batch: {name} does not fit")
-        for name, buffer in own.items():
+        for name, buffer in arrays.items():
             buffer[...] = state[name]
         self.started = bool(self._started.all())
 
-    def _kept(self) -> dict[str, npt.NDArray[Any]]:
-        return self._buffers._asdict() | {"started": self._started, "n_ended": self._n_ended}
+    def _arrays(self) -> dict[str, npt.NDArray[Any]]:
+        return self._buffers._asdict() | {"has_started": self._started, "n_ended": self._n_ended}
 
     def __getstate__(self) -> tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]:
         arguments = (self.task, self.num_envs, self.reward_profile, self.same_step, self.num_threads)
         return arguments, self.get_state()
 
     def __setstate__(self, state: tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]) -> None:
-        # Attributes are views of the buffers: copied one by one they would be none any more.
+        # Attributes are views of the buffers, so they must not be copied one by one.
         arguments, snapshot = state
         Batch.__init__(self, *arguments)
         self.set_state(snapshot)
@@ -342,10 +342,7 @@ class Batch:
         return self._of_ended(self._buffers.ended)
 
     def finals(self) -> dict[str, npt.NDArray[Any]]:
-        """How the episodes ended that the last step ended, in the order of `ended`: views, as all buffers.
-
-        `score` (graded, float64[k]), `steps`, `deliveries` and `seed` (int64[k]).
-        """
+        """Results of the episodes in `ended`: `score` (float64[k]), `steps`, `deliveries` and `seed` (int64[k])."""
         buffers = self._buffers
         return {
             "score": self._of_ended(buffers.final_scores),
@@ -367,11 +364,11 @@ class Batch:
         return self._of_ended(self._buffers.final_telemetry) if self.same_step else self.telemetry[self.ended]
 
     def copy_action_masks(self) -> npt.NDArray[np.int8]:
-        """The action masks as they are now, int8[N, 5]: faster than copying the array."""
+        """A copy of the action masks, int8[N, 5]; faster than `action_masks.copy()`."""
         return _unpack(self._buffers.open_actions.copy())
 
     def _of_ended(self, buffer: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The entries that the threads have written, each from the start of its range on."""
+        """The entries that the threads wrote, each from the start of its range."""
         counts = self._n_ended.tolist()
         if len(counts) == 1:
             return buffer[: counts[0]]
@@ -387,6 +384,6 @@ def _count(name: str, value: SupportsIndex) -> int:
 
 
 def _unpack(packed: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
-    """int8[N, 5] from integers that hold one action a byte; a view."""
-    octets: Any = packed
-    return octets.view(np.int8).reshape(len(packed), 8)[:, :N_ACTIONS]
+    """A view, int8[N, 5], of integers with one action per byte."""
+    array: Any = packed
+    return array.view(np.int8).reshape(len(packed), 8)[:, :N_ACTIONS]

@@ -1,11 +1,11 @@
-"""Kinds of cells. The ids are frozen: networks and replays depend on them."""
+"""Kinds of cells. The ids are frozen, because networks and replays depend on them."""
 
 from enum import IntEnum
 from typing import NamedTuple
 
 
 class Cell(IntEnum):
-    """Cell ids of grids; new kinds are added at the end."""
+    """Cell ids of grids. New kinds come last."""
 
     ROAD = 0
     BUILDING = 1
@@ -19,7 +19,7 @@ class Cell(IntEnum):
 
 
 class CellKind(NamedTuple):
-    """How a cell id is shown to people."""
+    """Name, emoji and effect of a kind of cell."""
 
     name: str
     emoji: str
@@ -39,7 +39,6 @@ CELL_KINDS: dict[Cell, CellKind] = {
 }
 N_CELL_KINDS = len(CELL_KINDS)
 SYMBOLS = {int(cell): "· " if cell == Cell.ROAD else kind.emoji for cell, kind in CELL_KINDS.items()}
-"""The symbol of each cell id in text, two columns of a terminal wide. A road has a quieter one than its emoji, because
-a city has many roads."""
+"""The symbol of each cell id in text, two terminal columns wide. Roads are frequent, so their symbol is a dot."""
 ROAD_CELL, DELIVERY_CELL, PAD_CELL = int(Cell.ROAD), int(Cell.DELIVERY), int(Cell.PAD)
 DELIVERED_CELL, DRONE_CELL = int(Cell.DELIVERED), int(Cell.DRONE)

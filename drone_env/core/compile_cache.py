@@ -1,8 +1,8 @@
-"""Compiled code that is kept between runs, in a folder for each state of the sources.
+"""A cache of compiled code between runs, with one folder per version of the sources.
 
-Numba's own cache does not fit. It only looks at the file of a function, and ours call each other across files; and
-when two processes write at once, it can store the code of one signature under another: both take the next free number.
-Here each signature has a file of its own, named by a hash of everything that the code depends on.
+Numba's own cache has two problems. It only checks the file of a function, but our functions call others across files.
+And if two processes write at once, it can store the code of one signature under another. Here each signature has its
+own file, named by a hash of everything that the code depends on.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ PACKAGE = Path(__file__).parents[1]
 
 
 def digest_of_sources(package: Path = PACKAGE) -> str:
-    """A hash of everything that our compiled functions are made from; empty if there are no sources to read."""
+    """A hash of the sources of all compiled functions; empty if there are no sources."""
     digest = hashlib.sha256()
     files = [file for part in ("core", "planning", "agents", "rl") for file in sorted((package / part).glob("*.py"))]
     for file in files:
@@ -31,36 +31,36 @@ def digest_of_sources(package: Path = PACKAGE) -> str:
     return digest.hexdigest()[:16] if files else ""
 
 
-# `drone_env.core` imports this module before any other of its own: these are the sources that get loaded.
+# `drone_env.core` imports this module first, so this is the hash of the sources that the process loads.
 LOADED = digest_of_sources()
 
 
 def cache_folder() -> Path:
-    """The folder for the compiled code of these sources; created if necessary.
+    """Return the folder for the compiled code of these sources, and create it if necessary.
 
-    Under `DRONE_ENV_CACHE` or else `NUMBA_CACHE_DIR` if one is set, else under the user's cache folder. The latter must
-    be writable by this user alone, because loading code means running it.
+    It is in `DRONE_ENV_CACHE`, else in `NUMBA_CACHE_DIR`, else in the user's cache folder. Only this user may have
+    write access to the latter, because the process executes the code that it loads.
 
     Raises:
-        OSError: if there is none, or the sources have changed since they were loaded.
+        OSError: if there is no such folder, or the sources have changed since the process loaded them.
     """
     if not LOADED or digest_of_sources() != LOADED:
-        raise FileNotFoundError(f"the sources in {PACKAGE} are not those that this program began with")
+        raise FileNotFoundError(f"the sources in {PACKAGE} have changed since this program started")
     chosen = os.environ.get("DRONE_ENV_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
     if chosen:
-        folder = Path(chosen).absolute() / LOADED  # a program may go to another folder later
+        folder = Path(chosen).absolute() / LOADED  # the program may change its working directory
         folder.mkdir(parents=True, exist_ok=True)
         return folder
-    from platformdirs import user_cache_path  # imported lazily, as most processes compile nothing
+    from platformdirs import user_cache_path  # imported lazily: most processes compile nothing
 
     parent = user_cache_path("drone_env", appauthor=False)
     if not parent.is_absolute():
-        raise FileNotFoundError(f"{parent} is the folder of a user without a home")
+        raise FileNotFoundError(f"{parent} is not absolute: this user has no home folder")
     for folder in (parent, parent / LOADED):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()
         if hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022):
-            raise PermissionError(f"{folder} is not a folder that this user alone can write")
+            raise PermissionError(f"others than this user can write to {folder}")
         if not os.access(folder, os.W_OK):
             raise PermissionError(f"{folder} is not writable")
     return parent / LOADED
@@ -69,11 +69,10 @@ def cache_folder() -> Path:
 class CodeCache:
     """The cache of one compiled function, with the methods that Numba's dispatcher calls.
 
-    Files are replaced as a whole, so any number of processes may write at once. A file that cannot be written is left
-    out.
+    Files are replaced atomically, so several processes may write at once. Failures to write are ignored.
 
     Args:
-        function: A function of a module.
+        function: A module-level function.
         options: Its compile options.
         folder: The folder of the files.
 
@@ -85,8 +84,8 @@ class CodeCache:
         code = function.__code__
         self.cache_path = str(folder)
         self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
-        self._made_from = (
-            # A function of the tests: `LOADED` does not contain its source.
+        self._dependencies = (
+            # `LOADED` does not contain the source of functions in tests.
             hashlib.sha256(Path(code.co_filename).read_bytes()).hexdigest(),
             (function.__module__, code.co_firstlineno, self._name, sorted(options.items()), sys.version),
             [import_module(package).__version__ for package in ("numba", "llvmlite", "numpy")],
@@ -95,11 +94,11 @@ class CodeCache:
     def _file(self, signature: object, codegen: Any) -> Path:
         config: Any = import_module("numba.core.config")
         settings = (str(config.OPT), config.BOUNDSCHECK, config.DEBUGINFO_DEFAULT)
-        everything = repr((self._made_from, settings, codegen.magic_tuple(), str(signature)))
-        return Path(self.cache_path) / f"{self._name}-{hashlib.sha256(everything.encode()).hexdigest()[:32]}.code"
+        key = repr((self._dependencies, settings, codegen.magic_tuple(), str(signature)))
+        return Path(self.cache_path) / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.code"
 
     def load_overload(self, sig: object, target_context: Any) -> Any:
-        """The compile result for a signature, None if there is none."""
+        """Return the compile result for a signature, or None if it is not cached."""
         target_context.refresh()
         with suppress(OSError):
             payload = self._file(sig, target_context.codegen()).read_bytes()
@@ -108,7 +107,7 @@ class CodeCache:
         return None
 
     def save_overload(self, sig: object, data: Any) -> None:
-        """Keep a compile result, unless it contains addresses of this process."""
+        """Store a compile result, unless it contains addresses of this process."""
         serialize: Any = import_module("numba.core.serialize")
         if not data.library.has_dynamic_globals:
             with suppress(OSError), replacing(self._file(sig, data.codegen)) as temporary:
@@ -116,15 +115,15 @@ class CodeCache:
 
 
 def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `numba.njit` with these options, whose compiled code is kept in `cache_folder()` if there is one.
+    """A decorator: `numba.njit` with these options, and a cache in `cache_folder()` if there is one.
 
-    The function is one of a module, and calls only functions of its own file, of `core` and of `planning`.
+    The function must be module-level, and call only functions of its own file, of `core` and of `planning`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
         numba: Any = import_module("numba")
         dispatcher = numba.njit(**options)(function)
-        with suppress(OSError):  # compiled in each process then; `tell_before_compiling` prints why
+        with suppress(OSError):  # without a cache; `print_before_compiling` prints why
             dispatcher._cache = CodeCache(function, options, cache_folder())
         return dispatcher
 
@@ -132,7 +131,7 @@ def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def is_compiled(*functions: Any) -> bool:
-    """Whether compiled code of all these functions of `compiled_once` is in the cache."""
+    """Whether the cache contains compiled code of all these functions."""
     with suppress(OSError):
         names = [f"{function.__module__.rpartition('.')[2]}.{function.__name__}" for function in functions]
         return all(any(cache_folder().glob(f"{name}-*.code")) for name in names)
@@ -140,13 +139,13 @@ def is_compiled(*functions: Any) -> bool:
 
 
 @lru_cache(maxsize=1)
-def tell_before_compiling() -> None:
-    """Print to standard error that compiling takes a while, if the cache is empty."""
+def print_before_compiling() -> None:
+    """If the cache is empty, print to standard error that compiling takes a while."""
     try:
         folder = cache_folder()
         if any(folder.glob("*.code")):
             return
-        what_for = f"kept in {folder}"
+        cache = f"cached in {folder}"
     except OSError as error:
-        what_for = f"not kept: {error}"
-    print(f"drone_env: compiling the simulator for the first time, a few seconds; {what_for}", file=sys.stderr)
+        cache = f"not cached: {error}"
+    print(f"drone_env: compiling the simulator for the first time, a few seconds; {cache}", file=sys.stderr)

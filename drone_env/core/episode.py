@@ -1,4 +1,4 @@
-"""One episode: holds the state, flies actions by the `rules`, and answers questions about it."""
+"""One episode: its state, and the actions that change it by the `rules`."""
 
 import copy
 import secrets
@@ -38,7 +38,7 @@ from drone_env.errors import EpisodeError, InvalidValueError
 
 
 class PathStep(NamedTuple):
-    """One flown step: the action and what it led to."""
+    """One flown step: the action, and position, event, reward and battery after it."""
 
     action: Action
     x: int
@@ -60,7 +60,7 @@ class EpisodeState:
     reward_total: float
     path: tuple[tuple[int, int, int, float, int], ...]
     refused: bool = field(default=False, compare=False)
-    """Whether the last step came after the end."""
+    """Whether the last step came after the end of the episode."""
 
 
 class _NoEpisode:
@@ -75,12 +75,12 @@ _NO_EPISODE: Any = _NoEpisode()
 
 
 class Episode:
-    """A single drone on a single map. Before the first reset there is no state to read: that raises `EpisodeError`.
+    """A single drone on a single map. Reading the state before the first reset raises `EpisodeError`.
 
     Args:
         task: A task or its name.
         reward_profile: A reward profile or its name.
-        seed: The map to start on; without one, `reset` starts the first.
+        seed: The map to start on; without a seed, call `reset`.
 
     Raises:
         UnknownNameError: if there is no such task or profile.
@@ -108,12 +108,11 @@ class Episode:
             self.reset(seed)
 
     def reset(self, seed: SupportsIndex | None = None, reward_profile: str | RewardProfile | None = None) -> int:
-        """Start map `seed` and return the seed. On an error the running episode is left as it was.
+        """Start map `seed` and return the seed. On an error the current episode does not change.
 
         Args:
-            seed: Without one, the map that follows the last one on the walk of `next_seed`; the very first is drawn
-                at random from the train split.
-            reward_profile: The profile from now on; None keeps the present one.
+            seed: If None, the next map of `next_seed`; the first map is then drawn at random from the train split.
+            reward_profile: The profile from now on; None keeps the current one.
 
         Raises:
             InvalidValueError: if the seed is not an integer in [0, 2^53).
@@ -136,10 +135,10 @@ class Episode:
         return chosen
 
     def step(self, action: SupportsIndex) -> float:
-        """Fly one action and return its reward. After the end it changes nothing and pays 0, and `message` explains it.
+        """Fly one action and return its reward. After the end it returns 0, changes nothing, and sets `message`.
 
         Raises:
-            InvalidValueError: if the action is not an integer from 0 to 4; the state is left as it was.
+            InvalidValueError: if the action is not an integer from 0 to 4; the state does not change.
             EpisodeError: before the first reset.
         """
         number = check_action(action)
@@ -153,7 +152,7 @@ class Episode:
         return reward
 
     def fly(self, actions: Iterable[SupportsIndex]) -> "Episode":
-        """Fly actions in order and return the episode. The next one is requested after the previous one was flown."""
+        """Fly actions in order and return the episode. Each action is requested after the previous one was flown."""
         for action in actions:
             self.step(action)
         return self
@@ -163,7 +162,7 @@ class Episode:
         return copy.copy(self)
 
     def waited_out(self) -> "Episode":
-        """A copy that has waited to its end."""
+        """A copy that waits until its end."""
         return self.copy().fly([Action.WAIT] * (self.task.max_steps - self.steps))
 
     @property
@@ -195,7 +194,7 @@ class Episode:
 
     @property
     def event(self) -> Event:
-        """What happened in the last step."""
+        """The event of the last step."""
         return Event(self._state[EVENT])
 
     @property
@@ -251,27 +250,27 @@ class Episode:
 
     @property
     def score(self) -> float:
-        """The graded score as the episode stands, 0.01 to 0.99: provisional until it has ended."""
+        """The graded score, 0.01 to 0.99: provisional until the episode has ended."""
         return score(self.tables, self._state)
 
     @property
     def efficiency(self) -> float:
-        """How sparing the flight was, 0 to 100: for people to look at; not the score."""
-        return sum(w * share for w, share in zip(EFFICIENCY_WEIGHTS.values(), self.efficiency_shares, strict=True))
+        """The efficiency shown to people, 0 to 100. It is not the score."""
+        return sum(w * part for w, part in zip(EFFICIENCY_WEIGHTS.values(), self.efficiency_shares, strict=True))
 
     @property
     def efficiency_shares(self) -> tuple[float, float, float]:
-        """The value of each part of the efficiency, 0 to 1, in the order of `rules.EFFICIENCY_WEIGHTS`."""
+        """Each part of the efficiency, 0 to 1, in the order of `rules.EFFICIENCY_WEIGHTS`."""
         return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
 
     @property
     def reward_last(self) -> float:
-        """What the last step paid; 0 where it came after the end."""
+        """The reward of the last step; 0 after the end."""
         return self._path[-1][3] if self._path and not self._refused else 0.0
 
     @property
     def reward_total(self) -> float:
-        """What all steps paid, undiscounted."""
+        """The undiscounted sum of all rewards."""
         return self._reward_total
 
     @property
@@ -291,12 +290,12 @@ class Episode:
 
     @property
     def rewards(self) -> list[float]:
-        """What each step paid, in order."""
+        """The reward of each step, in order."""
         return [entry[3] for entry in self._path]
 
     @property
     def message(self) -> str:
-        """What happened last, in words."""
+        """The last event, in words."""
         if self._seed is None:
             return "No episode yet: reset to start one."
         if self._refused:
@@ -306,7 +305,7 @@ class Episode:
         )
 
     def counted_score(self) -> float:
-        """The score to report: the final one, or of an unfinished episode what waiting to its end would earn."""
+        """The score to report. An unfinished episode scores as if it waited to its end."""
         return self.waited_out().score
 
     def observation(self) -> Observation:
@@ -327,7 +326,7 @@ class Episode:
         return np.array([mask >> 8 * action & 1 for action in range(N_ACTIONS)], np.int8)
 
     def get_state(self) -> EpisodeState:
-        """A snapshot; `set_state` returns to it."""
+        """A snapshot for `set_state`."""
         return EpisodeState(
             task=self.task,
             reward_profile=self.reward_profile,
@@ -340,10 +339,10 @@ class Episode:
         )
 
     def set_state(self, state: EpisodeState) -> None:
-        """Return to a snapshot of an episode of the same task and reward profile.
+        """Restore a snapshot of an episode with the same task and reward profile.
 
         Raises:
-            InvalidValueError: if the snapshot is of another task, profile or size; the state is left as it was.
+            InvalidValueError: if the snapshot has another task, profile or size; the state does not change.
         """
         if state.task != self.task or state.reward_profile != self.reward_profile:
             raise InvalidValueError(
@@ -385,11 +384,11 @@ class Episode:
 
 
 Act = Callable[[Observation], SupportsIndex]
-"""Chooses an action, as `act` of an agent does."""
+"""The type of an agent's `act`."""
 
 
 def choices(episode: Episode, act: Act) -> Iterator[SupportsIndex]:
-    """Yield the actions to the end of an episode; the caller flies each before it asks for the next."""
+    """Yield actions until the episode ends. The caller must fly each action before it requests the next."""
     while not episode.ended:
         yield act(episode.observation())
 

@@ -28,7 +28,7 @@ VALIDATION, TEST = SPLITS["validation"].start, SPLITS["test"].start
 
 
 def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
-    """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
+    """Draw a road cell uniformly. Return it and the generator's next state."""
     cell = uniform_below(key, tables.cells) & INDEX_BITS
     while grid[cell] != ROAD_CELL:
         key = next_key(key)
@@ -37,7 +37,7 @@ def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
 
 
 def place_anywhere(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
-    """Place the deliveries, then the terrain, each on a cell drawn again until it is still road."""
+    """Place the deliveries, then the terrain, each on a random road cell."""
     for cell in range(tables.cells):
         grid[cell] = ROAD_CELL
     grid[state[CELL]] = DRONE_CELL
@@ -51,11 +51,11 @@ def place_anywhere(tables: Tables, grid: Buffer, state: Buffer, key: int) -> Non
 
 
 def shuffle_in(grid: Buffer, cells: Buffer, covered: int, kinds: Buffer, key: int) -> int:
-    """Add a thing of each of these kinds to the ones in random order on the first `covered` cells of a list.
+    """Add objects of these kinds to the shuffled ones on the first `covered` cells of a list.
 
-    One draw each, after which all lie in random order again: the new one takes a random cell of those up to the next of
-    the list, and what stood there moves to that next one (the inside-out form of Durstenfeld's shuffle, Algorithm 235,
-    CACM 1964). Returns the generator's state.
+    Each object takes one draw of the inside-out form of Durstenfeld's shuffle (Algorithm 235, CACM 1964): it takes a
+    random cell among the first `covered` + 1, and the object there moves to the last of them. Return the generator's
+    next state.
     """
     later = 0
     for i in range(len(kinds)):
@@ -72,7 +72,10 @@ def shuffle_in(grid: Buffer, cells: Buffer, covered: int, kinds: Buffer, key: in
 
 
 def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
-    """Place terrain and deliveries in a city whose streets cross at the start, with one draw for each of the fewer."""
+    """Place terrain and deliveries in a city with streets that cross at the start.
+
+    The most frequent kind fills the city at first, so only the others are drawn.
+    """
     start, spacing = state[CELL], tables.street_spacing
     city = (tables.rows[start] % spacing * spacing + tables.columns[start] % spacing) * tables.cells
     city_grid = tables.city_grids[city : city + tables.cells]
@@ -93,7 +96,7 @@ def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -
         grid[along[end]] = grid[cell]
         grid[cell] = DELIVERY_CELL
         state[PARCELS + i] = cell
-    # The start may be occupied now: its content belongs on the street cell that was left out of the list.
+    # If the start is occupied now, its content moves to the street cell that was left out of the list.
     left_out = tables.city_cells[city + tables.blocks]
     move_parcel(tables, state, start, left_out)
     grid[left_out] = grid[start]
@@ -101,14 +104,14 @@ def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -
 
 
 def move_parcel(tables: Tables, state: Buffer, cell: int, to: int) -> None:
-    """Record that the parcel of a cell, if there is one, is on another cell now."""
+    """If there is a parcel on a cell, record its move to another cell."""
     for i in range(PARCELS, PARCELS + tables.deliveries):
         if state[i] == cell:
             state[i] = to
 
 
 def draw_window(tables: Tables, seed: int, key: int) -> tuple[int, int]:
-    """A window of the terrain, of those of the seed's split, and the generator's state after the draw."""
+    """Draw a window of the terrain in the seed's split. Return it and the generator's next state."""
     split = 0
     if seed >= VALIDATION:
         split = 1
@@ -121,7 +124,7 @@ def draw_window(tables: Tables, seed: int, key: int) -> tuple[int, int]:
 
 
 def draw_open(open_cells: Buffer, grid: Buffer, key: int) -> tuple[int, int]:
-    """A cell of fixed terrain that is still road and can be reached, and the generator's state after the draw."""
+    """Draw a reachable road cell of fixed terrain. Return it and the generator's next state."""
     cell = open_cells[uniform_below(key, len(open_cells)) & INDEX_BITS]
     while grid[cell] != ROAD_CELL:
         key = next_key(key)
@@ -130,7 +133,7 @@ def draw_open(open_cells: Buffer, grid: Buffer, key: int) -> tuple[int, int]:
 
 
 def place_on_terrain(tables: Tables, grid: Buffer, state: Buffer, seed: int, key: int) -> None:
-    """Place start, deliveries and pads on fixed terrain: what is fixed too, then the rest, with a draw for each."""
+    """Place start, deliveries and pads on fixed terrain: first the fixed ones, then one draw for each of the others."""
     window, key = draw_window(tables, seed, key)
     city_grid = tables.city_grids[window * tables.cells : (window + 1) * tables.cells]
     open_cells = tables.city_cells[tables.window_cells[window] : tables.window_cells[window + 1]]
@@ -156,7 +159,7 @@ def place_on_terrain(tables: Tables, grid: Buffer, state: Buffer, seed: int, key
 
 
 def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
-    """Write map `seed` into `grid` and `state`: start, deliveries and each kind of terrain, all on distinct cells."""
+    """Write map `seed` into `grid` and `state`: start, deliveries and terrain, all on distinct cells."""
     key = next_key(map_key(tables.key, seed))
     state[CELL] = uniform_below(key, tables.cells)
     state[UNDER] = ROAD_CELL
@@ -173,7 +176,7 @@ class CityMap:
     """A map before the flight.
 
     Attributes:
-        task: The task that it belongs to.
+        task: The task of the map.
         seed: `reset(seed=seed)` flies this map.
         grid: uint8[height, width], cell ids without the drone; `grid[y, x]`.
         start: (x, y) of the drone's start.
@@ -188,16 +191,16 @@ class CityMap:
 
 
 def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
-    """The map of a task for a seed, or for the next draw of a random generator.
+    """Generate the map of a task for a seed, or for the next draw of a random generator.
 
     Args:
         config: A task or its name.
-        rng: A seed in [0, 2^53), or a `numpy.random.Generator` or `torch.Generator` from which one train seed is
-            drawn: equal generator state, equal map.
+        rng: A seed in [0, 2^53), or a `numpy.random.Generator` or `torch.Generator` that draws a train seed. Equal
+            generator states give equal maps.
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if `rng` is none of these.
+        InvalidValueError: if `rng` is not a seed or a generator.
     """
     task = get_task(config)
     seed = _seed_from(rng)
@@ -223,7 +226,7 @@ def _seed_from(rng: Any) -> int:
     stop = SPLITS["train"].stop
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(stop))
-    torch = sys.modules.get("torch")  # whoever hands in a torch.Generator has imported torch
+    torch = sys.modules.get("torch")  # a caller with a torch.Generator has imported torch
     if torch is not None and isinstance(rng, torch.Generator):
         return int(torch.randint(stop, (), generator=rng, device=rng.device, dtype=torch.int64))
     if isinstance(rng, SupportsIndex):

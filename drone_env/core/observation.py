@@ -1,4 +1,4 @@
-"""Observations. Telemetry is written into buffers that the caller owns."""
+"""Observations. The caller owns the buffers that receive the telemetry."""
 
 from typing import TypedDict
 
@@ -30,13 +30,13 @@ class Observation(TypedDict):
     grid: npt.NDArray[np.uint8]
     """uint8[height, width] of cell ids; the drone's id hides the cell below it."""
     telemetry: npt.NDArray[np.float32]
-    """float32[5] (or 6, or 13): see `write_telemetry`."""
+    """float32[5], [6] or [13]: see `write_telemetry`."""
 
 
 def telemetry_of(
     task: TaskConfig, cell: int, under: int, battery: int, steps: int, target: int | None
 ) -> npt.NDArray[np.float32]:
-    """The telemetry of a drone with these fields; see `write_telemetry`.
+    """The telemetry of a drone with these fields, as `write_telemetry` writes it.
 
     Args:
         task: The task.
@@ -44,7 +44,7 @@ def telemetry_of(
         under: The kind of the cell below it.
         battery: Units left.
         steps: Steps taken.
-        target: The cell of the current target, None if nothing is left.
+        target: The cell of the current target; None if nothing is left to deliver.
     """
     tables = interpreted(task)
     state = np.zeros(state_size(tables), np.uint16)
@@ -58,16 +58,16 @@ def telemetry_of(
 def write_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
     """Write drone x/width, y/height, battery/capacity, target x/width, y/height into float32[5].
 
-    If nothing is left to deliver, the target is the drone's own position. Tasks whose battery does not
-    tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of
-    which one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
+    If nothing is left to deliver, the target is the drone's own position. A sixth value is the fraction of steps left,
+    if the battery does not show it. Tasks with pads have this value, and then seven more: the one-hot kind of the cell
+    below the drone, in the order of `tasks.TERRAIN`.
     """
     write_own_telemetry(tables, state, telemetry)
     write_target_telemetry(tables, state, telemetry)
 
 
 def write_own_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
-    """The part that every step changes: position, battery, steps left, the cell below."""
+    """Write the part that every step changes: position, battery, steps left, the cell below."""
     at = 2 * state[CELL]
     x, y, battery = tables.shares[at], tables.shares[at + 1], tables.battery_share[state[BATTERY]]
     telemetry[0], telemetry[1], telemetry[2] = x, y, battery
@@ -80,13 +80,13 @@ def write_own_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -
 
 
 def write_target_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
-    """The part that only a delivery or a reset changes: the target."""
+    """Write the part that only a delivery or a reset changes: the target."""
     target = state[TARGET] if state[TARGET] != NOWHERE else state[CELL]
     telemetry[3], telemetry[4] = tables.shares[2 * target], tables.shares[2 * target + 1]
 
 
 def open_actions(tables: Tables, grid: Buffer, state: Buffer) -> int:
-    """The actions that do not bump: 1 in byte `action` of an integer. Advice, never enforced."""
+    """The actions that do not bump, as an integer with 1 in byte `action`. Not enforced."""
     mask = tables.open_moves[state[CELL]]
     if tables.any_impassable:
         for action in range(N_MOVES):

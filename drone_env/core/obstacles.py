@@ -1,3 +1,3 @@
-"""Collisions, under the name of the original file."""
+"""Collisions, under the original module name."""
 
 from drone_env.core.rules import collision as collision

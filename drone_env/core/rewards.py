@@ -1,4 +1,4 @@
-"""Reward profiles: what a step pays. Data, not code; a new profile is one more entry in `REWARD_PROFILES`."""
+"""Reward profiles: data that defines the reward of a step. A new profile is a new entry in `REWARD_PROFILES`."""
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -13,32 +13,32 @@ from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 DEFAULT_PROFILE = "aligned"
-"""The default in `Episode`, Gymnasium, training, datasets, `play`, `audit`, Inspect and TRL."""
+"""The default of `Episode`, Gymnasium, training, datasets, `play`, `audit`, Inspect and TRL."""
 ORIGINAL_PROFILE = "tiered"
-"""The default over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`, as in the original project."""
+"""The default of HTTP, OpenEnv, `fly`, `infer` and `inference.py`, as in the original project."""
 
 STRIDE = 2 * MAX_SIDE
-"""Entries of a potential's table per number of deliveries; distances are smaller."""
+"""Entries of a potential table per number of deliveries. Distances are smaller."""
 MAX_REWARD = 1_000_000
 MAX_PLACES = 400
-"""Decimal places of the numbers of a profile: more than any float has, and few enough to calculate with exactly."""
+"""Maximum decimal places of a number: more than floats have, and few enough for exact arithmetic."""
 
 
 @dataclass(frozen=True)
 class RewardProfile:
-    """The reward of a step: the sum of the parts that are switched on. Immutable and hashable.
+    """The reward of a step: the sum of all enabled parts. Immutable and hashable.
 
     Attributes:
         id: Unique name.
-        summary: One line for people.
-        task_events: Whether events pay the task's own `r_...` numbers; otherwise they pay 0.
-        events: What single events pay instead of that.
-        shaping: Paid per cell that the step came closer to the current target (less for farther).
-        clamp: Bounds of the event reward with its shaping, or None.
+        summary: One line of description.
+        task_events: Whether the reward of an event is the task's `r_...` number; otherwise it is 0.
+        events: Rewards of single events that replace those.
+        shaping: Reward per cell by which the distance to the current target decreased.
+        clamp: Bounds of the event reward plus its shaping, or None.
         shaping_gamma: Discount of potential-based shaping gamma * phi(s') - phi(s) with
             phi = 0.2 + 0.8/D * (k + 1 - d/(W + H)), and phi = 0 at the end (Ng, Harada, Russell, "Policy invariance
             under reward transformations", ICML 1999); k of D parcels delivered, d to the current target. None for none.
-        pays_score: Whether the end of the episode pays the graded score.
+        pays_score: Whether the graded score is added at the end of the episode.
     """
 
     id: str
@@ -65,12 +65,12 @@ class RewardProfile:
             raise InvalidTaskError(f"reward profile {self.id!r}: numbers may have {MAX_PLACES} decimal places at most")
         if self.clamp is not None and self.clamp[0] > self.clamp[1]:
             bounds = f"{self.clamp[0]} to {self.clamp[1]}"
-            raise InvalidTaskError(f"reward profile {self.id!r}: a clamp from {bounds} has no room between its bounds")
+            raise InvalidTaskError(f"reward profile {self.id!r}: the lower bound of clamp is above the upper: {bounds}")
         if self.shaping_gamma is not None and not 0 <= self.shaping_gamma <= 1:
             raise InvalidTaskError(f"reward profile {self.id!r}: shaping_gamma must be in [0, 1]")
 
     def terms(self) -> dict[str, str]:
-        """All that decides what it pays, by name, as it was written: what two profiles of a name may differ in."""
+        """All fields that affect rewards, as text, to compare two profiles with the same name."""
         events = ", ".join(f"{event.name.lower()} {number}" for event, number in sorted(self.events))
         return {
             "task_events": str(self.task_events),
@@ -120,16 +120,16 @@ REWARD_PROFILES: dict[str, RewardProfile] = {
         RewardProfile(id="score", summary="the graded score at the end, nothing else", pays_score=True),
     )
 }
-"""Every profile that is known, by its id."""
+"""All known profiles, by id."""
 PACKAGE_PROFILES = frozenset(REWARD_PROFILES)
-"""Those of the package itself."""
+"""The ids of the profiles in this package."""
 
 
 def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
-    """The reward profile of this name; a `RewardProfile` is handed back as it is.
+    """The reward profile with this name; a `RewardProfile` is returned unchanged.
 
     Raises:
-        UnknownNameError: if there is none; the message lists the valid names.
+        UnknownNameError: if there is no such profile; the message lists the valid names.
     """
     if isinstance(name, RewardProfile):
         return name
@@ -139,17 +139,17 @@ def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
 
 
 def own_profile(name: str) -> RewardProfile | None:
-    """The reward profile of this name where it is none of the package's: what a run has to keep, as names tell no more.
+    """The reward profile with this name, or None if it is one of the package. A run must store other profiles.
 
     Raises:
-        UnknownNameError: if there is none.
+        UnknownNameError: if there is no such profile.
     """
     profile = get_reward_profile(name)
     return None if profile.id in PACKAGE_PROFILES else profile
 
 
 def profile_for_discount(profile: RewardProfile, gamma: float) -> RewardProfile:
-    """The profile as a learner with this discount is to be paid: its shaping, if it has one, with the same discount.
+    """The profile for a learner with this discount: potential-based shaping uses the same discount.
 
     Raises:
         InvalidTaskError: if gamma is not in [0, 1].
@@ -158,21 +158,21 @@ def profile_for_discount(profile: RewardProfile, gamma: float) -> RewardProfile:
 
 
 class Rewards(NamedTuple):
-    """A profile's tables for one task. Arrays when compiled, memory views when interpreted."""
+    """A profile's tables for one task: arrays for compiled code, memory views for interpreted code."""
 
     events: FloatBuffer
-    """float64[events * 3], at event * 3 + delta: 2 for closer to the target, 1 for as far, 0 for farther."""
+    """float64[events * 3], at event * 3 + delta; delta is 2 if the distance decreased, 1 if it is equal, else 0."""
     potential: FloatBuffer
     """phi(s): float64, at deliveries * STRIDE + distance."""
     discounted: FloatBuffer
-    """gamma * phi(s), laid out alike."""
+    """gamma * phi(s), in the same layout."""
     pays_score: int
-    """1 if the end pays the score."""
+    """1 if the score is added at the end."""
 
 
 @lru_cache(maxsize=64)
 def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
-    """The profile's tables for a task as NumPy arrays, for compiled code. Shared: do not write to them.
+    """The profile's tables for a task as read-only NumPy arrays, for compiled code.
 
     Every entry is computed exactly and rounded once, so 0.10 + 0.05 is 0.15.
     """
@@ -189,24 +189,19 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
 
     potential = discounted = np.zeros((task.deliveries + 1) * STRIDE)
     if profile.shaping_gamma is not None:
-        # phi over a common denominator: Python divides integers of any size as a fraction is rounded, much sooner.
-        across = task.width + task.height
-        whole = 10 * task.deliveries * across
+        # phi with a common denominator: division of large integers is correctly rounded, and faster than Fraction.
+        span = task.width + task.height
+        denominator = 10 * task.deliveries * span
         phi = [
-            2 * task.deliveries * across + 8 * ((done + 1) * across - distance)
+            2 * task.deliveries * span + 8 * ((done + 1) * span - distance)
             for done in range(task.deliveries + 1)
             for distance in range(STRIDE)
         ]
-        times, part = profile.shaping_gamma.as_integer_ratio()
-        potential = np.array([value / whole for value in phi])
-        discounted = np.array([times * value / (part * whole) for value in phi])
-    tables: dict[str, Any] = {
-        "events": events,
-        "potential": potential,
-        "discounted": discounted,
-        "pays_score": int(profile.pays_score),
-    }
-    return read_only(Rewards(**tables))
+        p, q = profile.shaping_gamma.as_integer_ratio()
+        potential = np.array([value / denominator for value in phi])
+        discounted = np.array([p * value / (q * denominator) for value in phi])
+    tables: Any = (events, potential, discounted, int(profile.pays_score))
+    return read_only(Rewards(*tables))
 
 
 @lru_cache(maxsize=64)

@@ -1,7 +1,7 @@
 """The rules of the world: `reset` writes the first state of a map, `step` flies one action and returns its reward.
 
 These functions run as plain Python for one episode (`episode.Episode`) and compiled by Numba (`compiled`), with equal
-bits. `tables` documents the state, and the numbers of a task that a step looks up.
+results to the last bit. `tables` documents the state, and the tables of a task.
 """
 
 from drone_env.core.actions import FLYING, N_ACTIONS, Event, Outcome
@@ -26,18 +26,18 @@ from drone_env.core.tables import (
     Tables,
 )
 
-# Plain integers, as compiled code takes them.
+# Plain integers, because compiled code cannot use enum members.
 DELIVERY, BATTERY_EMPTY = int(Event.DELIVERY), int(Event.BATTERY_DEAD)
 WALL, BLOCKED, NONE = int(Event.WALL), int(Event.BLOCKED), int(Event.NONE)
 DELIVERED, BATTERY_DEAD = int(Outcome.DELIVERED), int(Outcome.BATTERY_DEAD)
 OUT_OF_STEPS = int(Outcome.OUT_OF_STEPS)
 
 DELTA_BITS = 3
-"""Changes no number from 0 to 2; with it the compiler assumes that none is negative."""
+"""A mask that does not change numbers from 0 to 2. It shows the compiler that they are not negative."""
 LOWEST, HIGHEST = 0.01, 0.99
 """Bounds of the graded score."""
 EFFICIENCY_WEIGHTS = {"parcels delivered": 75, "battery left": 15, "steps left": 10}
-"""Percentages that make up the efficiency: a figure for people, which no reward contains."""
+"""Percentages of the efficiency, a number for people that no reward contains."""
 
 
 def reset(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
@@ -52,12 +52,12 @@ def reset(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
 
 
 def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: int) -> float:
-    """Fly one action and return its reward. After the end of the episode it changes nothing and pays 0."""
+    """Fly one action and return its reward. After the end of the episode, change nothing and return 0."""
     if state[OUTCOME] != FLYING:
         return 0.0
     potential = potential_of(rewards.potential, state)
 
-    # Move: off the grid or onto an impassable cell the drone stays where it is.
+    # Move: at the edge of the grid or at an impassable cell, the drone stays.
     cell, under, steps = state[CELL], state[UNDER], state[STEPS] + 1
     to = tables.moves[cell * N_ACTIONS + action]
     event = collision(tables, grid, to)
@@ -74,7 +74,7 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
     state[STEPS] = steps
     state[DISTANCE] = distance
 
-    # Deliver the parcel on this cell, whichever it is, and end the episode if nothing more can follow.
+    # Deliver the parcel on this cell, in any order, and end the episode if it is over.
     if under == DELIVERY_CELL:
         deliver(tables, state)
         event = DELIVERY
@@ -85,7 +85,7 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
             event = BATTERY_EMPTY
     state[EVENT] = event
 
-    # Reward: for the event and the way to the target that was current before the step.
+    # Reward: for the event, and for the distance to the target that was current before the step.
     return reward_of(tables, rewards, state, event, delta, potential)
 
 
@@ -99,7 +99,7 @@ def collision(tables: Tables, grid: Buffer, to: int) -> int:
 
 
 def move(grid: Buffer, state: Buffer, cell: int, to: int) -> int:
-    """Uncover the cell that the drone leaves, cover the one that it reaches, and return the kind of that one."""
+    """Uncover the cell that the drone leaves, cover the one that it reaches, and return its kind."""
     grid[cell] = state[UNDER]
     under = grid[to]
     state[CELL] = to
@@ -114,7 +114,7 @@ def manhattan(tables: Tables, a: int, b: int) -> int:
 
 
 def units_left(tables: Tables, units: int, drain: int) -> int:
-    """Battery units after a drain (below zero: a charge): never under 0 or over capacity."""
+    """Battery units after a drain (a negative drain charges), from 0 to capacity."""
     return min(max(units - drain, 0), tables.capacity)
 
 
@@ -130,7 +130,7 @@ def deliver(tables: Tables, state: Buffer) -> None:
 
 
 def choose_target(tables: Tables, state: Buffer) -> None:
-    """Make the nearest undelivered parcel the current target (the first of equally near ones)."""
+    """Make the nearest undelivered parcel the current target. Ties go to the lowest index."""
     state[TARGET] = NOWHERE
     state[DISTANCE] = 0
     for i in range(PARCELS, PARCELS + tables.deliveries):
@@ -162,7 +162,7 @@ def reward_of(
         rewards: The profile's tables.
         state: The state after the step, with its outcome.
         event: The event of the step.
-        delta: 2 if the step came closer to the target that was current before it, 1 if the distance is equal, else 0.
+        delta: 2 if the distance to the target before the step decreased, 1 if it is equal, else 0.
         potential_before: The potential of the state before the step.
     """
     reward = rewards.events[event * 3 + delta] - potential_before
@@ -181,7 +181,7 @@ def potential_of(table: FloatBuffer, state: Buffer) -> float:
 def score_of(tables: Tables, deliveries_done: int, battery: int, steps: int) -> float:
     """0.8 * done/total + 0.2 * (0.5 * battery/capacity + 0.5 * (1 - steps/max_steps)), in [0.01, 0.99].
 
-    With `efficiency_needs_all` the second part counts only when everything is delivered. Computed as one correctly
+    With `efficiency_needs_all` the second term counts only if everything is delivered. The score is one correctly
     rounded division of integers, so equal flights have equal scores to the last bit.
     """
     total, capacity, max_steps = tables.deliveries, tables.capacity, tables.max_steps

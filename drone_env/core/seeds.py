@@ -1,9 +1,9 @@
-"""Seeds, their splits, and the counter-based random numbers that a map is drawn from.
+"""Seeds, their splits, and the counter-based random numbers of maps.
 
 The generator is SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
-`wrap64`, `mix64`, `map_key` and `next_seed` run interpreted (integers that grow) and compiled (64-bit integers
-that wrap, signed) and give the same bits: every product is wrapped, every right shift is masked, and every literal
-fits in a signed 64-bit integer, so that no compiler has to choose between signed and unsigned.
+`wrap64`, `mix64`, `map_key` and `next_seed` run interpreted (unbounded integers) and compiled (signed 64-bit integers
+that wrap) with equal results: every product is wrapped, every right shift is masked, and every literal fits in a
+signed 64-bit integer.
 """
 
 import hashlib
@@ -18,12 +18,12 @@ MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
 MIX_2 = 0x94D049BB133111EB - (1 << 64)
 
 N_SEEDS = 1 << 53
-"""Seeds are in [0, 2^53), so that JSON, JavaScript and SQLite keep them."""
+"""Seeds are in [0, 2^53), so JSON, JavaScript and SQLite store them exactly."""
 
 TRAIN_MASK = (1 << 52) - 1
 SEED_STRIDE = 0x9E3779B97F4A7
-"""Odd, so the walk visits every train seed before it repeats; near 2^52 / golden ratio, so that walks that start
-close together stay apart (Weyl sequence)."""
+"""Odd, so the walk visits every train seed before it repeats. Near 2^52 / golden ratio, so walks with close starts
+diverge (Weyl sequence)."""
 
 
 class Split(NamedTuple):
@@ -54,12 +54,12 @@ def mix64(z: int) -> int:
 
 
 def map_key(task_key: int, seed: int) -> int:
-    """Where the random numbers of map `seed` start: different for different seeds of one task."""
+    """The first state of the generator for map `seed`: different for different seeds of one task."""
     return mix64(mix64(seed) ^ task_key)
 
 
 def next_key(key: int) -> int:
-    """The following state of the generator."""
+    """The next state of the generator."""
     return wrap64(key + GOLDEN)
 
 
@@ -75,12 +75,12 @@ def two_halves(key: int) -> tuple[int, int]:
 
 
 def next_seed(seed: int) -> int:
-    """The seed that a reset without a seed flies after map `seed`: a fixed walk inside the train split."""
+    """The map that follows map `seed` if a reset has no seed: a fixed walk in the train split."""
     return (seed + SEED_STRIDE) & TRAIN_MASK
 
 
 def task_key(task_id: str, version: int) -> int:
-    """63 bits that set the maps of one task and version apart from those of any other."""
+    """A 63-bit hash of a task and its version."""
     digest = hashlib.sha256(f"{task_id}/{version}".encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 
@@ -102,20 +102,20 @@ def split_seeds(split: str, episodes: int, offset: int = 0) -> range:
 
     Raises:
         UnknownNameError: if there is no such split.
-        InvalidValueError: if the split does not hold that many seeds.
+        InvalidValueError: if the split has fewer seeds.
     """
     if split not in list(SPLITS):
         raise UnknownNameError("split", split, SPLITS)
     start, stop = SPLITS[split]
     if episodes < 0 or offset < 0 or start + offset + episodes > stop:
         raise InvalidValueError(
-            f"split {split!r} holds {stop - start} seeds; asked for {episodes} from number {offset}"
+            f"split {split!r} has {stop - start} seeds; {episodes} from number {offset} are not in it"
         )
     return range(start + offset, start + offset + episodes)
 
 
 def split_of(seed: int) -> str:
-    """The name of the split that `seed` belongs to.
+    """The name of the split that contains `seed`.
 
     Raises:
         InvalidValueError: if it is not an integer in [0, 2^53).

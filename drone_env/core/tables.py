@@ -1,15 +1,15 @@
 """A task as tables, and the layout of an episode's state.
 
-`tabulate(task)` turns a `TaskConfig` into small tables once; a step then only looks things up, so a new number or
-mechanic is a new entry and not a new branch. The same tables serve compiled code (as NumPy arrays) and interpreted
-code (as memory views, whose items are plain Python integers).
+`tabulate(task)` converts a `TaskConfig` into small tables. A step only looks values up, so a new mechanic is a new
+entry, not a new branch. Compiled code uses the tables as NumPy arrays, interpreted code as memory views, because their
+items are plain Python integers.
 
-Two buffers hold the state of one episode:
+Two buffers contain the state of one episode:
 
-- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides the
-  cell below it.
-- `state`: the integers named below, then one entry per parcel: its cell number, plus `DELIVERED_FLAG` once it has been
-  delivered. They are unsigned 16-bit integers: compiled code then needs no care for indices below zero.
+- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: the drone's own id hides
+  the cell below it.
+- `state`: the integers below, then one entry per parcel: its cell number, plus `DELIVERED_FLAG` after its delivery. The
+  type is uint16, because compiled code is slower if an index may be negative.
 """
 
 from functools import lru_cache
@@ -25,14 +25,14 @@ from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.core.terrain import Terrain
 
 Buffer: TypeAlias = "memoryview[int]"
-"""A buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
+"""A buffer of integers: a memory view for interpreted code, a NumPy array for compiled code."""
 FloatBuffer: TypeAlias = "memoryview[float]"
-"""The same, of floating-point numbers."""
+"""A buffer of floating-point numbers."""
 
 INDEX_BITS = (1 << 16) - 1
-"""Changes no index of a table; with it the compiler assumes that none is negative."""
+"""A mask that does not change indices of tables. It shows the compiler that they are not negative."""
 N_MOVES = N_ACTIONS - 1
-"""All actions but WAIT, which is the last."""
+"""All actions except WAIT, which is the last."""
 N_TERRAIN = len(TERRAIN)
 
 AnyTables = TypeVar("AnyTables", bound=tuple[Any, ...])
@@ -48,27 +48,27 @@ BATTERY = 3
 DELIVERIES_DONE = 4
 """Parcels delivered."""
 TARGET = 5
-"""Cell of the current target, or `NOWHERE` when none is left."""
+"""Cell of the current target, or `NOWHERE` if none is left."""
 DISTANCE = 6
-"""Manhattan distance to the current target; 0 when none is left."""
+"""Manhattan distance to the current target; 0 if none is left."""
 EVENT = 7
-"""What happened in the last step (`Event`)."""
+"""Event of the last step (`Event`)."""
 OUTCOME = 8
-"""How the episode stands (`Outcome`)."""
+"""Outcome of the episode (`Outcome`)."""
 PARCELS = 9
-"""From here on: one entry per delivery."""
+"""The first of the entries of the parcels."""
 
 NOWHERE = (1 << 16) - 1
-"""A cell that does not exist: off the grid, or no target left."""
+"""The cell number for off the grid or no target."""
 DELIVERED_FLAG = 1 << 15
-"""Added to the cell of a parcel that has been delivered."""
+"""Added to the cell of a delivered parcel."""
 
 
 class Tables(NamedTuple):
-    """A task's tables. Arrays when compiled, memory views when interpreted; `cells` is width * height."""
+    """A task's tables: arrays for compiled code, memory views for interpreted code. `cells` is width * height."""
 
     key: int
-    """Sets this task's maps apart from those of others."""
+    """Key of the random numbers of this task's maps."""
     width: int
     height: int
     cells: int
@@ -80,56 +80,54 @@ class Tables(NamedTuple):
     rows: Buffer
     """y of each cell, int64[cells]."""
     moves: Buffer
-    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at
-    cell * N_ACTIONS + action."""
+    """Cell after `action` from `cell`, `NOWHERE` at the wall: uint16[cells * 5], at cell * N_ACTIONS + action."""
     open_moves: Buffer
-    """The actions that do not meet the wall, 1 in byte `action` of each int64[cells]."""
+    """The actions that do not hit the wall: 1 in byte `action` of each int64[cells]."""
     around: Buffer
-    """The cell that each move reaches, the cell itself at the wall: uint16[cells * 4], at cell * N_MOVES + action."""
+    """Cell after each move, the cell itself at the wall: uint16[cells * 4], at cell * N_MOVES + action."""
     any_impassable: int
     """1 if some kind of cell is impassable."""
     impassable: Buffer
-    """1 for the kinds of cell that the drone cannot enter, uint8[kinds]."""
+    """1 for kinds of cell that the drone cannot enter, uint8[kinds]."""
     drain: Buffer
-    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
+    """Battery units that an action costs above a kind of cell, negative if it charges: int16[kinds * 5], at
     kind * N_ACTIONS + action."""
     flight_event: Buffer
-    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid
-    out alike."""
+    """The event of an action that ends above a kind of cell, if no other event applies: uint8[kinds * 5], in the same
+    layout."""
     street_spacing: int
-    """Every how many rows and columns there is a street; 0 where everything lies anywhere."""
+    """Distance between parallel streets; 0 if there are no streets."""
     blocks: int
     """The number of cells between the streets."""
     city_grids: Buffer
-    """The map before anything is drawn, for each way in which the streets can lie, or each window of fixed terrain:
-    uint8[ways * cells]."""
+    """The map before the first draw, for each position of the streets or each window of fixed terrain:
+    uint8[positions * cells]."""
     city_cells: Buffer
-    """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]. Where the terrain
-    is fixed, those that start, parcels and pads are drawn from, window by window."""
+    """The cells between the streets, then those on them, for each position: uint16[positions * cells]. With fixed
+    terrain, the cells for start, parcels and pads, window by window."""
     windows: Buffer
-    """If the terrain is fixed, the first window of each split and the one after its last, int64[splits * 2]; else
-    empty."""
+    """With fixed terrain, the first window of each split and the end of its windows, int64[splits * 2]; else empty."""
     window_cells: Buffer
-    """The first index of each window in `city_cells`, and the end of the last: int64[windows + 1]."""
+    """The first index of each window in `city_cells`, and the end of the last one: int64[windows + 1]."""
     window_pads: Buffer
     """The number of pads in each window: int64[windows]."""
     fixed: Buffer
-    """If the terrain is fixed, the cell of the start and of each parcel (`NOWHERE` if it is drawn), uint16[1 +
+    """With fixed terrain, the cell of the start and of each parcel (`NOWHERE` if it is random), uint16[1 +
     deliveries]; else empty."""
     drawn_kinds: Buffer
-    """The kinds of terrain that are drawn, in the order in which they are: uint8[draws]."""
+    """The kind of terrain of each draw, in order: uint8[draws]."""
     drawn_between: int
-    """The number of these between the streets: they are the first."""
+    """The number of draws between the streets; they come first."""
     efficiency_needs_all: int
-    """1 if battery and steps left count in the score only when everything is delivered."""
+    """1 if battery and steps left count in the score only if everything is delivered."""
     telemetry_size: int
-    """Values in the telemetry: 5, 6 with the share of steps left, 13 with the kind of the cell below as well."""
+    """Values in the telemetry: 5, 6 with the fraction of steps left, 13 with the kind of the cell below as well."""
     shares: FloatBuffer
     """x / width and y / height of each cell: float32[cells * 2], at cell * 2."""
     battery_share: FloatBuffer
     """units / capacity for each number of units, float32[capacity + 1]."""
     steps_share: FloatBuffer
-    """Share of steps left after each number of steps, float32[max_steps + 1]."""
+    """Fraction of steps left after each number of steps, float32[max_steps + 1]."""
     terrain_numbers: Buffer
     """The index of a kind in `TERRAIN`: uint8[kinds]."""
 
@@ -141,7 +139,7 @@ def state_size(tables: Tables) -> int:
 
 @lru_cache(maxsize=64)
 def tabulate(task: TaskConfig) -> Tables:
-    """The task's tables as NumPy arrays, for compiled code. Shared: do not write to them."""
+    """The task's tables as read-only NumPy arrays, for compiled code."""
     width, height = task.width, task.height
     cells = width * height
     moves = np.full((height, width, N_ACTIONS), NOWHERE, np.uint16)
@@ -199,10 +197,10 @@ def tabulate(task: TaskConfig) -> Tables:
 
 
 def _city_tables(task: TaskConfig) -> dict[str, Any]:
-    """What a map is drawn from.
+    """The tables for map generation.
 
-    With streets: of the kinds that stand between them (open ground among them), and of those on them, the most frequent
-    one covers all at first, and the others are drawn: the fewest draws that do.
+    With streets, the most frequent kind between them and the most frequent kind on them fill the map at first. The
+    other kinds are drawn. This takes the fewest draws.
     """
     counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
     if task.terrain is not None:
@@ -220,35 +218,35 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
     }
     if spacing == 0:
         return tables
-    numbers, way = np.arange(cells), np.arange(spacing**2)[:, None]
+    numbers, position = np.arange(cells), np.arange(spacing**2)[:, None]
     across, down = numbers % task.width % spacing, numbers // task.width % spacing
-    on_street = (across == way % spacing) | (down == way // spacing)
+    on_street = (across == position % spacing) | (down == position // spacing)
     blocks = (task.width - task.width // spacing) * (task.height - task.height // spacing)
 
     between = {kind: counts[kind] for kind in (Cell.BUILDING, Cell.TREE)}
     along = {kind: counts[kind] for kind in (Cell.OBSTACLE, Cell.PAD)}
     between[Cell.ROAD] = blocks - sum(between.values())
     along[Cell.ROAD] = cells - blocks - 1 - task.deliveries - sum(along.values())
-    covers: list[Cell] = []
+    fillers: list[Cell] = []
     kinds: list[Cell] = []
     for placed in between, along:
-        cover, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
-        covers.append(cover)
+        filler, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
+        fillers.append(filler)
         kinds += [kind for kind in others for _ in range(placed[kind])]
     return tables | {
         "blocks": blocks,
-        "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
+        "city_grids": np.ravel(np.where(on_street, fillers[1], fillers[0])).astype(np.uint8),
         "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
         "drawn_kinds": np.array(kinds, np.uint8),
-        "drawn_between": blocks - between[covers[0]],
+        "drawn_between": blocks - between[fillers[0]],
     }
 
 
 def _terrain_tables(task: TaskConfig, terrain: Terrain) -> dict[str, Any]:
-    """The tables that maps on fixed terrain are drawn from."""
+    """The tables for map generation on fixed terrain."""
     stops = [terrain.start, *(terrain.parcels or [None] * task.deliveries)]
     by_split = list(task.windows.values())
-    # One window that all splits share is stored once.
+    # A window that all splits share is stored once.
     if all(windows == by_split[0] for windows in by_split):
         by_split = by_split[:1]
     windows = [window for split in by_split for window in split]
@@ -274,19 +272,19 @@ def interpreted(task: TaskConfig) -> Tables:
 
 
 def view(array: npt.NDArray[Any]) -> Any:
-    """The memory of an array as a memory view, whose items are plain Python numbers and fast to get at."""
+    """A memory view of an array: its items are plain Python numbers, and access is fast."""
     memory: Any = array
     return memoryview(memory)
 
 
 def as_views(tables: AnyTables) -> AnyTables:
-    """A named tuple of tables with a memory view for each array."""
+    """The same named tuple with a memory view of each array."""
     items: tuple[Any, ...] = tables
     return type(tables)(*(view(item) if hasattr(item, "dtype") else item for item in items))
 
 
 def read_only(tables: AnyTables) -> AnyTables:
-    """The same named tuple, its arrays closed to writing."""
+    """The same named tuple with read-only arrays."""
     for table in tables:
         if isinstance(table, np.ndarray):
             table.setflags(write=False)

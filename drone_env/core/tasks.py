@@ -1,4 +1,4 @@
-"""The tasks: all their numbers, in one place. A new task is one more entry in `TASKS`."""
+"""The tasks and all their numbers. A new task is a new entry in `TASKS`."""
 
 import json
 import math
@@ -16,12 +16,12 @@ from drone_env.core.terrain import PLACED, Terrain, Window, shipped_terrain
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 MAX_SIDE = 128
-"""Cells along a side of a map: the number of a cell, with its flag, has to fit the 16-bit state."""
+"""Maximum side of a map in cells: cell numbers, with their flag, must fit the 16-bit state."""
 MAX_DELIVERIES = 16
 MAX_SPACING = 16
-"""Upper bound of the distance between streets: the tables that maps are drawn from grow with its square."""
+"""Maximum distance between streets: the tables for map generation grow with its square."""
 MAX_UNITS = 32_000
-"""Upper bound of steps and battery units, so that they fit the 16-bit state."""
+"""Maximum number of steps and battery units, which must fit the 16-bit state."""
 
 RANGES = (
     ("width height", 2, MAX_SIDE),
@@ -31,11 +31,10 @@ RANGES = (
     ("buildings trees obstacles pads", 0, math.inf),
     ("version", 1, math.inf),
 )
-"""The lowest and highest values of a task's numbers, both allowed."""
+"""The lowest and highest allowed values of a task's numbers."""
 
 TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
-"""The kinds of cell that can be under the drone. The order is frozen: telemetry encodes a kind by its index here, and
-networks and datasets depend on it."""
+"""The kinds of cell that can be below the drone. The order is frozen: telemetry encodes a kind by its index here."""
 
 
 @dataclass(frozen=True)
@@ -44,31 +43,30 @@ class TaskConfig:
 
     Attributes:
         id: Unique name, such as `easy_delivery`.
-        short_name: What people type, such as `easy`.
+        short_name: Short unique name, such as `easy`.
         grader: `module:function` of the task's grader.
-        version: Raised by any change that alters a map, a reward or a score.
+        version: Incremented by any change to a map, a reward or a score.
         width, height: Grid size in cells, at most 128 each.
         deliveries: Parcels to deliver, 1 to 16.
-        buildings, trees, obstacles, pads: How many cells of each kind a map holds.
+        buildings, trees, obstacles, pads: Number of cells of each kind.
         max_steps: Steps after which the episode ends.
-        battery_capacity: Battery units at the start, and the most that charging can reach.
+        battery_capacity: Battery units at the start, which is also the maximum.
         r_delivery, r_battery_dead, r_wall, r_blocked, r_obstacle, r_building, r_tree, r_wait, r_step:
-            What each event pays in the reward profiles that ask for the task's own rewards.
-        drain: Battery units per step above each kind of cell; kinds not named drain 1.
+            Rewards of the events in profiles with `task_events`.
+        drain: Battery units per step above each kind of cell; the default is 1.
         impassable: Kinds that the drone cannot enter.
-        charge_rate: Battery units that one WAIT on a pad adds (in place of the drain).
-        street_spacing: Every how many rows and columns there is a street, of which two cross at the start; it is at
-            most 16 and divides width and height. Buildings and trees then stand between the streets, everything else
-            on them. 0 for no streets: everything anywhere.
-        efficiency_needs_all: Whether battery and steps left count in the score only when everything is delivered.
-        terrain: The terrain of every map, where it is fixed, or one of which every map is a window; the counts of cells
-            are then those of the whole terrain, but for pads. A map has the pads of its terrain, and as many more as
-            make `pads`. What the terrain does not fix is drawn on roads that can be reached from each other.
-        family: Tasks of one family are listed together. It names no rule: results do not depend on it.
+        charge_rate: Battery units that a WAIT on a pad adds, instead of the drain.
+        street_spacing: Distance between parallel streets, 2 to 16; it divides width and height. Two streets cross at
+            the start. Buildings and trees are between the streets, everything else is on them. 0 for no streets.
+        efficiency_needs_all: Whether battery and steps left count in the score only if everything is delivered.
+        terrain: Fixed terrain. Every map is the whole of it or a window of it. The counts of cells are those of the
+            whole terrain, except for pads: a map has the pads of its terrain, and random ones up to `pads`. Start and
+            parcels that the terrain does not fix are on roads that are connected to each other.
+        family: Group of the task in lists. It does not affect results.
 
     Raises:
-        InvalidTaskError: on construction, if the numbers are out of range or contradict each other; what does not fit
-            on the terrain is found when `windows` is first asked for.
+        InvalidTaskError: on construction, if the numbers are out of range or contradict each other. `windows` raises
+            it if the terrain has too little room.
     """
 
     id: str
@@ -112,7 +110,7 @@ class TaskConfig:
             require(bool(valid), f"{name} must be lower-case letters, digits and _, got {value!r}")
         for number in fields(self):
             value = getattr(self, number.name)
-            # A type is its name where annotations are not evaluated.
+            # `type` is a string if annotations are not evaluated.
             if number.type in (int, "int"):
                 require(type(value) is int, f"{number.name} must be an integer, got {value!r}")
             elif number.type in (float, "float"):
@@ -149,13 +147,12 @@ class TaskConfig:
         rows = f"terrain must be rows of {terrain.width} cells, got {len(terrain.cells)} cells"
         require(len(terrain.cells) == terrain.width * terrain.height, rows)
         require(set(terrain.cells) <= set(PLACED), f"terrain may hold {[str(kind.name) for kind in PLACED]}")
-        require(self.street_spacing == 0, "street_spacing must be 0 where terrain is fixed")
-        held = {kind: terrain.cells.count(kind) for kind in self.cell_counts()}
-        least = held.pop(Cell.PAD)
-        counts = {kind.name.lower(): count for kind, count in held.items()}
-        same = all(count == self.cell_counts()[kind] for kind, count in held.items())
-        require(same, f"the counts of cells must be those of the terrain: {counts}")
-        given = f"deliveries must be the {len(terrain.parcels)} parcels of the terrain, got {self.deliveries}"
+        require(self.street_spacing == 0, "street_spacing must be 0 if terrain is fixed")
+        counts = {kind.name.lower(): terrain.count(kind) for kind in self.cell_counts()}
+        least = counts.pop("pad")
+        own = {kind.name.lower(): count for kind, count in self.cell_counts().items() if kind != Cell.PAD}
+        require(own == counts, f"the counts of cells must be those of the terrain: {counts}")
+        given = f"deliveries must be {len(terrain.parcels)}, the parcels of the terrain, got {self.deliveries}"
         require(len(terrain.parcels) in (0, self.deliveries), given)
         if sides == window:
             require(self.pads >= least, f"pads must be at least the {least} of the terrain, got {self.pads}")
@@ -166,19 +163,20 @@ class TaskConfig:
             splits = "so that the windows of two splits share no cell"
             message = f"terrain of {size} cells must be three times as wide or high as a map, {splits}; got {window}"
             require(fits and apart, message)
-            require(not terrain.fixed, "start and parcels cannot be fixed where each map is a window of the terrain")
-            # Observations do not tell the kind of the cell below the drone else, and no count of cells gives it away.
-            require(self.pads > 0, "pads must be at least 1 where each map is a window of the terrain, got 0")
+            require(not terrain.fixed, "start and parcels cannot be fixed if each map is a window of the terrain")
+            # Without pads, observations do not contain the kind of the cell below the drone, and the counts of cells in
+            # a window do not imply it.
+            require(self.pads > 0, "pads must be at least 1 if each map is a window of the terrain, got 0")
         inside = all(0 <= x < terrain.width and 0 <= y < terrain.height for x, y in terrain.fixed)
         different = inside and len(set(terrain.fixed)) == len(terrain.fixed)
         require(different, f"start and parcels must be different cells, got {terrain.fixed}")
 
     @cached_property
     def windows(self) -> dict[str, list[Window]]:
-        """The windows that maps are drawn on, by split; empty without fixed terrain.
+        """The windows for the maps of each split; empty without fixed terrain.
 
         Raises:
-            InvalidTaskError: if there is too little room on the terrain.
+            InvalidTaskError: if the terrain has too little room.
         """
         terrain = self.terrain
         if terrain is None:
@@ -187,25 +185,25 @@ class TaskConfig:
         all_corners = list(dict.fromkeys(chain.from_iterable(corners.values())))
         windows = terrain.windows(all_corners, self.width, self.height, self.impassable)
         at = dict(zip(all_corners, windows, strict=True))
-        # Only where there is one window.
+        # Fixed positions exist only if there is one window.
         apart = [(x, y) for x, y in terrain.fixed if y * self.width + x not in at[0, 0].drawn]
         if apart:
-            message = f"start and parcels must be roads that can be reached from each other; {apart} are not"
+            message = f"start and parcels must be connected roads; {apart} are not"
             raise InvalidTaskError(f"task {self.id!r}: {message}")
 
         def needed(window: Window) -> int:
             return 1 + self.deliveries + max(0, self.pads - window.pads)
 
-        found: dict[str, list[Window]] = {}
+        usable: dict[str, list[Window]] = {}
         for split, here in corners.items():
             own = [at[corner] for corner in here]
-            found[split] = [one for one in own if one.pads <= self.pads and needed(one) <= len(one.drawn)]
-            if not found[split]:
-                best = max(own, key=lambda one: len(one.drawn))
+            usable[split] = [w for w in own if w.pads <= self.pads and needed(w) <= len(w.drawn)]
+            if not usable[split]:
+                best = max(own, key=lambda window: len(window.drawn))
                 anywhere = f", in any window of {split}" if len(at) > 1 else ""
-                room = f"{len(best.drawn)} roads that can be reached from each other{anywhere}"
+                room = f"{len(best.drawn)} roads that are connected{anywhere}"
                 raise InvalidTaskError(f"task {self.id!r}: {needed(best)} things do not fit on {room}")
-        return found
+        return usable
 
     def _check_streets(self, require: Callable[[bool, str], None]) -> None:
         spacing = self.street_spacing
@@ -223,14 +221,14 @@ class TaskConfig:
 
     @property
     def attribution(self) -> str:
-        """Whose data the terrain is, which whoever shows a map has to say; empty for nobody's."""
+        """The attribution that pictures of the terrain must show; may be empty."""
         return "" if self.terrain is None else self.terrain.attribution
 
     @cached_property
     def uniform(self) -> bool:
-        """Whether every step costs one battery unit, nothing blocks the way and nothing charges.
+        """Whether every step costs one battery unit, nothing is impassable and nothing charges.
 
-        Then a distance is a Manhattan distance, and the battery tells the time.
+        Then the shortest path is the Manhattan distance, and the battery shows the steps left.
         """
         blocked = {Cell.BUILDING: self.buildings, Cell.TREE: self.trees, Cell.OBSTACLE: self.obstacles}
         return (
@@ -240,23 +238,24 @@ class TaskConfig:
         )
 
     def rules(self) -> dict[str, Any]:
-        """Everything that determines how the task is flown, as JSON values by name: hashes and datasets contain it."""
+        """All rules of the task as JSON values, for hashes and datasets."""
         numbers = {name: value for name, value in asdict(self).items() if name not in ("family", "terrain")}
         fixed = {} if self.terrain is None else {"terrain": self.terrain.digest()}
         return numbers | {"impassable": sorted(self.impassable)} | fixed
 
     @cached_property
     def digest(self) -> str:
-        """A hash of its rules, 16 hex digits; a new field with its default changes none."""
+        """A hash of the rules, 16 hex digits. Fields with default values do not affect it."""
         usual: dict[str, Any] = {one.name: one.default for one in fields(self)} | {"impassable": []}
         own = {name: value for name, value in self.rules().items() if value != usual.get(name, MISSING)}
         return sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def telemetry_size(self) -> int:
-        """5; 6 where the battery does not tell the time and the share of steps left is appended; 13 with pads.
+        """Values in the telemetry: 5, 6 with the fraction of steps left, 13 with pads.
 
-        Where there are pads, the kind of the cell below the drone follows as well, one value for each of `TERRAIN`.
+        The fraction of steps left is a value if the battery does not show it. With pads, the one-hot kind of the cell
+        below the drone follows, one value for each of `TERRAIN`.
         """
         if self.pads:
             return 6 + len(TERRAIN)
@@ -264,12 +263,12 @@ class TaskConfig:
 
     @property
     def gym_id(self) -> str:
-        """The id under which Gymnasium knows the task."""
+        """The Gymnasium id of the task."""
         name = "-".join(part.title() for part in self.short_name.split("_"))
         return f"DroneDelivery-{name}-v{self.version}"
 
     def cell_counts(self) -> dict[Cell, int]:
-        """The number of cells of each kind of terrain, in the order in which they are placed."""
+        """The number of cells of each kind of terrain, in the order of placement."""
         return {
             Cell.BUILDING: self.buildings,
             Cell.TREE: self.trees,
@@ -283,7 +282,7 @@ OVER_CITIES: dict[str, Any] = {
     "impassable": frozenset({Cell.OBSTACLE}),
     "efficiency_needs_all": True,
 }
-"""Costs of flying over a city, drawn or real, and its rule of the score."""
+"""Battery costs and score rule of all cities, random or real."""
 
 
 def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
@@ -300,7 +299,7 @@ def _task(
     rewards: tuple[float, float],
     **numbers: Any,
 ) -> TaskConfig:
-    """A task on drawn maps: its numbers of buildings, trees and obstacles, and its rewards of a delivery and else."""
+    """A task on random maps. `terrain` is (buildings, trees, obstacles), `rewards` is (delivery, other events)."""
     buildings, trees, obstacles = terrain
     standard: dict[str, Any] = {"id": f"{short_name}_delivery", "battery_capacity": steps, "family": "standard"}
     return TaskConfig(
@@ -319,14 +318,14 @@ def _task(
 
 
 def _skyline(level: str, *numbers: Any, **others: Any) -> TaskConfig:
-    """A city of streets and blocks, whose battery does not last for the tour."""
+    """A city of streets and blocks. The battery is too small for the whole tour."""
     name = f"skyline_{level}"
     city: dict[str, Any] = {"id": name, "street_spacing": 4, "version": 2, "family": "skyline", **OVER_CITIES}
     return _task(name, *numbers, **city, **others)
 
 
 def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
-    """A task over the terrain of a place, with the costs of skyline.
+    """A task on fixed terrain, with the costs of skyline.
 
     Args:
         terrain: The terrain.
@@ -334,7 +333,7 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
         numbers: `width`, `height`, `deliveries`, `pads`, `max_steps`, `battery_capacity`, `charge_rate`.
 
     Raises:
-        InvalidTaskError: if they do not fit.
+        InvalidTaskError: if the numbers do not fit.
     """
     return TaskConfig(
         id=name,
@@ -384,26 +383,26 @@ TASKS: dict[str, TaskConfig] = {
         ),
     )
 }
-"""Every task in its current version, by its id."""
+"""Every task in its current version, by id."""
 
 
 PACKAGE_TASKS = frozenset(TASKS)
-"""Those of the package itself: their names and versions say all."""
+"""The ids of the tasks in this package; id and version identify their rules."""
 
 FINDERS: list[Callable[[str], TaskConfig | None]] = []
-"""Functions that find further tasks by name, such as the maps that a server stores; called in order."""
+"""Functions that find further tasks by name, such as maps stored by the server; called in order."""
 
 
 def own_rules(*tasks: TaskConfig) -> dict[str, str]:
-    """The digests of the tasks that are not in the package: their names do not identify their rules."""
+    """The digests of tasks that are not in this package, because their names do not identify their rules."""
     return {f"rules of {task.id}": task.digest for task in tasks if task.id not in PACKAGE_TASKS}
 
 
 def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
-    """The task with this id, short name or grader id; a `TaskConfig` is handed back as it is.
+    """The task with this id, short name or grader id; a `TaskConfig` is returned unchanged.
 
     Raises:
-        UnknownNameError: if there is none, or of another version; the message lists the valid names or the version.
+        UnknownNameError: if there is no such task or version; the message lists the valid ones.
     """
     if isinstance(name, TaskConfig):
         task = name

@@ -1,4 +1,4 @@
-"""An episode as text, for terminals and for language models."""
+"""An episode as text, for terminals and language models."""
 
 from collections.abc import Sequence
 
@@ -11,15 +11,15 @@ WAY = "• "
 
 
 def draw_text(episode: Episode) -> str:
-    """The episode as lines of text: the grid, how the flight stands, and what happened last.
+    """The episode as lines of text: the grid, a status line, the last message.
 
     Args:
-        episode: A started episode; it is left as it is.
+        episode: A started episode; it is not changed.
 
     Returns:
-        `height` lines of the grid, in which each cell takes two terminal columns, row 0 first; then one line with the
-        task, the map's seed, steps, battery (units), deliveries and the score x 100; then the message. The current
-        target shows as 🎯, other parcels as their kind. There are no colour codes and no newline at the end.
+        `height` lines of the grid, row 0 first, two terminal columns per cell; then one line with task, seed, steps,
+        battery units, deliveries and score x 100; then the message. The current target is 🎯. There are no colour
+        codes and no newline at the end.
 
     Raises:
         EpisodeError: before the first reset.
@@ -41,12 +41,12 @@ def draw_text(episode: Episode) -> str:
 
 
 def draw_tour(episode: Episode, path: Sequence[tuple[int, int]], stops: Sequence[tuple[int, int]]) -> str:
-    """The same grid with a flight drawn over it.
+    """The grid with a flight drawn over it.
 
     Args:
-        episode: A started episode; it is left as it is.
-        path: (x, y) of the cells that the flight passes: roads show as a dot.
-        stops: (x, y) of the parcels in the order of their delivery: they show as their number, from 1.
+        episode: A started episode; it is not changed.
+        path: (x, y) of the cells of the flight; roads among them become dots.
+        stops: (x, y) of the parcels in the order of delivery; they become numbers from 1.
 
     Raises:
         EpisodeError: before the first reset.

@@ -6,9 +6,9 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
@@ -17,44 +17,34 @@ from drone_env.envs.forms import observation_space
 from drone_env.envs.registry import check_gym_id
 from drone_env.envs.rendering import FPS, draw_picture
 from drone_env.errors import InvalidValueError
-from drone_env.installer import how_to_install
 from drone_env.reward_file import chosen_profile
-
-KEYS = {
-    Action.UP: (0x40000052, ord("w")),
-    Action.DOWN: (0x40000051, ord("s")),
-    Action.LEFT: (0x40000050, ord("a")),
-    Action.RIGHT: (0x4000004F, ord("d")),
-    Action.WAIT: (ord(" "), ord(".")),
-}
-"""Codes of the keys of each action, as SDL numbers them (`SDL_keycode.h`): arrows and letters."""
 
 
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     """Deliver parcels on a generated city grid.
 
-    Observation: `{"grid": uint8[H, W], "telemetry": float32[5]}`; cell ids are those of `core.cells.Cell`, the
-    telemetry is drone x/width, y/height, battery, target x/width, y/height. Where the battery does not show the share
-    of steps left, that follows (float32[6]), and where there are pads, the kind of the cell below the drone, one value
-    for each of `core.tasks.TERRAIN` (float32[13]). Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT. All endings are part
-    of the task and so `terminated`; nothing here truncates.
+    Observations are `{"grid": uint8[H, W], "telemetry": float32[5]}`. Cell ids are those of `core.cells.Cell`. The
+    telemetry is drone x/width, y/height, battery, target x/width, y/height. A sixth value is the fraction of steps
+    left, if the battery does not show it. With pads, seven more values are the one-hot kind of the cell below the
+    drone, in the order of `core.tasks.TERRAIN`. Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT. Every ending is part
+    of the task and sets `terminated`; `truncated` is always False.
 
-    `info` holds `seed` (the number of the map), `score` (graded, provisional until the end), `action_mask` (int8[5],
-    advice) and `event`; at the end also `outcome`. `gymnasium.make` adds the optimum (`wrappers.WithOptimum`).
+    `info` contains `seed` (number of the map), `score` (graded, provisional until the end), `action_mask` (int8[5],
+    not enforced) and `event`; at the end also `outcome`. `gymnasium.make` adds the optimum (`wrappers.WithOptimum`).
 
     Args:
         task: A task or its name.
-        version: The task's version, None for the current one.
-        reward_profile: A reward profile, its name, or that of a TOML file with one (.toml).
-        render_mode: `ansi` (text), `rgb_array` (a picture, uint8[h, w, 3]), `human` (a window) or None.
-        gym_id: The id that the environment is made under: it must be the task's own.
+        version: The task's version; None for the current one.
+        reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
+        render_mode: `ansi` (a string), `rgb_array` (uint8[h, w, 3]) or None.
+        gym_id: The Gymnasium id that made the environment, which must be the task's own.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if the render mode does not exist, or the id is another task's.
+        InvalidValueError: if the render mode does not exist, or the id belongs to another task.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array", "human"], "render_fps": FPS}
+    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array"], "render_fps": FPS}
 
     def __init__(
         self,
@@ -73,16 +63,15 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         self.episode = Episode(self.task, chosen_profile(reward_profile))
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
-        self._clock: Any = None
 
     def reset(
         self, *, seed: SupportsIndex | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start map `seed`; without one, the map after the last one on the walk of `core.seeds.next_seed`.
+        """Start an episode on map `seed`. Without a seed, use the next map of `core.seeds.next_seed`.
 
         Args:
-            seed: In [0, 2^53). The very first reset without a seed draws a train map at random.
-            options: May hold `reward_profile`, which then holds for this and the following episodes.
+            seed: In [0, 2^53). If the first reset has no seed, it draws a train map at random.
+            options: May contain `reward_profile`, which then applies to this and all later episodes.
 
         Raises:
             InvalidValueError: if the seed is out of range or an option does not exist.
@@ -95,8 +84,6 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             raise InvalidValueError(f"unknown reset options {list(options)}; allowed: reward_profile")
         self.episode.reset(seed, reward_profile=profile)
         super().reset(seed=None if seed is None else self.episode.seed)
-        if self.render_mode == "human":
-            self.render()
         return self.episode.observation(), self._info()
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -107,65 +94,28 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             InvalidValueError: if the action is not an integer from 0 to 4.
         """
         if not self.episode.started or self.episode.ended:
-            raise ResetNeeded("the episode has not begun or has ended: call reset() before step()")
+            raise ResetNeeded("the episode has not started or has ended: call reset() before step()")
         reward = self.episode.step(action)
-        if self.render_mode == "human":
-            self.render()
         return self.episode.observation(), reward, self.episode.ended, False, self._info()
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """bool[5]: the mask in the form that MaskablePPO asks for."""
+        """The action mask as bool[5], for `MaskablePPO`."""
         return self.episode.action_mask().astype(np.bool_)
 
-    def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
-        """Which keys fly which action, as `gymnasium.utils.play` asks: arrows or w a s d; space or . waits."""
-        return {(key,): int(action) for action, keys in KEYS.items() for key in keys}
-
     def render(self) -> Any:
-        """The episode as text or picture, according to `render_mode`; None for `human`, which shows it in a window.
+        """The episode as a string (`ansi`) or as a picture, uint8[h, w, 3] (`rgb_array`); None without a render mode.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
-            gymnasium.error.DependencyNotInstalled: if `human` is asked for and pygame is missing.
         """
         if self.render_mode is None:
-            gymnasium.logger.warn(
-                "render() was called without a render mode; pass one to make(), such as render_mode='rgb_array'"
-            )
+            gymnasium.logger.warn("render() needs a render mode: pass render_mode='rgb_array' or 'ansi' to make()")
             return None
         if not self.episode.started:
-            raise ResetNeeded("there is nothing to show yet: call reset() before render()")
+            raise ResetNeeded("no episode to render: call reset() before render()")
         if self.render_mode == "ansi":
             return draw_text(self.episode)
-        picture = draw_picture(self.episode)
-        if self.render_mode == "rgb_array":
-            return picture
-        self._show(picture)
-        return None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._clock is not None:
-            import pygame
-
-            pygame.display.quit()
-            self._clock = None
-
-    def _show(self, picture: npt.NDArray[np.uint8]) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise DependencyNotInstalled(f"pygame is not installed; {how_to_install('human')}") from error
-        size = picture.shape[1], picture.shape[0]
-        if self._clock is None:
-            pygame.display.init()
-            pygame.display.set_caption("Drone delivery")
-            self._clock = pygame.time.Clock()
-        screen = pygame.display.get_surface() or pygame.display.set_mode(size)
-        screen.blit(pygame.image.frombuffer(picture.tobytes(), size, "RGB"), (0, 0))
-        pygame.display.flip()
-        pygame.event.pump()
-        self._clock.tick(self.metadata["render_fps"])
+        return draw_picture(self.episode)
 
     def _info(self) -> dict[str, Any]:
         episode = self.episode

@@ -1,6 +1,6 @@
-"""The figures of maps, as small pictures of one cell, and the shapes that all pictures share.
+"""The figures of maps, as sprites of one cell, and shapes for all pictures.
 
-`tools/draw_figures.py` draws the figures as sprites from the sheet `figures.svg`, from which the page draws too.
+`tools/draw_figures.py` makes the sprites from `figures.svg`, which the page also uses.
 """
 
 import math
@@ -22,21 +22,21 @@ def around(at: Point, across: float, down: float = 0.0) -> tuple[float, float, f
 
 
 def variety(x: int, y: int) -> int:
-    """A number that differs from cell to cell, by which things of one kind look different."""
+    """A pseudo-random number per cell, which varies the figures of one kind."""
     return crc32(bytes((x % 256, y % 256))) >> 8
 
 
-def stroke(pen: ImageDraw.ImageDraw, points: Sequence[Point], width: float, colour: str | int) -> None:
-    """A line with round ends and joints."""
+def stroke(pen: ImageDraw.ImageDraw, points: Sequence[Point], width: float) -> None:
+    """Draw a white line with round ends and joints on a mask."""
     wide = max(1, round(width))
-    pen.line(points, fill=colour, width=wide)
+    pen.line(points, fill=255, width=wide)
     for at in points:
-        pen.ellipse(around(at, (wide - 1) / 2), fill=colour)
+        pen.ellipse(around(at, (wide - 1) / 2), fill=255)
 
 
 @lru_cache(maxsize=256)
 def draw_figure(name: str, cell: int) -> Image.Image:
-    """A figure for cells of a size, with a margin of 0.4 cells for its shadow. Shared: do not draw on it."""
+    """A figure for cells of this size, with a margin of 0.4 cells for its shadow. Cached: do not draw on it."""
     side = cell + 2 * math.ceil(0.4 * cell)
     with Image.open(ART / f"{name}.png") as sprite:
         return sprite.convert("RGBA").resize((side, side), Image.Resampling.BOX)

@@ -1,6 +1,6 @@
-"""The space of observations, and the forms that networks take: planes of 0 and 1, or one vector.
+"""The observation space, and observations as one-hot planes or as one vector.
 
-Shapes are those of one drone; axes in front of them, such as that of a batch, stay in front.
+Shapes are those of one drone. Leading axes, such as the batch axis, are preserved.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ KINDS = np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]
 
 
 def observation_space(task: TaskConfig) -> spaces.Dict:
-    """`{"grid": uint8[H, W], "telemetry": float32[telemetry_size]}`: 5, 6 or 13 values, as the task says."""
+    """`{"grid": uint8[H, W], "telemetry": float32[telemetry_size]}`: 5, 6 or 13 values."""
     return spaces.Dict(
         {
             "grid": spaces.Box(0, N_CELL_KINDS - 1, (task.height, task.width), np.uint8),
@@ -35,7 +35,7 @@ def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
 
 
 def to_planes(observation: Shown) -> dict[str, npt.NDArray[Any]]:
-    """The observation with one-hot planes for a grid; the telemetry is handed on uncopied."""
+    """The observation with the grid as one-hot planes; the telemetry is not copied."""
     return {"grid": one_hot(observation["grid"]), "telemetry": observation["telemetry"]}
 
 
@@ -47,24 +47,22 @@ def to_vector(observation: Shown) -> npt.NDArray[np.float32]:
 
 
 def planes_space(space: Any) -> spaces.Dict:
-    """The space of what `to_planes` makes of a drone's observations.
+    """The space of `to_planes(observation)`, from the space of plain observations.
 
     Raises:
-        InvalidValueError: if the space is not that of a drone's observations.
+        InvalidValueError: if `space` is not a space of plain observations.
     """
     parts = dict(cast(Any, space)) if isinstance(space, spaces.Dict) else {}
     if [*parts] != ["grid", "telemetry"] or len(parts["grid"].shape) != 2:
-        raise InvalidValueError(
-            f"this form is one of a drone's observations, a grid of cell ids and its telemetry; got {space}"
-        )
+        raise InvalidValueError(f"the observation must be a grid of cell ids and its telemetry, got the space {space}")
     shape = (N_CELL_KINDS, *parts["grid"].shape)
     return spaces.Dict({"grid": spaces.Box(0, 1, shape, np.uint8), "telemetry": parts["telemetry"]})
 
 
 def vector_space(space: Any) -> spaces.Box:
-    """The space of what `to_vector` makes of a drone's observations.
+    """The space of `to_vector(observation)`, from the space of plain observations.
 
     Raises:
-        InvalidValueError: if the space is not that of a drone's observations.
+        InvalidValueError: if `space` is not a space of plain observations.
     """
     return cast(spaces.Box, spaces.flatten_space(planes_space(space)))

@@ -1,15 +1,14 @@
-"""Registration of tasks, under their Gymnasium ids too, and of reward profiles from outside the package.
+"""Registration of your own tasks and reward profiles.
 
-A module registers its own when it is imported:
+A module registers them when it is imported:
 
     courier = replace(get_task("easy"), id="courier", short_name="courier", grader="drone_env.graders:grade_courier")
     register_task(replace(courier, deliveries=2))
     register_reward_profile(RewardProfile("parcels", "a parcel pays", events=((Event.DELIVERY, Decimal(1)),)))
     register_agent("mine", MyAgent)
 
-`gymnasium.make("my_module:DroneDelivery-Courier-v1")` imports `my_module` first; the command line and the server import
-what `DRONE_ENV_PLUGINS` names, and so do the nodes of a cluster. A name that ends in .toml is the file of a city, whose
-task is registered.
+`gymnasium.make("my_module:DroneDelivery-Courier-v1")` imports `my_module` first. The command line, the server and the
+nodes of a cluster import the modules in `DRONE_ENV_PLUGINS`. A name there that ends in .toml registers a city file.
 """
 
 import os
@@ -28,12 +27,12 @@ PLUGINS = "DRONE_ENV_PLUGINS"
 
 
 def register_envs() -> None:
-    """Register each task and version with Gymnasium that is not registered yet, such as `DroneDelivery-Easy-v1`."""
+    """Register all tasks with Gymnasium, such as `DroneDelivery-Easy-v1`."""
     for task in TASKS.values():
         if task.gym_id not in gymnasium.registry:
             gymnasium.register(
                 id=task.gym_id,
-                # A function, not `additional_wrappers`: those cannot be combined with a vector_entry_point.
+                # Not `additional_wrappers`, because Gymnasium does not allow them with a vector_entry_point.
                 entry_point="drone_env.envs.wrappers:make",
                 vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
                 kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
@@ -41,24 +40,24 @@ def register_envs() -> None:
 
 
 def check_gym_id(gym_id: str | None, task: TaskConfig) -> None:
-    """See that an environment made under a Gymnasium id flies the task of that id.
+    """Check that the task of an environment matches its Gymnasium id.
 
     Raises:
-        InvalidValueError: if it is another task's.
+        InvalidValueError: if the id belongs to another task.
     """
     if gym_id not in (None, task.gym_id):
-        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or leave the task out")
+        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or omit the task")
 
 
 def register_task(task: TaskConfig) -> TaskConfig:
-    """Make a task known by its names everywhere: command line, evaluation, Gymnasium, graders; the task is handed back.
+    """Register a task for command line, evaluation, Gymnasium and graders, and return it.
 
-    Registering an equal task again changes nothing.
+    Registering an equal task again has no effect.
 
     Raises:
-        InvalidTaskError: if its id, short name or grader is that of another task.
+        InvalidTaskError: if another task has the same id, short name or grader.
     """
-    from drone_env.graders import GRADERS, make_grader  # loads Pydantic, which the package's face does without
+    from drone_env.graders import GRADERS, make_grader  # imported lazily: loads Pydantic
 
     check_names(task)
     TASKS[task.id] = task
@@ -68,10 +67,10 @@ def register_task(task: TaskConfig) -> TaskConfig:
 
 
 def check_names(task: TaskConfig) -> None:
-    """See that no other task has one of the names of a task.
+    """Check that no other task has one of the names of a task.
 
     Raises:
-        InvalidTaskError: if one has.
+        InvalidTaskError: if another task has one of them.
     """
     names = {task.id, task.short_name, task.grader}
     for other in TASKS.values():
@@ -81,13 +80,13 @@ def check_names(task: TaskConfig) -> None:
 
 
 def register_city(path: str | Path) -> TaskConfig:
-    """Register the task of a city's file, here and, by `DRONE_ENV_PLUGINS`, in the processes that this one starts.
+    """Register the task of a city file, here and, with `DRONE_ENV_PLUGINS`, in the processes that this one starts.
 
     Raises:
         OSError: if the file cannot be read.
-        InvalidTaskError: if it is no city that can be a task, or its name is that of another task.
+        InvalidTaskError: if the file does not define a task, or another task has its name.
     """
-    from drone_env.city.city_file import city_task  # which few need
+    from drone_env.city.city_file import city_task  # imported lazily: rarely needed
 
     task = register_task(city_task(path))
     named, absolute = plugin_names(), str(Path(path).resolve())
@@ -97,7 +96,7 @@ def register_city(path: str | Path) -> TaskConfig:
 
 
 def task_argument(task: TaskConfig) -> str:
-    """The name of a task on the command line: its short name, or the file of a city if that is known."""
+    """The name of a task on the command line: its city file if it was registered from one, else its short name."""
     for file in map(Path, plugin_names()):
         if task.terrain is not None and file.suffix == ".toml" and file.stem == task.id:
             return str(file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file)
@@ -105,38 +104,38 @@ def task_argument(task: TaskConfig) -> str:
 
 
 def register_reward_profile(profile: RewardProfile) -> RewardProfile:
-    """Make a reward profile known by its name everywhere; the profile is handed back.
+    """Register a reward profile under its id, and return it.
 
-    Registering an equal profile again changes nothing.
+    Registering an equal profile again has no effect.
 
     Raises:
-        InvalidTaskError: if its id is that of another profile.
+        InvalidTaskError: if another profile has this id.
     """
     if REWARD_PROFILES.get(profile.id, profile) != profile:
-        raise InvalidTaskError(f"reward profile {profile.id!r}: there is another one of this name")
+        raise InvalidTaskError(f"reward profile {profile.id!r}: another profile has this id")
     REWARD_PROFILES[profile.id] = profile
     return profile
 
 
 def plugin_names() -> tuple[str, ...]:
-    """The modules and cities that `DRONE_ENV_PLUGINS` names, comma-separated."""
+    """The comma-separated modules and city files in `DRONE_ENV_PLUGINS`."""
     return tuple(filter(None, map(str.strip, os.environ.get(PLUGINS, "").split(","))))
 
 
 def register_reward_file(path: str) -> RewardProfile:
-    """Make the reward profile in a TOML file known by its id.
+    """Register the reward profile of a TOML file.
 
     Raises:
         OSError: if the file cannot be read.
-        InvalidTaskError: if it is no reward profile, or its id is that of another one.
+        InvalidTaskError: if the file does not define a reward profile, or another profile has its id.
     """
-    from drone_env.reward_file import load_reward_profile  # which few need
+    from drone_env.reward_file import load_reward_profile  # imported lazily: rarely needed
 
     return register_reward_profile(load_reward_profile(path))
 
 
 def load_plugins(names: Iterable[str] | None = None) -> list[ModuleType]:
-    """Import these modules, or those that `DRONE_ENV_PLUGINS` names; a name that ends in .toml registers its city.
+    """Import these modules, or those in `DRONE_ENV_PLUGINS`. A name that ends in .toml registers a city file.
 
     Raises:
         InvalidValueError: if there is no such module.
@@ -144,12 +143,12 @@ def load_plugins(names: Iterable[str] | None = None) -> list[ModuleType]:
     modules: list[ModuleType] = []
     for name in plugin_names() if names is None else names:
         if name.endswith(".toml"):
-            from drone_env.city.city_file import city_task  # which few need
+            from drone_env.city.city_file import city_task  # imported lazily: rarely needed
 
             register_task(city_task(name))
             continue
         try:
             modules.append(import_module(name))
-        except (ModuleNotFoundError, TypeError) as error:  # a TypeError for a name that begins with a dot
+        except (ModuleNotFoundError, TypeError) as error:  # TypeError: the name starts with a dot
             raise InvalidValueError(f"{PLUGINS} takes modules and files that end in .toml: {error}") from None
     return modules

@@ -5,10 +5,8 @@ import math
 import textwrap
 from collections.abc import Collection, Sequence
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +22,9 @@ from drone_env.envs.figures import Point, around, draw_figure, stroke, variety
 from drone_env.errors import InvalidValueError
 
 _COLOURS = """
-backdrop #DCE6E6, shadow #33474E, card #FDFCF8, rail #E7EBE5, tint #F1F4EE, ink #24343B, muted #78878B, white #FFFFFF,
-good #55A27A, fair #E3A94B, low #DB6058, flight #6C83C6, trail #4C63B6, target #E0525F, lawn #CFDEBB, shrub #B4CB9E,
-kerb #DDD8C6, street #F7F4EA, marking #DCD5C2
+backdrop #DCE6E6, card #FDFCF8, rail #E7EBE5, tint #F1F4EE, ink #24343B, muted #78878B, white #FFFFFF,
+good #55A27A, fair #E3A94B, low #DB6058, flight #6C83C6, trail #4C63B6, target #E0525F, lawn #CFDEBB, kerb #DDD8C6,
+street #F7F4EA
 """
 PALETTE = {pair.split()[0]: pair.split()[1] for pair in _COLOURS.split(",")}
 STATUS = {
@@ -36,17 +34,17 @@ STATUS = {
     Outcome.OUT_OF_STEPS: ("Out of steps", "fair"),
 }
 BLOCKS = {"building5": Cell.BUILDING, "tree1": Cell.TREE, "obstacle": Cell.OBSTACLE}
-"""Figures whose place in the legend is one cell of ground, if the map is drawn by blocks."""
-MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, and steps: more would make for slow pictures
+"""Figures that the legend replaces by one cell of ground if the map is drawn by blocks."""
+MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, steps: they limit the cost of a picture
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
-FPS = 8  # pictures of a flight per second
-PANEL, TEXT = 46, 38  # widths of the panel and of the text in it, in hundredths of the picture's height
-CARD = 1200, 630  # pixels: what is shown beside a link
-ROOM = 0.24  # share of a card's width that is kept for words
+FPS = 8  # steps of a film per second
+PANEL, TEXT = 46, 38  # widths of the panel and of its text, in hundredths of the picture's height
+CARD = 1200, 630  # pixels of a link preview
+ROOM = 0.24  # fraction of a card's width for the text
 
 
 class Layout(NamedTuple):
-    """Where things are, in pixels: side of a cell, left and top of the grid, its rim, width of the city part."""
+    """Positions in pixels: picture height, side of a cell, left and top of the grid, rim, width of the city part."""
 
     size: int
     cell: int
@@ -60,20 +58,20 @@ class Layout(NamedTuple):
         return self.left + (x + 0.5) * self.cell, self.top + (y + 0.5) * self.cell
 
     def panel(self, x: float, y: float) -> Point:
-        """A point of the panel, given in hundredths of `size` from the left of its text and the top of the picture."""
+        """A point of the panel, in hundredths of `size` from the left of its text and the top of the picture."""
         return self.city + (x + 2.5) * self.size / 100, y * self.size / 100
 
     def draw_figure(self, share: float = 1.0) -> int:
-        """Side of what has to stay visible on large grids and within the board on small ones."""
+        """Side of a figure that must stay visible on large grids and fit on small ones."""
         return round(min(max(share * self.cell, self.size / 28), self.size / 6))
 
 
 def draw_picture(episode: Episode, size: int = 720) -> npt.NDArray[np.uint8]:
-    """The episode as a picture; equal episodes give equal pictures. The trail shows the last 400 steps.
+    """The episode as a picture. Equal episodes give equal pictures. The trail shows the last 400 steps.
 
     Args:
-        episode: A started episode; it is left as it is.
-        size: Height of the picture in pixels, 64 to 4096. The width follows from it and from the shape of the grid.
+        episode: A started episode; it is not changed.
+        size: Height of the picture in pixels, 64 to 4096. The width depends on it and on the shape of the grid.
 
     Returns:
         uint8[size, width, 3], RGB, with an even width.
@@ -86,12 +84,12 @@ def draw_picture(episode: Episode, size: int = 720) -> npt.NDArray[np.uint8]:
 
 
 def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
-    """Write the picture of `draw_picture` to a file, in the format that its suffix names; folders are created.
+    """Write the picture of `draw_picture` to a file in the format of its suffix. Missing folders are created.
 
     Raises:
         EpisodeError: before the first reset.
         InvalidValueError: if the size is not 64 to 4096 pixels.
-        ValueError: if the suffix names no image format.
+        ValueError: if the suffix is not an image format.
         OSError: if the file cannot be written.
     """
     picture = _picture(episode, size)
@@ -100,18 +98,18 @@ def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
 
 
 def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
-    """The picture of an episode with words on its left, 1200 by 630 pixels, as a PNG.
+    """A link preview: the picture of an episode with text on its left, 1200 by 630 pixels, as a PNG.
 
     Args:
-        episode: A started episode; it is left as it is.
-        lines: The words from above, one line each, and whether they stand out; there is room for twelve.
+        episode: A started episode; it is not changed.
+        lines: At most twelve lines of text, and whether each is emphasised.
 
     Raises:
         EpisodeError: before the first reset.
     """
     card, room = Image.new("RGB", CARD, PALETTE["backdrop"]), round(ROOM * CARD[0])
     picture = _picture(episode, CARD[1])
-    picture.thumbnail((CARD[0] - room, CARD[1]))  # wide maps are made smaller
+    picture.thumbnail((CARD[0] - room, CARD[1]))  # shrinks wide maps
     card.paste(picture, (CARD[0] - picture.width, (CARD[1] - picture.height) // 2))
     pen, left, y = ImageDraw.Draw(card), 0.05 * CARD[1], 0.13 * CARD[1]
     _write(pen, (left, y), "Drone Delivery", 26, "muted", width=room - left)
@@ -125,7 +123,8 @@ def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
 
 
 def _picture(episode: Episode, size: int) -> Image.Image:
-    _checked(size)
+    if not MIN_SIZE <= size <= MAX_SIZE:
+        raise InvalidValueError(f"size must be {MIN_SIZE} to {MAX_SIZE} pixels, got {size!r}")
     layout = _layout(episode.task, size)
     picture = _city(episode.task, episode.task.attribution, episode.seed, size).copy()
     _draw_lines(picture, layout, episode)
@@ -138,25 +137,15 @@ def _picture(episode: Episode, size: int) -> Image.Image:
     return picture
 
 
-def _checked(size: int) -> int:
-    if not MIN_SIZE <= size <= MAX_SIZE:
-        raise InvalidValueError(f"size must be {MIN_SIZE} to {MAX_SIZE} pixels, got {size!r}")
-    return size
-
-
 def _layout(task: TaskConfig, size: int) -> Layout:
-    return _layout_of(task.width, task.height, size)
-
-
-def _layout_of(columns: int, rows: int, size: int) -> Layout:
-    margin = round(size * 0.045)
+    columns, rows, margin = task.width, task.height, round(size * 0.045)
     cell = max(1, min((size - 2 * margin) // rows, (2 * size - 2 * margin) // columns))
     return Layout(size, cell, margin, (size - rows * cell) // 2, size // 90, columns * cell + 2 * margin)
 
 
-@lru_cache(maxsize=16)  # as many as fly side by side in a film
+@lru_cache(maxsize=16)
 def _city(task: TaskConfig, attribution: str, seed: int, size: int) -> Image.Image:
-    """The picture of a map, all but what moves. Shared: draw on a copy. Equal tasks may name other attributions."""
+    """The static part of a picture. Cached: draw on a copy. Equal tasks may have different attributions."""
     city, layout = generate_city_map(task, seed), _layout(task, size)
     width = layout.city + round(size * PANEL / 100)
     picture = Image.new("RGB", (width + width % 2, size), PALETTE["backdrop"])
@@ -168,7 +157,7 @@ def _city(task: TaskConfig, attribution: str, seed: int, size: int) -> Image.Ima
 
 
 def _lay_attribution(picture: Image.Image, layout: Layout, rows: int, words: str) -> None:
-    """Whose data a city is, right below it: all pictures have room there."""
+    """Write the attribution of a city's data below the map."""
     if words:
         left, bottom = layout.left, layout.top + rows * layout.cell + 1.4 * layout.rim
         height = min(layout.size / 44, layout.size - bottom)
@@ -178,13 +167,13 @@ def _lay_attribution(picture: Image.Image, layout: Layout, rows: int, words: str
 def _lay_map(
     picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell], joined: bool
 ) -> None:
-    """The ground, its figures, and numbers at the edges."""
+    """Draw the ground, its figures, and the numbers of columns and rows."""
     fine = 3 if layout.size <= 1000 else 2
     unit, base = layout.cell * fine, layout.rim * fine
     ground = draw_blocks(grid, unit, base, fine) if joined else _draw_streets(grid, unit, base)
     ground = ground.reduce(fine)
     at, radius = (layout.left - layout.rim, layout.top - layout.rim), 2.2 * layout.rim
-    _lay(picture, (*at, at[0] + ground.width, at[1] + ground.height), ground, radius, lifted=True)
+    _lay(picture, (*at, at[0] + ground.width, at[1] + ground.height), ground, radius)
     rows, columns = grid.shape
     pen, height = ImageDraw.Draw(picture), layout.size / 60
     every = next(step for step in (1, 2, 4, 8, 16, 32) if step == 32 or layout.cell * step >= 2.1 * height)
@@ -204,40 +193,30 @@ def _lay_map(
 
 
 def _draw_streets(grid: npt.NDArray[np.uint8], unit: int, base: int) -> Image.Image:
-    """Lawns, and streets that join all cells on which neither a building nor a tree stands."""
+    """Draw lawns, and streets through all cells without building or tree."""
     rows, columns = grid.shape
     wide, high = columns * unit + 2 * base, rows * unit + 2 * base
-    ground = Image.new("RGB", (wide, high), PALETTE["lawn"])
-    streets, marks = Image.new("L", (wide, high)), Image.new("L", (wide, high))
-    pen, street_pen, mark_pen = ImageDraw.Draw(ground), ImageDraw.Draw(streets), ImageDraw.Draw(marks)
-    for x, y in np.ndindex(columns - 1, rows - 1):
-        some, corner = crc32(bytes((y % 256, x % 256))), (base + (x + 1) * unit, base + (y + 1) * unit)
-        for i in range(some // 8 % 4):
-            angle = some % 628 / 100 + 2.4 * i
-            at = corner[0] + 0.13 * unit * math.cos(angle), corner[1] + 0.13 * unit * math.sin(angle)
-            pen.ellipse(around(at, unit * (0.04 + 0.015 * i)), fill=PALETTE["shrub"])
+    ground, streets = Image.new("RGB", (wide, high), PALETTE["lawn"]), Image.new("L", (wide, high))
+    pen = ImageDraw.Draw(streets)
     paved = np.pad(~np.isin(grid, (Cell.BUILDING, Cell.TREE)), (0, 1))
     for y, x in np.argwhere(paved).tolist():
         for dx, dy in ((0, 0), (1, 0), (0, 1)):
             if paved[y + dy, x + dx]:
                 at = base + (x + 0.5 + dx / 2) * unit, base + (y + 0.5 + dy / 2) * unit
-                street_pen.rectangle(around(at, (0.225 + dx / 2) * unit, (0.225 + dy / 2) * unit), fill=255)
-                if dx or dy:
-                    mark_pen.rectangle(around(at, (0.016 + 0.09 * dx) * unit, (0.016 + 0.09 * dy) * unit), fill=255)
-    # Cutting the blurred streets at one level rounds their corners, at a lower one it widens them by the kerb.
+                pen.rectangle(around(at, (0.225 + dx / 2) * unit, (0.225 + dy / 2) * unit), fill=255)
+    # A threshold of the blurred streets rounds their corners; a lower one adds the kerb.
     soft = streets.filter(ImageFilter.GaussianBlur(unit * 0.09))
     ground.paste(PALETTE["kerb"], mask=soft.point([255 * (level > 70) for level in range(256)]))
     ground.paste(PALETTE["street"], mask=soft.point([255 * (level > 120) for level in range(256)]))
-    ground.paste(PALETTE["marking"], mask=marks)
     return ground
 
 
 def _lay_panel(picture: Image.Image, layout: Layout, task: TaskConfig, seed: int) -> None:
-    """The constant part of the panel: task, map, names of gauges and a legend."""
+    """Draw the static part of the panel: task, map, names of the gauges, legend."""
     u, rim, pen = layout.size / 100, layout.rim, ImageDraw.Draw(picture)
     top = min(layout.top, layout.left + rim) - rim
     box = layout.city - rim, top, layout.city + PANEL * u - layout.left + rim, layout.size - top
-    _lay(picture, box, "card", 2.2 * rim, lifted=True)
+    _lay(picture, box, "card", 2.2 * rim)
     _write(pen, layout.panel(0, 11), task.id.replace("_", " ").capitalize(), 4.8 * u, "ink", width=TEXT * u, bold=True)
     _write(pen, layout.panel(0, 15.2), f"map {seed}", 2.4 * u, "muted", width=TEXT * u)
     for y, name in ((22.8, "Score x 100"), (37.5, "Battery"), (47.5, "Steps"), (56.5, "Delivered")):
@@ -258,42 +237,26 @@ def _lay_panel(picture: Image.Image, layout: Layout, task: TaskConfig, seed: int
 
 
 def _draw_lines(picture: Image.Image, layout: Layout, episode: Episode) -> None:
-    """The trail, fading with age, and a dashed line from the drone to its target."""
+    """Draw the trail, and a dashed line from the drone to its target."""
     fine = 3 if layout.size <= 1000 else 2
-    casing, trail, dashes = (Image.new("L", (layout.city * fine, layout.size * fine)) for _ in range(3))
     width = max(2.0, min(0.14 * layout.cell, layout.size / 80)) * fine
+    trail, dashes = (Image.new("L", (layout.city * fine, layout.size * fine)) for _ in range(2))
+    start = generate_city_map(episode.task, episode.seed).start
+    cells = [start, *((step.x, step.y) for step in episode.path)][-MAX_TRAIL - 1 :]
+    stroke(ImageDraw.Draw(trail), [(fine * x, fine * y) for x, y in (layout.centre(*cell) for cell in cells)], width)
     if episode.target is not None:
         (x, y), to = layout.centre(*episode.position), layout.centre(*episode.target)
-        pace = 3.2 * width / (fine * math.dist((x, y), to))
-        for i in range(1, int(1 / pace)):
-            dash = [(fine * (x + (to[0] - x) * t), fine * (y + (to[1] - y) * t)) for t in (pace * i, pace * (i + 0.45))]
-            stroke(ImageDraw.Draw(casing), dash, 1.3 * width, 190)
-            stroke(ImageDraw.Draw(dashes), dash, 0.7 * width, 235)
-    ways = [(fine * x, fine * y) for x, y in _way(layout, episode)]
-    for mask, wide, strong in ((casing, 1.9 * width, 210), (trail, width, 255)):
-        pen = ImageDraw.Draw(mask)
-        for i, side in enumerate(pairwise(ways)):
-            stroke(pen, side, wide, round(strong * (0.3 + 0.7 * (i + 1) / len(ways))))
-    for mask, name in ((casing, "white"), (dashes, "target"), (trail, "trail")):
+        spacing = 3.2 * width / (fine * math.dist((x, y), to))
+        for i in range(1, int(1 / spacing)):
+            ends = (spacing * i, spacing * (i + 0.45))
+            dash = [(fine * (x + (to[0] - x) * t), fine * (y + (to[1] - y) * t)) for t in ends]
+            stroke(ImageDraw.Draw(dashes), dash, 0.7 * width)
+    for mask, name in ((dashes, "target"), (trail, "trail")):
         picture.paste(PALETTE[name], (0, 0, layout.city, layout.size), mask.reduce(fine))
 
 
-def _way(layout: Layout, episode: Episode) -> list[Point]:
-    """The flown way from the start on, with its corners cut off (Chaikin's curve)."""
-    flown = [generate_city_map(episode.task, episode.seed).start, *((step.x, step.y) for step in episode.path)]
-    points: list[Point] = []
-    for at in (layout.centre(x, y) for x, y in flown[-MAX_TRAIL - 1 :]):
-        if points[-1:] != [at]:
-            points += [points[-1], at] if points[-2:-1] == [at] else [at]  # a doubled turning point keeps its tip
-    for _ in range(2 + (layout.cell > 48)):
-        sides = [(*a, *b) for a, b in pairwise(points)]
-        cut = [(x + (to_x - x) * t, y + (to_y - y) * t) for x, y, to_x, to_y in sides for t in (0.25, 0.75)]
-        points = [*points[:1], *cut, *points[-1:]]
-    return points
-
-
 def _draw_status(picture: Image.Image, layout: Layout, episode: Episode) -> None:
-    """The changing part of the panel."""
+    """Draw the changing part of the panel."""
     u, pen, task = layout.size / 100, ImageDraw.Draw(picture), episode.task
     words, colour = STATUS[episode.outcome]
     _lay(picture, (*layout.panel(20.5, 24.6), *layout.panel(TEXT, 29.6)), colour, 2.5 * u)
@@ -320,20 +283,13 @@ def _draw_status(picture: Image.Image, layout: Layout, episode: Episode) -> None
         _write(pen, layout.panel(1, y), line, 2.5 * u, "ink", "lm", (TEXT - 2) * u)
 
 
-def _lay(on: Image.Image, box: Sequence[float], face: Image.Image | str, radius: float, lifted: bool = False) -> None:
-    """Lay a picture or a colour with rounded corners on a picture, if lifted with a soft shadow."""
+def _lay(on: Image.Image, box: Sequence[float], face: Image.Image | str, radius: float) -> None:
+    """Paste a picture or a colour with rounded corners."""
     left, top, right, bottom = map(round, box)
     mask = Image.new("L", (max(2, right - left) * 3, max(2, bottom - top) * 3))
     radius = min(3 * radius, min(mask.size) / 2 - 2)  # Pillow 10 fails on rounder ones
     ImageDraw.Draw(mask).rounded_rectangle((0, 0, mask.width - 1, mask.height - 1), radius, 255)
-    mask = mask.reduce(3)
-    if lifted:
-        reach = max(1, on.height // 90)
-        cast = Image.new("L", on.size)
-        cast.paste(mask, (left, top + reach // 2))
-        cast = cast.filter(ImageFilter.GaussianBlur(reach)).point([level * 2 // 5 for level in range(256)])
-        on.paste(PALETTE["shadow"], mask=cast)
-    on.paste(PALETTE[face] if isinstance(face, str) else face, (left, top), mask)
+    on.paste(PALETTE[face] if isinstance(face, str) else face, (left, top), mask.reduce(3))
 
 
 def _write(
@@ -346,7 +302,7 @@ def _write(
     width: float = math.inf,
     bold: bool = False,
 ) -> None:
-    """Words on one line, made smaller where they are wider than `width` pixels."""
+    """Write one line of text, in a smaller font if it is wider than `width` pixels."""
     size = max(1, round(height))
     while size > 1 and _font(size).getlength(words) > width:
         size -= 1

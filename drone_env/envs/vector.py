@@ -3,58 +3,50 @@
 from collections.abc import Sequence
 from typing import Any, SupportsIndex
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
-from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
-from drone_env.core.tables import STEPS
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.forms import observation_space
 from drone_env.envs.registry import check_gym_id
-from drone_env.envs.rendering import FPS, draw_picture
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.reward_file import chosen_profile
 
 Observations = dict[str, npt.NDArray[Any]]
-SIZE = 360
-"""Height of each picture in pixels: half of that of a single environment, because several are shown together."""
 
 
 class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
-    """`num_envs` drones, each on a map of its own, with Gymnasium's interface of vector environments.
+    """`num_envs` drones, each on its own map.
 
-    Observations: `{"grid": uint8[N, H, W], "telemetry": float32[N, telemetry_size]}`, as of a single one. Actions: N
-    integers from 0 to 4. Rewards: float64[N].
+    Observations are `{"grid": uint8[N, H, W], "telemetry": float32[N, telemetry_size]}`, actions are N integers from 0
+    to 4, rewards are float64[N].
 
-    `info` holds `action_mask` (int8[N, 5]), `seed` (int64[N], the maps) and, where episodes ended, `final_info`: a
-    dictionary of arrays over all N with `score`, `steps`, `deliveries` and `seed`. In `SAME_STEP` mode `final_obs`
-    holds the observations that ended those episodes. Each is masked as Gymnasium does it (`_seed`, ...).
+    `info` contains `action_mask` (int8[N, 5]) and `seed` (int64[N], the maps). When episodes end, it also contains
+    `final_info`, a dictionary of arrays over all N with `score`, `steps`, `deliveries` and `seed`, and in `SAME_STEP`
+    mode `final_obs`, the last observations. Masks follow Gymnasium's convention (`_seed`, ...).
 
     Args:
         num_envs: N, at least 1.
         task: A task or its name.
-        version: The task's version, None for the current one.
-        reward_profile: A reward profile, its name, or that of a TOML file with one (.toml).
-        autoreset_mode: When the next episode begins: with the `NEXT_STEP`, in the `SAME_STEP`, or, where that is
-            `DISABLED`, by a `reset` with a mask. An `AutoresetMode`, its name or its value.
-        num_threads: How many threads share a step.
-        copy: Whether observations, rewards and masks are copies that stay as they are; otherwise they are the live
-            buffers, which the next step overwrites and nobody else can write to.
-        render_mode: `rgb_array`, for which `render` draws every episode, or None.
-        gym_id: The id that the environment is made under: it must be the task's own.
+        version: The task's version; None for the current one.
+        reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
+        autoreset_mode: When the next episode starts: at the `NEXT_STEP`, in the `SAME_STEP`, or, if `DISABLED`, by
+            a `reset` with a mask. An `AutoresetMode`, its name or its value.
+        num_threads: Threads that share a step.
+        copy: If True, observations, rewards and masks are copies. If False, they are read-only views of the live
+            buffers, which the next step overwrites.
+        gym_id: The Gymnasium id that made the environment, which must be the task's own.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if a number, the mode, the render mode or the id is not allowed.
+        InvalidValueError: if a number, the mode or the id is not allowed.
     """
 
     def __init__(
@@ -66,11 +58,8 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         num_threads: SupportsIndex = 1,
         copy: bool = True,
-        render_mode: str | None = None,
         gym_id: str | None = None,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise InvalidValueError(f"unknown render_mode {render_mode!r}; a batch allows: rgb_array")
         modes = [mode for mode in AutoresetMode if autoreset_mode in (mode, mode.value, mode.name)]
         if not modes:
             allowed = ", ".join(AutoresetMode.__members__)
@@ -78,16 +67,11 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         self.autoreset_mode = modes[0]
         self.task = get_task(task, version)
         check_gym_id(gym_id, self.task)
-        self.metadata = {"render_modes": ["rgb_array"], "render_fps": FPS, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = render_mode
+        self.metadata = {"autoreset_mode": self.autoreset_mode}
         self.copy = copy
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
-        self._waits = self.autoreset_mode is AutoresetMode.DISABLED
         self.batch = Batch(self.task, num_envs, chosen_profile(reward_profile), same_step, num_threads)
         self.num_envs = self.batch.num_envs
-        # A batch stores no trails, so the episodes of pictures are also flown in plain Python.
-        drawn = 0 if render_mode is None else self.num_envs
-        self._episodes = [Episode(self.task, self.batch.reward_profile) for _ in range(drawn)]
         self.single_observation_space = observation_space(self.task)
         self.single_action_space = spaces.Discrete(N_ACTIONS)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -95,46 +79,44 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         self._prepare()
 
     def _prepare(self) -> None:
-        """What every step hands out, and nobody is to write to."""
+        """Make the read-only views that steps return."""
         batch = self.batch
         self._truncations = _read_only(np.zeros(self.num_envs, np.bool_))
         self._everyone = _read_only(np.ones(self.num_envs, np.bool_))
         self._live = {"grid": _read_only(batch.grids), "telemetry": _read_only(batch.telemetry)}
-        self._live_outcome = (_read_only(batch.rewards), _read_only(batch.terminated), self._truncations)
+        self._live_results = (_read_only(batch.rewards), _read_only(batch.terminated), self._truncations)
         self._live_masks, self._live_seeds = _read_only(batch.action_masks), _read_only(batch.seeds)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._prepare()  # a copy's views have to show its own batch
+        self._prepare()  # views of the copied batch
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin all episodes, or those that `options["reset_mask"]` names.
+        """Start all episodes, or those that `options["reset_mask"]` selects.
 
         Args:
-            seed: A list of N seeds (None in a place: that episode's own next map), or one seed s for the maps s,
-                s + 1, ..., s + N - 1. None: each episode's own next map; the very first ones follow each other from a
-                train map drawn at random.
-            options: May hold `reset_mask`, bool[N] with at least one True: the other episodes fly on. It is the mask of
-                `info` then (`_seed`, ...), though the values are those of all.
+            seed: A list of N seeds (None for an episode's next map), or one seed s for the maps s, s + 1, ...,
+                s + N - 1. None: each episode's next map. The first maps are consecutive, from a random train map on.
+            options: May contain `reset_mask`, bool[N] with at least one True; other episodes continue. The mask is
+                then also the mask of `info` (`_seed`, ...).
 
         Raises:
-            InvalidValueError: if a seed, a mask or an option is not allowed; nothing is changed.
-            EpisodeError: if a mask leaves out an episode that has never begun.
+            InvalidValueError: if a seed, a mask or an option is not allowed; nothing changes.
+            EpisodeError: if the mask excludes an episode that has never started.
         """
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         if options:
             raise InvalidValueError(f"unknown reset options {list(options)}; allowed: reset_mask")
         if mask is not None:
-            mask = np.array(mask)  # it may be the live `terminated`, which the reset changes
+            mask = np.array(mask)  # a copy: it may be the live `terminated`, which the reset changes
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
                 raise InvalidValueError(f"reset_mask must be bool[{self.num_envs}] with at least one True")
             if not self.batch.started and not mask.all():
-                raise EpisodeError("no episode has begun yet: the first reset() must begin all of them")
+                raise EpisodeError("no episode has started: the first reset() must start all of them")
         self.batch.reset(self._seeds(seed), mask)
-        self._follow([0] * self.num_envs)
         return self._observations(), self._info(self._everyone if mask is None else mask)
 
     def step(
@@ -143,65 +125,33 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         """Fly one action in each episode.
 
         Raises:
-            InvalidValueError: if the actions are not N integers from 0 to 4; nothing is flown.
-            EpisodeError: before the first reset, and in `DISABLED` mode where an episode has ended; nothing is flown.
+            InvalidValueError: if the actions are not N integers from 0 to 4; nothing changes.
+            EpisodeError: before the first reset, and in `DISABLED` mode if an episode has ended; nothing changes.
         """
         batch = self.batch
-        if self._waits and batch.terminated.any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and batch.terminated.any():
             over = np.flatnonzero(batch.terminated)
             raise EpisodeError(
-                f"{len(over)} of the episodes have ended, number {over[0]} among them, and autoreset_mode is DISABLED: "
+                f"{len(over)} episodes have ended (the first is {over[0]}) and autoreset_mode is DISABLED: "
                 'call reset(options={"reset_mask": terminations}) before step()'
             )
-        self.fly(actions)
+        batch.step(actions)
         info = self._info(self._everyone)
         ended = batch.ended
         if len(ended):
             self._add_finals(info, ended)
         if not self.copy:
-            return self._observations(), *self._live_outcome, info
-        outcome = batch.rewards.copy(), batch.terminated.copy(), self._truncations.copy()
-        return self._observations(), *outcome, info
-
-    def fly(self, actions: npt.NDArray[Any]) -> None:
-        """The same without handing anything out: `batch` has what came of it.
-
-        Raises:
-            InvalidValueError, EpisodeError: as `step`.
-        """
-        self.batch.step(actions)
-        self._follow(actions)
-
-    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:  # type: ignore[override]  # it names one environment's
-        """A picture of each episode, uint8[360, width, 3]; None without a render mode.
-
-        Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
-        """
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render mode; make it with render_mode='rgb_array'")
-            return None
-        if not self.batch.started:
-            raise ResetNeeded("there is nothing to show yet: call reset() before render()")
-        return tuple(draw_picture(episode, SIZE) for episode in self._episodes)
-
-    def _follow(self, actions: Any) -> None:
-        """Bring the episodes of the pictures to where the batch is after a reset or a step with these actions."""
-        if self._episodes:
-            seeds, steps = self.batch.seeds.tolist(), self.batch.get_state()["states"][:, STEPS].tolist()
-            for episode, seed, step, action in zip(self._episodes, seeds, steps, actions, strict=True):
-                if step == 0:
-                    episode.reset(seed)
-                elif step > episode.steps:
-                    episode.step(action)
+            return self._observations(), *self._live_results, info
+        results = batch.rewards.copy(), batch.terminated.copy(), self._truncations.copy()
+        return self._observations(), *results, info
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> npt.NDArray[np.int64]:
         if not self.batch.started:
             first = int(np.random.default_rng().integers(SPLITS["train"].stop - self.num_envs))
             following = np.arange(first, first + self.num_envs)
         else:
-            flown: Any = self.batch.seeds  # the walk is plain integer arithmetic, so it takes arrays as well
-            following = np.asarray(next_seed(flown))
+            current: Any = self.batch.seeds  # `next_seed` is integer arithmetic, so it also takes arrays
+            following = np.asarray(next_seed(current))
         if seed is None:
             return following
         given: Any = seed
@@ -211,7 +161,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             return np.arange(start, start + self.num_envs)
         if len(seed) != self.num_envs:
             raise InvalidValueError(f"seed must be one seed or {self.num_envs}, got {len(seed)}")
-        return np.array([own if s is None else check_seed(s) for s, own in zip(seed, following, strict=True)], np.int64)
+        return np.array([n if s is None else check_seed(s) for s, n in zip(seed, following, strict=True)], np.int64)
 
     def _observations(self) -> Observations:
         if not self.copy:
@@ -244,7 +194,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
 
 
 def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A view of an array that cannot be written to."""
+    """A read-only view of an array."""
     view = array.view()
     view.setflags(write=False)
     return view

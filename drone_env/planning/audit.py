@@ -1,8 +1,8 @@
-"""Audit of rewards: the exact return-maximising policy of a map, and the score of that policy.
+"""Audit of rewards: the exact return-maximising policy of a map, and its score.
 
-Dynamic programming backwards over (steps, battery, delivered set, current target, cell), with the compiled `step`
-itself flown from every state, so that no reward is worked out a second time. Among actions with the same return the
-maximiser takes the one that ends in the lowest score: a reward is *aligned* on a map if even so it scores the optimum.
+Backward dynamic programming over (steps, battery, delivered set, current target, cell) flies the compiled `step` from
+every state. Among actions with equal returns, the maximiser takes the one that leads to the lowest score. A reward is
+*aligned* on a map if this policy still scores the optimum.
 """
 
 import bisect
@@ -38,9 +38,9 @@ from drone_env.planning.states import (
 )
 
 TIE = 1e-9
-"""Returns count as equal if they differ by less than this share of the largest of them."""
+"""Relative tolerance of returns."""
 NOISE = 1e-14
-"""And if they differ by less than this share of the largest single reward: returns are sums of rounded numbers."""
+"""Absolute tolerance of returns, relative to the largest single reward."""
 
 
 @jitable
@@ -52,7 +52,7 @@ def number_of(state: Any, parcels: Any, cell: int) -> int:
     return 0
 
 
-# It allocates two small arrays, so it needs the runtime that the other kernels do without.
+# It allocates two small arrays, so it needs reference counts.
 @compiled_once(nogil=True, error_model="numpy")
 def audit_kernel(
     tables: Tables,
@@ -69,22 +69,22 @@ def audit_kernel(
     lows: Any,
     choices: Any,
 ) -> None:
-    """Fill the tables from the last step backwards.
+    """Compute the tables backwards from the last step.
 
     Args:
         tables: The task's tables.
         rewards: The profile's tables.
         gamma: The learner's discount.
-        noise: What returns may differ by, by rounding alone.
-        grid: uint8[cells], without the drone; left as it was.
+        noise: Absolute tolerance of returns.
+        grid: uint8[cells], without the drone; restored afterwards.
         state: uint16[state size], working memory.
-        parcels: int64[n], the entries of `state` that hold the parcels still to deliver.
-        first_step: Steps taken when the planning starts.
-        lowest: int64[T + 1], the lowest battery that can be left after each step.
-        sizes: int64[T], how many values of the battery from there on.
-        values: float64[2, battery, 2^n, n, cells], the highest return from the states of even and of odd steps.
-        lows: The same shape: the lowest score with which that return can be had.
-        choices: uint8[T, battery, 2^n, n, cells], an action that leads there.
+        parcels: int64[n], the entries of `state` of the undelivered parcels.
+        first_step: Steps taken at the start.
+        lowest: int64[T + 1], the lowest possible battery after each step.
+        sizes: int64[T], the number of battery values from it on.
+        values: float64[2, battery, 2^n, n, cells], the highest returns for even and odd steps.
+        lows: The same shape: the lowest scores with these returns.
+        choices: uint8[T, battery, 2^n, n, cells], an action with this return and score.
     """
     n = len(parcels)
     returns = np.zeros(N_ACTIONS)
@@ -137,15 +137,15 @@ def audit_kernel(
 
 @dataclass(frozen=True)
 class MapAudit:
-    """One reward on one map.
+    """The audit of one reward on one map.
 
     Attributes:
         seed: Number of the map.
         optimum: The exact optimum of the score.
-        score: What the return-maximising flight scores; of several such flights, the one with the lowest score.
-        actions: That flight.
-        maximum: Its return, discounted.
-        returns: Discounted returns of other flights: `honest` (the best score) and the hacks of `HACKS`.
+        score: The lowest score of all return-maximising flights.
+        actions: The actions of that flight.
+        maximum: Its discounted return.
+        returns: Discounted returns of other flights: `honest` (a best score) and the flights of `HACKS`.
     """
 
     seed: int
@@ -164,18 +164,20 @@ class MapAudit:
 def audited_profile(
     reward_profile: str | RewardProfile, gamma: float, shaping_gamma: float | None = None
 ) -> RewardProfile:
-    """The profile as a learner with this discount is paid.
+    """The profile for a learner with this discount.
 
-    Potential-based shaping leaves the best policies as they are if its gamma is the learner's (Ng, Harada, Russell
-    1999), so it is set to that; `shaping_gamma` keeps it at another value, to see what that does.
+    Potential-based shaping preserves the best policies if its gamma equals the learner's (Ng, Harada, Russell 1999).
+    `shaping_gamma` sets another value, to show the effect.
 
     Raises:
         UnknownNameError: if there is no such profile.
-        InvalidValueError: if a gamma is not in [0, 1], or a `shaping_gamma` is given for a profile without shaping.
+        InvalidValueError: if a gamma is not in [0, 1], or the profile has no shaping for `shaping_gamma`.
     """
     profile = get_reward_profile(reward_profile)
     if shaping_gamma is not None and profile.shaping_gamma is None:
-        raise InvalidValueError(f"reward profile {profile.id!r} has no shaping that a shaping_gamma could be set for")
+        raise InvalidValueError(
+            f"reward profile {profile.id!r} has no potential-based shaping: leave out shaping_gamma"
+        )
     for name, value in (("gamma", gamma), ("shaping_gamma", shaping_gamma)):
         if value is not None and not 0 <= value <= 1:
             raise InvalidValueError(f"{name} must be in [0, 1], got {value}")
@@ -183,12 +185,12 @@ def audited_profile(
 
 
 def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardProfile, gamma: float) -> MapAudit:
-    """Audit a reward on one map, exactly as the profile stands (see `audited_profile`).
+    """Audit a reward on one map, with the profile unchanged (see `audited_profile`).
 
     Raises:
         UnknownNameError: if there is no such task or profile.
         InvalidValueError: if the seed is not in [0, 2^53).
-        TooLargeError: if it would take more memory than `states.MAX_BYTES`.
+        TooLargeError: if the audit would take more memory than `states.MAX_BYTES`.
     """
     start = Episode(task, reward_profile, seed)
     solution = solve_episode(start)
@@ -202,17 +204,17 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
 def audit_maps(
     task: TaskConfig, seeds: range, reward_profile: RewardProfile, gamma: float, jobs: int | None = None
 ) -> Iterator[MapAudit]:
-    """The audits of these maps in order, `jobs` at a time: as many as the machine has cores if None."""
+    """Yield the audits of these maps in order, in `jobs` threads; None for one per core."""
     one = partial(audit_map, task, reward_profile=reward_profile, gamma=gamma)
     with ThreadPoolExecutor(jobs or os.cpu_count()) as pool:
-        yield one(seeds[0])  # alone: it compiles what the others then use
+        yield one(seeds[0])  # the first map compiles the kernels for the others
         yield from pool.map(one, seeds[1:])
 
 
 def summarise_audits(
     task: TaskConfig, reward_profile: RewardProfile, gamma: float, audits: Sequence[MapAudit]
 ) -> dict[str, Any]:
-    """The report over audits of neighbouring maps, as JSON values."""
+    """The report of the audits of consecutive maps, as JSON values."""
 
     def mean(values: Iterable[float]) -> float:
         return math.fsum(values) / len(audits)
@@ -269,33 +271,33 @@ def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
 
 
 def _aim(flight: Episode) -> tuple[int, int]:
-    """(delivered set, number of the target) of an episode that began with all parcels waiting."""
+    """(delivered set, number of the target) of an episode that started with all parcels undelivered."""
     delivered = sum(done << i for i, (_, _, done) in enumerate(flight.parcels))
     return delivered, [(x, y) for x, y, _ in flight.parcels].index(flight.target or (-1, -1))
 
 
 def _return(flight: Episode, gamma: float) -> float:
-    """The discounted sum of what a flight was paid."""
+    """The discounted return of a flight."""
     return sum(reward * gamma**t for t, reward in enumerate(flight.rewards))
 
 
 def repeat(action: Action, start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """The same action until the end."""
+    """Repeat an action until the end."""
     return (action,) * start.task.max_steps
 
 
 def oscillate(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Fly to a neighbouring cell and back until the end."""
+    """Fly to an adjacent cell and back until the end."""
     back = {Action.UP: Action.DOWN, Action.LEFT: Action.RIGHT, Action.DOWN: Action.UP, Action.RIGHT: Action.LEFT}
-    there = next((action for action in back if start.action_mask()[action]), None)
-    if there is None:
+    out = next((action for action in back if start.action_mask()[action]), None)
+    if out is None:
         return repeat(Action.WAIT, start, solution)
     steps = start.task.max_steps
-    return (there, back[there]) * (steps // 2) + (there,) * (steps % 2)
+    return (out, back[out]) * (steps // 2) + (out,) * (steps % 2)
 
 
 def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Fly the best flight, but wait before the last delivery for as long as it can still be made."""
+    """Fly the best flight, but wait before the last delivery for as long as it stays possible."""
     best = start.copy().fly(solution.actions)
     deliveries = [t for t, step in enumerate(best.path) if step.event is Event.DELIVERY]
     if not deliveries:
@@ -312,9 +314,9 @@ def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
 
 
 HACKS = {
-    "stall": partial(repeat, Action.WAIT),  # at the start
-    "bump": partial(repeat, Action.UP),  # up to the edge of the city, and into it
+    "stall": partial(repeat, Action.WAIT),
+    "bump": partial(repeat, Action.UP),
     "oscillate": oscillate,
     "hover": hover,
 }
-"""Flights that earn without working. A new one is one more entry."""
+"""Flights that collect rewards without deliveries, or before the last one."""

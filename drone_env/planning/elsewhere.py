@@ -1,7 +1,7 @@
-"""A flight as it would stand if the drone were at other cells, and which cells its battery takes it to.
+"""The state of an episode with its drone at other cells, and the range of its battery.
 
-All else stays as it is: the battery, the steps taken, the parcels delivered, the current target. A parcel that waits at
-such a cell counts as delivered by arriving there; on a pad nothing has been charged yet.
+Battery, steps, delivered parcels and current target do not change. But a drone at the cell of a waiting parcel delivers
+it. A drone at a pad has not charged yet.
 """
 
 from collections.abc import Iterator
@@ -37,11 +37,11 @@ from drone_env.planning.states import UNPAID, put_drone, state_arrays
 
 UNREACHED = -1
 PLACES_AT_ONCE = 256
-"""Maximum number of places per part: each has a grid, and all 3,600 of a city take 16 MB."""
+"""Maximum number of cells per chunk: each has a grid, and all 3,600 of a city take 16 MB."""
 
 
 class Places(NamedTuple):
-    """The flight with its drone at each of N cells, in rising order."""
+    """The states of an episode with its drone at each of N cells, in ascending order."""
 
     cells: npt.NDArray[np.int64]
     """int64[N]"""
@@ -54,15 +54,15 @@ class Places(NamedTuple):
 
     @property
     def flying(self) -> npt.NDArray[np.bool_]:
-        """bool[N], whether the flight goes on from there: not where the last parcel is delivered by arriving."""
+        """bool[N], False if the drone delivers the last parcel there."""
         return self.states[:, OUTCOME] == FLYING
 
 
 def places_of(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> Places:
-    """An episode in flight, with its drone at these cells, or each that it can be at; the episode is left as it is.
+    """The states with the drone at these cells, or at all cells that it can enter. The episode is not changed.
 
     Raises:
-        EpisodeError: if the episode has not begun.
+        EpisodeError: if the episode has not started.
     """
     task, tables = episode.task, interpreted(episode.task)
     grid, state, _ = state_arrays(episode)
@@ -83,49 +83,49 @@ def places_of(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> P
 
 
 def places_in_parts(episode: Episode) -> Iterator[Places]:
-    """The same in parts of at most `PLACES_AT_ONCE` cells, which take little memory; raises as `places_of`."""
+    """Yield the states of all cells in chunks of at most `PLACES_AT_ONCE`, to limit memory; raises as `places_of`."""
     cells = open_cells(episode)
     for first in range(0, len(cells), PLACES_AT_ONCE):
         yield places_of(episode, cells[first : first + PLACES_AT_ONCE])
 
 
 def open_cells(episode: Episode) -> npt.NDArray[np.int64]:
-    """The cells that the drone can be at, in rising order."""
+    """The cells that the drone can enter, in ascending order."""
     grid, _, _ = state_arrays(episode)
     return np.flatnonzero(~np.isin(grid, list(episode.task.impassable)))
 
 
 @kernel
 def range_kernel(
-    tables: Tables, rewards: Rewards, ground: Any, begun: Any, most: Any, grid: Any, state: Any, reached: Any
+    tables: Tables, rewards: Rewards, ground: Any, start: Any, most: Any, grid: Any, state: Any, reached: Any
 ) -> None:
-    """Fly on from where a drone stands, by moves alone, round by round, wherever that leaves more units than before.
+    """Fly all moves in rounds, from each cell that the last round reached with more units than before.
 
     Args:
         tables: The task's tables.
-        rewards: Those of any profile: they are not used.
+        rewards: Tables of any profile; not used.
         ground: uint8[cells], without the drone.
-        begun: uint16[state size], in flight.
-        most: int64[cells], all `UNREACHED`; receives the most units that are left on arrival.
-        grid: uint8[cells], equal to `ground`: working memory, as are the following.
+        start: uint16[state size], in flight.
+        most: int64[cells], all `UNREACHED`; receives the most units left on arrival.
+        grid: uint8[cells], a copy of `ground`; working memory, like the following arrays.
         state: uint16[state size]
-        reached: int64[2, cells], all `UNREACHED`: what the last round and this one have left where it is more.
+        reached: int64[2, cells], all `UNREACHED`: units at the cells that the last and the current round improved.
     """
-    most[begun[CELL]] = reached[0, begun[CELL]] = begun[BATTERY]
-    last, this, found = 0, 1, True
-    for steps in range(begun[STEPS], tables.max_steps):
-        if not found:
+    most[start[CELL]] = reached[0, start[CELL]] = start[BATTERY]
+    last, this, improved = 0, 1, True
+    for steps in range(start[STEPS], tables.max_steps):
+        if not improved:
             break
-        found = False
+        improved = False
         for cell in range(tables.cells):
             reached[this, cell] = UNREACHED
         for cell in range(tables.cells):
             units = reached[last, cell]
-            if units <= 0:  # with none it moves no more
+            if units <= 0:  # the battery is empty
                 continue
             for action in range(N_MOVES):
-                for i in range(len(begun)):
-                    state[i] = begun[i]
+                for i in range(len(start)):
+                    state[i] = start[i]
                 put_drone(tables, grid, state, cell, steps, units)
                 if state[UNDER] == DELIVERY_CELL:
                     state[UNDER] = DELIVERED_CELL
@@ -135,37 +135,37 @@ def range_kernel(
                 grid[cell], grid[to] = ground[cell], ground[to]
                 if left > most[to]:
                     most[to] = reached[this, to] = left
-                    found = True
+                    improved = True
         last, this = this, last
 
 
 def battery_range(episode: Episode, cell: int, units: int) -> npt.NDArray[np.int64]:
-    """The most battery units with which a drone gets to each cell by moves alone, in the steps that are left.
+    """The most battery units that a drone can have left at each cell, by moves in the steps left.
 
-    With 0 it gets there on its last. Deliveries on the way cost nothing more, and do not end it.
+    0 means that the drone reaches the cell with its last unit. Deliveries do not end the flight here.
 
     Args:
-        episode: In flight; it is left as it is.
-        cell: Where the drone starts.
-        units: What it starts with.
+        episode: An episode in flight; it is not changed.
+        cell: Start cell.
+        units: Battery units at the start.
 
     Returns:
-        int64[cells], `UNREACHED` where it does not get.
+        int64[cells], `UNREACHED` for cells out of range.
 
     Raises:
-        EpisodeError: if the episode has not begun.
+        EpisodeError: if the episode has not started.
     """
     task = episode.task
     ground, state, _ = state_arrays(episode)
-    begun = state.copy()
-    begun[[CELL, BATTERY]] = cell, units
+    start = state.copy()
+    start[[CELL, BATTERY]] = cell, units
     most, reached = np.full(len(ground), UNREACHED), np.full((2, len(ground)), UNREACHED)
     rewards = tabulate_rewards(task, UNPAID)
-    range_kernel(tabulate(task), rewards, ground, begun, most, ground.copy(), state, reached)
+    range_kernel(tabulate(task), rewards, ground, start, most, ground.copy(), state, reached)
     return most
 
 
 def charging_pads(episode: Episode) -> list[int]:
-    """The cells where waiting charges, in rising order."""
+    """The cells where waiting charges, in ascending order."""
     grid, _, _ = state_arrays(episode)
     return np.flatnonzero(grid == Cell.PAD).tolist() if episode.task.charge_rate else []

@@ -1,4 +1,4 @@
-"""Episodes from what is known of them: from their fields, or from an observation, to pass to planners."""
+"""Episodes from their fields or from an observation, as inputs of planners."""
 
 from collections.abc import Sequence
 
@@ -37,15 +37,15 @@ def episode_from_fields(
     parcels: Sequence[tuple[int, bool]],
     reward_profile: str | RewardProfile = "score",
 ) -> Episode:
-    """An episode with these fields; its seed is 0, and its path is empty.
+    """Create an episode with these fields. Its seed is 0, its path is empty.
 
     Args:
         task: The task.
         ground: uint8[height, width] or uint8[cells], the grid without the drone.
-        drone: The cell that the drone is in, y * width + x.
+        drone: Cell of the drone, y * width + x.
         battery: Units left.
         steps: Steps taken.
-        parcels: The cell of each parcel, and whether it has been delivered.
+        parcels: Cell of each parcel, and whether it has been delivered.
         reward_profile: A reward profile or its name.
 
     Raises:
@@ -66,10 +66,10 @@ def episode_from_fields(
 
 
 def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
-    """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0.
+    """Create an episode with this observation. Its seed is 0, its parcels are in reading order.
 
     Raises:
-        InvalidValueError: if it is no observation of the task.
+        InvalidValueError: if this is not an observation of the task.
     """
     x, y = drone_positions(task, observation["grid"][None], observation["telemetry"][None])[0].tolist()
     ground = np.ravel(observation["grid"]).copy()
@@ -84,7 +84,7 @@ def episode_of(task: TaskConfig, observation: Observation, reward_profile: str =
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
-    """The kind of the cell below the drone where no telemetry names it: the one of which the grid shows too few."""
+    """The kind of the cell below the drone if telemetry does not contain it: the kind with too few visible cells."""
     shown = np.bincount(grid, minlength=N_CELL_KINDS)
     if shown[Cell.DELIVERY] + shown[Cell.DELIVERED] < task.deliveries:
         return Cell.DELIVERED
@@ -93,7 +93,7 @@ def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
 
 
 def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> None:
-    """See that these are N observations of a task, so that compiled code finds what it looks for.
+    """Check the shapes and cell ids of N observations, because compiled code does not.
 
     Args:
         task: The task.
@@ -101,7 +101,7 @@ def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemet
         telemetry: float32[N, telemetry_size]
 
     Raises:
-        InvalidValueError: if they are not.
+        InvalidValueError: if these are not observations of the task.
     """
     n, height, width = len(grids), task.height, task.width
     if grids.shape != (n, height, width) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
@@ -120,10 +120,10 @@ def drone_positions(
     """(x, y) of the drones of N observations, int64[N, 2].
 
     Raises:
-        InvalidValueError: if they are no observations of the task, or a drone is beside its grid.
+        InvalidValueError: if these are not observations of the task, or a drone is outside its grid.
     """
     require_observations(task, grids, telemetry)
     positions = np.rint(telemetry[:, :2] * np.array([task.width, task.height]))
     if not ((positions >= 0) & (positions < (task.width, task.height))).all():
-        raise InvalidValueError(f"an observation has its drone beside the grid of {task.id!r}")
+        raise InvalidValueError(f"the drone of an observation is outside the grid of {task.id!r}")
     return positions.astype(np.int64)

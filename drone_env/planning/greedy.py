@@ -1,7 +1,7 @@
-"""The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen.
+"""The nearest-target rule: fly straight to the current target.
 
-If terrain costs or blocks, the nearest target is the one that is cheapest to reach. Nothing else is heeded: neither
-what the battery still holds nor where it could be charged.
+If terrain has costs or is impassable, the target is the parcel that is cheapest to reach. The rule ignores the battery
+and never charges.
 """
 
 from typing import Any
@@ -15,11 +15,11 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.planning.from_observation import drone_positions
 
 UP, LEFT, WAIT = int(Action.UP), int(Action.LEFT), int(Action.WAIT)
-"""The opposite of UP and LEFT is the action after it."""
+"""DOWN is UP + 1, RIGHT is LEFT + 1."""
 
 
 def greedy_action(task: TaskConfig, observation: Observation) -> Action:
-    """The next action towards the nearest target; WAIT when nothing is left."""
+    """The next action towards the nearest target; WAIT if nothing is left."""
     if task.uniform:
         return Action(straight(observation["telemetry"].tolist()))
     return Action(int(greedy_actions(task, observation["grid"][None], observation["telemetry"][None])[0]))
@@ -28,10 +28,10 @@ def greedy_action(task: TaskConfig, observation: Observation) -> Action:
 def greedy_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
-    """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size].
+    """`greedy_action` for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size].
 
     Raises:
-        InvalidValueError: if they are no observations of the task, and its steps differ in what they cost.
+        InvalidValueError: if the task is not uniform, and these are not observations of it.
     """
     if task.uniform:
         return straight(telemetry.T)
@@ -43,7 +43,7 @@ def greedy_actions(
 def straight(telemetry: Any) -> Any:
     """The action along the row to the target, then along the column; WAIT above it.
 
-    Of one telemetry as a list it is a plain integer, of float32[telemetry_size, N] it is int64[N].
+    Returns an int for one telemetry as a list, and int64[N] for float32[telemetry_size, N].
     """
     x, y, _, to_x, to_y, *_ = telemetry
     in_column, in_row = x == to_x, y == to_y

@@ -1,12 +1,12 @@
-"""The exact value of every decision of a map, by legs: dynamic programming over (set delivered, stop, battery, steps).
+"""Exact values by legs: dynamic programming over (set delivered, stop, battery, steps).
 
-A flight is an order of stops at parcels and pads, and a path from each stop to the next. Only Pareto-optimal paths can
-be part of a best flight. A waiting parcel ends a leg, because it is delivered there. So the solver stores the values of
-the stops; the value of any other cell follows from the paths that start there. (Bellman, "Dynamic Programming", 1957;
-Held and Karp 1962 for the sets.)
+A flight is an order of stops at parcels and pads, and a path between consecutive stops. Only Pareto-optimal paths can
+be part of a best flight. A leg ends at a waiting parcel, because the drone delivers it there. So the solver stores the
+values of stops; the value of any other cell follows from the paths that start there. (Bellman, "Dynamic Programming",
+1957; Held and Karp 1962 for the sets.)
 
-It covers the tasks in which a failed mission scores its parcels alone, and those in which every step costs the same.
-A value is stored as the rank of a score among all scores of the task, as in `solver`.
+It covers uniform tasks, and tasks in which incomplete flights score their parcels only (`efficiency_needs_all`). As in
+`solver`, a value is stored as the rank of a score among all scores of the task.
 """
 
 from collections.abc import Sequence
@@ -40,42 +40,42 @@ from drone_env.planning.states import UNPAID, delivered_set, require_memory, sta
 
 WAIT = int(Action.WAIT)
 MAX_BETWEEN_PADS = 32 << 30
-"""Limit of (sets delivered) * pads * stops * (battery units) * steps. A billion take a second or less."""
+"""Limit of (sets delivered) * pads * stops * (battery units) * steps. A billion takes at most a second."""
 CHUNK = 64
-"""States per call: other threads run between two chunks."""
+"""States per call. Other threads run between two chunks."""
 
 
 def covers(task: TaskConfig) -> bool:
-    """Whether the values of a task can be found by legs."""
+    """Whether `LegSolver` covers a task."""
     return task.uniform or task.efficiency_needs_all
 
 
 class Legs(NamedTuple):
-    """One map from a state of flight on, as the kernels see it. Stops: the parcels that waited then, then the pads."""
+    """One map and its values, for kernels. Stops are the parcels that wait in the solved state, then the pads."""
 
     tables: Tables
     counts: Any
-    """1 if units count; 0 where every step drains one, and the battery is a part of the steps left."""
+    """1 if units count; 0 if every step drains one unit, so that only steps count."""
     ground: Any
-    """uint8[cells], the kind of each cell without the drone; written to."""
+    """uint8[cells], the kind of each cell without the drone; kernels modify it."""
     stops: Any
     """int64[N], the cell of each stop."""
     stop_at: Any
     """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
     parcels: Any
-    """The number of stops that are parcels, n."""
+    """Number of stops that are parcels, n."""
     most: Any
-    """The most units that count."""
+    """Maximum number of units."""
     ranks: Any
-    """[rows, steps + 1], the rank of the highest score that can still be reached, by steps left: a row for each number
-    of parcels delivered since then and units, where the flight ends for good (`end_row`), then one for each parcel,
-    set delivered with it in it and units, and one for each set delivered, pad and units (`row_of`). The rows of the
-    whole set and of 0 units hold nothing."""
+    """[rows, steps + 1], the rank of the highest score that can still be reached, by steps left. First come the ends:
+    one row for each number of delivered parcels and units (`end_row`). Then one row for each parcel, set delivered that
+    contains it, and units, and one for each set delivered, pad and units (`row_of`). The rows of the complete set and
+    of 0 units are unused."""
 
 
 @jitable
 def end_row(legs: Legs, done: int, units: int) -> int:
-    """The row of ends with `done` parcels delivered."""
+    """The row of ends with `done` delivered parcels."""
     return done * (legs.most + 1) + units
 
 
@@ -93,27 +93,27 @@ def row_of(legs: Legs, delivered: int, stop: int, units: int) -> int:
 
 @jitable
 def mark_delivered(legs: Legs, delivered: int) -> int:
-    """Write onto the ground which parcels wait, and return how many do not."""
+    """Write the delivered parcels onto the ground, and return their number."""
     done = 0
     for i in range(legs.parcels):
-        there = delivered >> i & 1
-        done += there
-        legs.ground[legs.stops[i]] = DELIVERED_CELL if there else DELIVERY_CELL
+        bit = delivered >> i & 1
+        done += bit
+        legs.ground[legs.stops[i]] = DELIVERED_CELL if bit else DELIVERY_CELL
     return done
 
 
 @jitable
 def arrives(legs: Legs, stop: int, units: int) -> bool:
-    """Whether a drone that reaches a stop with these units left flies on (at a pad) or delivers (a parcel).
+    """Whether a drone can reach a stop with these units left.
 
-    A parcel is delivered if some are left before the step to it, even if that drains more: `units` is below 0 then.
+    The last step to a parcel may drain more than the battery has: the drone still delivers, and `units` is negative.
     """
     return units > (-legs.tables.drain[DELIVERY_CELL * N_ACTIONS] if stop < legs.parcels else 0)
 
 
 @jitable
 def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> int:
-    """The row of a drone that `arrives` at a stop with these units left."""
+    """The row of a drone after it arrives at a stop with these units left."""
     if stop >= legs.parcels:
         return row_of(legs, delivered, stop, units)
     units = max(units, 0)
@@ -124,22 +124,30 @@ def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> i
 
 @jitable
 def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
-    """Raise a row to the values of another row, `steps` steps later."""
+    """Raise the values of a row to those of another row, `steps` steps later."""
     if steps >= ranks.shape[1]:
         return
-    # Slices, for indices that may be below zero are not vectorised: that is five times slower.
+    # Slices make this loop five times faster: the compiler does not vectorise indices that may be negative.
     later = ranks[row, steps:]
-    promised = ranks[after, : len(later)]
+    reached = ranks[after, : len(later)]
     for left in range(len(later)):
-        later[left] = max(later[left], promised[left])
+        later[left] = max(later[left], reached[left])
 
 
 @jitable
 def raise_by_paths(
-    legs: Legs, delivered: int, done: int, paths: ParetoPaths, base: int, units: int, row: int, first: int, behind: int
+    legs: Legs,
+    delivered: int,
+    done: int,
+    paths: ParetoPaths,
+    base: int,
+    units: int,
+    row: int,
+    first: int,
+    stop_end: int,
 ) -> None:
-    """Raise the row of a drone with these units by the paths to the stops in [first, behind)."""
-    for stop in range(first, behind):
+    """Raise the row of a drone with these units by the paths to the stops in [first, stop_end)."""
+    for stop in range(first, stop_end):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
         for k in range(paths.count[base + stop]):
@@ -151,7 +159,7 @@ def raise_by_paths(
 
 @jitable
 def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
-    """Set a row to the values of a flight that does nothing more."""
+    """Set a row to the values of a flight that makes no further delivery."""
     end = end_row(legs, done, units)
     for left in range(legs.ranks.shape[1]):
         legs.ranks[row, left] = legs.ranks[end, left]
@@ -159,10 +167,10 @@ def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
 
 @jitable
 def sum_at_pads(legs: Legs, delivered: int) -> int:
-    """The sum of all ranks of drones at pads: it changes when any of them is raised."""
-    first, behind = row_of(legs, delivered, legs.parcels, 0), row_of(legs, delivered, len(legs.stops), 0)
+    """The sum of all ranks at pads. It changes if any of them is raised."""
+    first, end = row_of(legs, delivered, legs.parcels, 0), row_of(legs, delivered, len(legs.stops), 0)
     total = 0
-    for row in range(first, behind):
+    for row in range(first, end):
         for rank in legs.ranks[row]:
             total += rank
     return total
@@ -176,7 +184,7 @@ def find_stops(legs: Legs, cell: int, units: int, paths: ParetoPaths, base: int,
 
 @kernel
 def value_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
-    """Fill in the ranks.
+    """Compute the ranks.
 
     Args:
         legs: The map.
@@ -194,8 +202,8 @@ def value_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
                 row = row_of(legs, delivered, pad, units)
                 begin_row(legs, done, units, row)
                 raise_by_paths(legs, delivered, done, paths, base, units, row, 0, n)
-        before, reached = -1, sum_at_pads(legs, delivered)
-        while before != reached:
+        before, total = -1, sum_at_pads(legs, delivered)
+        while before != total:
             for pad in range(n, stops):
                 base = (pad - n + 1) * stops
                 for units in range(legs.most, 0, -1):
@@ -204,7 +212,7 @@ def value_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
                     if charged > units:
                         raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
                     raise_by_paths(legs, delivered, done, paths, base, units, row, n, stops)
-            before, reached = reached, sum_at_pads(legs, delivered)
+            before, total = total, sum_at_pads(legs, delivered)
         for parcel in range(n):
             if delivered >> parcel & 1:
                 find_stops(legs, legs.stops[parcel], legs.most, paths, 0, workspace)
@@ -218,10 +226,10 @@ def value_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
 def best_option(
     legs: Legs, delivered: int, cell: int, units: int, steps: int, paths: ParetoPaths, workspace: Workspace
 ) -> tuple[Any, int]:
-    """The rank of the highest score that a drone in flight can still reach from any cell, and an action towards it.
+    """The rank of the highest score that a drone can still reach from a cell, and an action towards it.
 
-    The action is -1 where ending here and now is worth as much. Of options that are worth the same it is the first
-    one's, in the order of stops and of their paths; charging comes last.
+    The action is -1 if no further delivery raises the score. Ties go to the first option, in the order of stops and of
+    their paths; charging comes last.
     """
     done = mark_delivered(legs, delivered)
     find_stops(legs, cell, units, paths, 0, workspace)
@@ -245,17 +253,17 @@ def best_option(
     return best, action
 
 
-# These two hold Python's lock: threads that ask the same solver share its working memory.
+# These two hold the interpreter's lock, because threads that use the same solver share its working memory.
 @compiled_once(**OPTIONS)
 def rank_kernel(legs: Legs, states: Any, paths: ParetoPaths, workspace: Workspace, ranks: Any) -> None:
     """Write the rank of the highest score that can still be reached from each state.
 
     Args:
-        legs: The map, its ranks filled in.
-        states: int64[N, 4]: set delivered, cell, units and steps left, as `clock` counts them.
+        legs: The map with its ranks.
+        states: int64[N, 4]: set delivered, cell, units and steps left, as returned by `clock`.
         paths: Working memory.
         workspace: Working memory.
-        ranks: Receives them, int64[N].
+        ranks: int64[N], receives the ranks.
     """
     for k in range(len(states)):
         delivered, cell, units, steps = states[k]
@@ -273,19 +281,17 @@ def flight_kernel(
     workspace: Workspace,
     actions: Any,
 ) -> int:
-    """Fly a best flight by the rules, write its actions, int64[steps], and return how many there are.
-
-    Among all best flights it has the fewest steps.
+    """Fly the shortest best flight by the rules, write its actions, and return their number.
 
     Args:
-        legs: The map, its ranks filled in.
-        rewards: Those of any profile: they are not used.
-        grid: uint8[cells], with the drone; flown on.
-        state: uint16[state size], of the episode that was solved; flown on.
-        parcels: int64[n], the entries of `state` that hold the parcels that wait.
+        legs: The map with its ranks.
+        rewards: Tables of any profile; not used.
+        grid: uint8[cells], with the drone; modified.
+        state: uint16[state size] of the solved episode; modified.
+        parcels: int64[n], the entries of `state` of the waiting parcels.
         paths: Working memory.
         workspace: Working memory.
-        actions: Receives them; its length is that of the steps that count.
+        actions: int64[steps], receives the actions.
     """
     steps, flown = len(actions), 0
     units = state[BATTERY] if legs.counts else 1
@@ -305,10 +311,7 @@ def flight_kernel(
 
 
 def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
-    """Units and steps left as the kernels count them, from the battery units and the steps left of a drone.
-
-    The two may be numbers or arrays of them.
-    """
+    """Convert battery units and steps left, numbers or arrays, to units and steps left of the kernels."""
     return (battery, left) if counts_units(task) else (1, np.minimum(battery, left))
 
 
@@ -316,8 +319,8 @@ def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: i
     """The number of rows of ranks for a map.
 
     Raises:
-        TooLargeError: if they would take more memory than `states.MAX_BYTES`, or the paths between many pads more
-            comparisons than `MAX_BETWEEN_PADS`. Both are counted before the work begins.
+        TooLargeError: if the rows would take more memory than `states.MAX_BYTES`, or the paths between pads more
+            comparisons than `MAX_BETWEEN_PADS`.
     """
     rows = (parcels + 1 + (parcels << parcels - 1) + (pads << parcels)) * (units + 1)
     require_memory("the exact values", task, 2 * rows * (steps + 1))
@@ -335,23 +338,23 @@ def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: i
 def make_legs(
     task: TaskConfig, ground: npt.NDArray[np.uint8], parcels: Sequence[int], done: int, battery: int, left: int
 ) -> Legs:
-    """One map from a state of flight on; `value_kernel` fills in its ranks.
+    """Allocate a map from a state in flight on; `value_kernel` computes its ranks.
 
     Args:
         task: The task.
-        ground: uint8[cells], the kind of each cell, without the drone.
-        parcels: The cells of the parcels that wait.
-        done: The number of parcels that have been delivered.
+        ground: uint8[cells], the kind of each cell without the drone.
+        parcels: The cells of the waiting parcels.
+        done: The number of delivered parcels.
         battery: Units left.
         left: Steps left.
 
     Raises:
-        UnsupportedTaskError: if `covers` says no.
+        UnsupportedTaskError: if `covers(task)` is False.
         TooLargeError: as `require_room`.
     """
     if not covers(task):
         raise UnsupportedTaskError(
-            f"task {task.id!r}: values are found by legs where every step costs the same, or where efficiency needs all"
+            f"task {task.id!r}: LegSolver needs equal costs of all steps, or efficiency_needs_all"
         )
     counts, n = counts_units(task), len(parcels)
     pads = np.flatnonzero(ground == PAD_CELL) if counts and task.charge_rate else np.zeros(0, np.int64)
@@ -376,7 +379,7 @@ def make_legs(
 
 
 def working_memory(task: TaskConfig, legs: Legs) -> tuple[ParetoPaths, Workspace]:
-    """Working memory of the kernels.
+    """Allocate the working memory of the kernels.
 
     Raises:
         TooLargeError: if it would take more than `states.MAX_BYTES`.
@@ -388,21 +391,21 @@ def working_memory(task: TaskConfig, legs: Legs) -> tuple[ParetoPaths, Workspace
 
 
 class LegSolver(Solver):
-    """The values of every state, worked out for those at parcels and pads.
+    """Values of every state, computed from those at parcels and pads.
 
     Attributes:
-        legs: The map as the kernels see it, its ranks filled in.
+        legs: The map with its ranks.
         scores: float64, the score of each rank.
         paths: Working memory of the kernels.
         workspace: Working memory of the kernels.
 
     Args:
-        episode: In flight; it is left as it is. Everything that can still become of it is solved.
+        episode: An episode in flight; it is not changed.
 
     Raises:
-        EpisodeError: if the episode has not begun, or has ended.
-        UnsupportedTaskError: if `covers` says no.
-        TooLargeError: as `make_legs`, and if the paths would not fit.
+        EpisodeError: if the episode has not started, or has ended.
+        UnsupportedTaskError: if `covers(task)` is False.
+        TooLargeError: as `make_legs`, and if the paths would take too much memory.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -417,23 +420,23 @@ class LegSolver(Solver):
 
     @property
     def nbytes(self) -> int:
-        """Memory that the values take."""
+        """Memory of the values in bytes."""
         return self.legs.ranks.nbytes + sum(array.nbytes for array in self.paths)
 
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         delivered, cells, battery, left = states.T
         units, steps = clock(self._start.task, battery, left)
         rows = np.stack(np.broadcast_arrays(delivered, cells, units, steps), axis=1)
-        rows, which = np.unique(rows, axis=0, return_inverse=True)  # many actions lead to one cell
+        rows, which = np.unique(rows, axis=0, return_inverse=True)  # several actions lead to the same cell
         ranks = np.zeros(len(rows), np.int64)
         for i in range(0, len(rows), CHUNK):
             rank_kernel(self.legs, rows[i : i + CHUNK], self.paths, self.workspace, ranks[i : i + CHUNK])
         return self.scores[ranks[which.ravel()]]
 
     def best_actions(self) -> list[Action]:
-        """One best sequence of actions, from where the solved episode stood; the same in every run.
+        """One best sequence of actions from the solved state; the same in every run.
 
-        At its end there may be nothing left but to wait.
+        If the episode has not ended then, only waiting remains.
         """
         start, task = self._start, self._start.task
         _, state, parcels = state_arrays(start)

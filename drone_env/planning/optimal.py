@@ -1,10 +1,9 @@
 """The exact optimum of a map, by the fastest planner that covers its task.
 
-- Where every step costs one battery unit and nothing blocks the way, the score grows with each parcel, and with all
-  parcels delivered it falls with each step; an episode that does not deliver all lasts until the battery or the steps
-  run out, so then only the number of parcels counts. The best flight is therefore the shortest path over all parcels
-  if it fits into the budget of steps, else any path over as many parcels as fit: `shortest_tour`.
-- Everywhere else: `solver_of`, which knows the value of every other state as well.
+- Uniform tasks: the score increases with each parcel. If all are delivered, it decreases with each step. If not,
+  the episode lasts until battery or steps run out, so only the number of parcels counts. The best flight is therefore
+  the shortest path over all parcels, or over the most parcels within the budget of steps: `shortest_tour`.
+- All other tasks: `solver_of`, which also computes the values of all other states.
 """
 
 from dataclasses import dataclass
@@ -22,15 +21,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Solution:
-    """The best that can be made of an episode, flown to its end by the rules.
+    """A best flight from the current state of an episode to its end.
 
     Attributes:
-        score: The highest score that can be reached.
-        success: Whether all parcels can be delivered.
-        steps: Steps from here to the end of the episode.
+        score: The highest possible score.
+        success: Whether all parcels are delivered.
+        steps: Steps to the end of the episode.
         deliveries: Parcels delivered at the end.
-        order: (x, y) of the parcels that it delivers, in their order.
-        actions: One best sequence of actions from here to the end.
+        order: (x, y) of the parcels in the order of delivery.
+        actions: One best sequence of actions to the end.
     """
 
     score: float
@@ -47,13 +46,13 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
     Raises:
         UnknownNameError: if there is no such task.
         InvalidValueError: if the seed is not in [0, 2^53).
-        TooLargeError: if the solution would take too much memory; `bounds` still gives bounds of it.
+        TooLargeError: if the solution would take too much memory; use `bounds` then.
     """
     return solve_episode(Episode(task, seed=seed))
 
 
 def best_of(task: TaskConfig, seed: int) -> Solution | None:
-    """The optimum of a map, None if it is too large to be solved."""
+    """The optimum of a map, or None if the map is too large."""
     try:
         return solve(task, seed)
     except TooLargeError:
@@ -61,10 +60,10 @@ def best_of(task: TaskConfig, seed: int) -> Solution | None:
 
 
 def require_solvable(task: TaskConfig) -> None:
-    """Check that maps of a task are not too large to be solved.
+    """Check that the maps of a task are not too large to solve.
 
     Raises:
-        TooLargeError: if they are.
+        TooLargeError: if they are too large.
     """
     if not task.uniform and task.efficiency_needs_all:
         from drone_env.planning.legs import require_room  # Imported lazily: compiling takes seconds.
@@ -73,11 +72,11 @@ def require_solvable(task: TaskConfig) -> None:
 
 
 def solve_episode(episode: Episode, solver: "Solver | None" = None) -> Solution:
-    """The optimum from where an episode stands; the episode is left as it is.
+    """The optimum from the current state of an episode, which is not changed.
 
     Args:
         episode: The episode.
-        solver: A solver of this episode; None to make one if necessary.
+        solver: A solver of this episode; None to create one if necessary.
 
     Raises:
         TooLargeError: if the solution would take too much memory.
@@ -90,11 +89,13 @@ def solve_episode(episode: Episode, solver: "Solver | None" = None) -> Solution:
 
 
 def best_actions(episode: Episode, solver: "Solver | None" = None) -> list[Action]:
-    """The actions of a best flight from where an episode stands; at their end there may be nothing left but to wait.
+    """The actions of a best flight from the current state of an episode.
+
+    If the episode has not ended after them, only waiting remains.
 
     Args:
         episode: The episode.
-        solver: As of `solve_episode`.
+        solver: As in `solve_episode`.
 
     Raises:
         TooLargeError: if the solution would take too much memory.
@@ -109,11 +110,11 @@ def best_actions(episode: Episode, solver: "Solver | None" = None) -> list[Actio
 
 
 def solver_of(episode: Episode) -> "Solver":
-    """The values of all states that can follow from an episode in flight, by the fastest solver that covers its task.
+    """The fastest solver that covers the task of an episode in flight.
 
     Raises:
-        EpisodeError: if the episode has not begun, or has ended.
-        TooLargeError: if that would take more memory than `states.MAX_BYTES`.
+        EpisodeError: if the episode has not started, or has ended.
+        TooLargeError: if the solver would take more memory than `states.MAX_BYTES`.
     """
     # Imported lazily: compiling takes seconds.
     from drone_env.planning.legs import LegSolver, covers

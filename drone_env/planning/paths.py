@@ -1,8 +1,8 @@
-"""Paths over terrain, compiled: the Pareto-optimal ones to stops (parcels and pads), and the cheapest to a parcel.
+"""Paths over terrain, compiled: Pareto-optimal paths to stops (parcels and pads), and cheapest paths.
 
-A path that costs fewer battery units may take more steps, and the other way round; a path that is no better in either
-is never part of a best flight. Labels are corrected round by round (Bellman, "On a routing problem", 1958; two
-criteria: Hansen, "Bicriterion path problems", 1980).
+A path with fewer battery units may take more steps. A path that is worse in one and not better in the other is never
+part of a best flight. Labels are corrected in rounds (Bellman, "On a routing problem", 1958; two criteria: Hansen,
+"Bicriterion path problems", 1980).
 """
 
 from typing import Any, NamedTuple
@@ -21,29 +21,30 @@ WAIT = int(Action.WAIT)
 UNREACHED = 1 << 30
 NO_STOP = -1
 NO_PATH = 1 << 40
+NO_ACTION = -1
 STEP_COST = 1
 UNIT_COST = 1 << 16
-"""More than the steps of any path, so that battery always counts first."""
+"""More than the steps of any path, so battery counts first."""
 
 
 class ParetoPaths(NamedTuple):
-    """The Pareto-optimal paths to N stops, from one cell or from several.
+    """The Pareto-optimal paths to N stops, from one cell or several.
 
-    They are in the order of rising steps and falling units: the first is the fastest, the last the cheapest.
+    Steps increase and units decrease along each row: the first path is the fastest, the last the cheapest.
     """
 
     count: Any
-    """int64[N], how many there are."""
+    """int64[N], number of paths."""
     units: Any
-    """int32[N, most paths], battery units that they drain; the last step may ask for more than is left."""
+    """int32[N, most paths], battery units that a path drains; the last step may need more than the battery has."""
     steps: Any
-    """int32[N, most paths], their steps."""
+    """int32[N, most paths], steps of a path."""
     first: Any
-    """int32[N, most paths], their first action."""
+    """int32[N, most paths], first action of a path."""
 
 
 class Workspace(NamedTuple):
-    """Working memory of `find_paths`: of each cell, and of the cells that the last round and this one reached."""
+    """Working memory of `find_paths`: arrays per cell, and the cells that the last and the current round reached."""
 
     fewest: Any
     """int32[cells], units of the cheapest path so far."""
@@ -58,24 +59,24 @@ class Workspace(NamedTuple):
 
 
 def make_paths(task: TaskConfig, stops: int) -> ParetoPaths:
-    """Room for the paths to this many stops."""
+    """Allocate the paths to this many stops."""
     return ParetoPaths(np.zeros(stops, np.int64), *np.zeros((3, stops, most_paths(task)), np.int32))
 
 
 def most_paths(task: TaskConfig) -> int:
     """The largest number of Pareto-optimal paths to one stop."""
-    # Of n paths each takes a step more and a unit less than the one before.
+    # Each further path takes at least one step more and one unit less.
     return min(task.battery_capacity + 1, task.width * task.height) if counts_units(task) else 1
 
 
 def make_workspace(task: TaskConfig) -> Workspace:
-    """Working memory for a map of the task."""
+    """Allocate the working memory for a map of the task."""
     cells = task.width * task.height
     return Workspace(*np.zeros((3, cells), np.int32), *np.zeros((2, 3, cells), np.int32))
 
 
 def counts_units(task: TaskConfig) -> bool:
-    """Whether units are worth counting beside steps: not where each step drains one, whatever it is."""
+    """Whether units must be counted: not if every step drains one unit."""
     return not task.uniform
 
 
@@ -91,17 +92,17 @@ def find_paths(
     base: int,
     workspace: Workspace,
 ) -> None:
-    """Find all Pareto-optimal paths from a cell to each stop. A waiting parcel ends a path: it is delivered there.
+    """Find all Pareto-optimal paths from a cell to each stop. A path ends at a waiting parcel, which it delivers.
 
     Args:
         tables: The task's tables.
-        ground: uint8[cells], the kind of each cell, without the drone; a parcel waits where it is `Cell.DELIVERY`.
+        ground: uint8[cells], the kind of each cell without the drone; `Cell.DELIVERY` is a waiting parcel.
         start: The first cell.
-        most: Units of the drone: a path leaves some of them, or takes the last with the step to a waiting parcel.
-        counts: 1 if units count, 0 if only steps do: a path then drains none.
+        most: Units of the drone. Only the last step to a waiting parcel may use up all of them.
+        counts: 1 if units count; 0 if only steps count, so that paths drain nothing.
         stop_at: int32[cells], the number of the stop at each cell, or `NO_STOP`.
         paths: Receives the paths, those to stop i at entry `base` + i.
-        base: Where the entries of this cell begin.
+        base: The first entry of this cell.
         workspace: Working memory.
     """
     fewest, action_of, reached_in = workspace.fewest, workspace.action, workspace.reached_in
@@ -153,55 +154,74 @@ def find_paths(
 
 
 @jitable
-def cheapest_action(tables: Tables, grid: Any, start: int, costs: Any, first: Any) -> int:
-    """The first action of the cheapest path to the parcel that is cheapest to reach; WAIT if there is none.
-
-    Least battery first, then fewest steps; of equally cheap parcels the first in reading order.
+def find_costs(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: Any) -> None:
+    """Find the cost of the cheapest path to each cell, and its first action (Bellman-Ford).
 
     Args:
         tables: The task's tables.
-        grid: [cells], cell ids.
-        start: The cell to start from.
-        costs: [cells], receives the cost of the path to each cell, `NO_PATH` where there is none.
-        first: [cells], receives the first action of that path.
+        grid: uint8[cells], cell ids.
+        kind_costs: int64[kinds], cost of a move onto each kind of cell.
+        costs: int64[cells], 0 at the starts, else `NO_PATH`; receives the costs.
+        first: int64[cells], all `NO_ACTION`; receives the actions.
     """
-    for cell in range(tables.cells):
-        costs[cell] = NO_PATH
-    costs[start] = 0
-    first[start] = WAIT
     changed = True
     while changed:
         changed = False
         for cell in range(tables.cells):
             if costs[cell] == NO_PATH:
                 continue
-            for action in range(WAIT):
+            for action in range(N_MOVES):
                 to = tables.moves[cell * N_ACTIONS + action]
                 if collision(tables, grid, to) != NONE:
                     continue
-                cost = costs[cell] + tables.drain[grid[to] * N_ACTIONS + action] * UNIT_COST + STEP_COST  # pyright: ignore[reportUnknownVariableType]
+                cost = costs[cell] + kind_costs[grid[to]]
                 if cost < costs[to]:
                     costs[to] = cost
-                    first[to] = action if cell == start else first[cell]
+                    first[to] = action if first[cell] == NO_ACTION else first[cell]
                     changed = True
-    best = -1
-    for cell in range(tables.cells):
-        if grid[cell] == DELIVERY_CELL and costs[cell] < NO_PATH and (best < 0 or costs[cell] < costs[best]):
-            best = cell
-    return WAIT if best < 0 else first[best]
 
 
 @kernel
-def cheapest_kernel(tables: Tables, grids: Any, starts: Any, costs: Any, first: Any, actions: Any) -> None:
-    """Write the action of each map."""
+def cost_kernel(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: Any) -> None:
+    """`find_costs`, compiled."""
+    find_costs(tables, grid, kind_costs, costs, first)
+
+
+def costs_from(
+    tables: Tables, grid: npt.NDArray[np.uint8], starts: Any, kind_costs: npt.ArrayLike
+) -> npt.NDArray[np.int64]:
+    """The cost of the cheapest path to each cell from any of the cells `starts`, or `NO_PATH`: int64[cells]."""
+    costs, first = np.full(tables.cells, NO_PATH), np.full(tables.cells, NO_ACTION)
+    costs[starts] = 0
+    cost_kernel(tables, grid, np.asarray(kind_costs, np.int64), costs, first)
+    return costs
+
+
+@kernel
+def cheapest_kernel(
+    tables: Tables, grids: Any, starts: Any, kind_costs: Any, costs: Any, first: Any, actions: Any
+) -> None:
+    """For each map, write the first action towards the parcel that is cheapest to reach; WAIT if there is none.
+
+    Battery counts first, then steps. Ties go to the first parcel in reading order.
+    """
     for i in range(len(grids)):
-        actions[i] = cheapest_action(tables, grids[i], starts[i], costs, first)
+        costs[:] = NO_PATH
+        first[:] = NO_ACTION
+        costs[starts[i]] = 0
+        find_costs(tables, grids[i], kind_costs, costs, first)
+        best = NO_PATH
+        actions[i] = WAIT
+        for cell in range(tables.cells):
+            if grids[i, cell] == DELIVERY_CELL and costs[cell] < best:
+                best = costs[cell]
+                actions[i] = first[cell]
 
 
 def cheapest_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """`cheapest_action` on N maps.
+    """The first actions towards the parcels that are cheapest to reach, on N maps.
 
     Args:
         task: The task.
@@ -214,6 +234,7 @@ def cheapest_actions(
     tables = tabulate(task)
     actions = np.zeros(len(grids), np.int64)
     cells = starts[:, 1] * task.width + starts[:, 0]
+    kind_costs = np.reshape(tables.drain, (-1, N_ACTIONS))[:, 0] * np.int64(UNIT_COST) + STEP_COST
     costs, first = np.zeros((2, tables.cells), np.int64)
-    cheapest_kernel(tables, np.reshape(grids, (len(grids), tables.cells)), cells, costs, first, actions)
+    cheapest_kernel(tables, np.reshape(grids, (len(grids), tables.cells)), cells, kind_costs, costs, first, actions)
     return actions

@@ -1,10 +1,10 @@
-"""The value of every decision of a map: what its solvers share, and the solver that covers every task.
+"""Exact values of all states and actions of a map: the base class of solvers, and the solver that covers every task.
 
-The graded score is paid once, at the end, and is not discounted, so the value of a state is the highest score that can
-still be reached from it: V*(s) = max over a of Q*(s, a), and Q*(s, a) = V*(step(s, a)) (Bellman, "Dynamic
-Programming", 1957). Only maxima are taken, never sums, so values equal scores to the last bit.
+The graded score is paid once, at the end, without discount. So the value of a state is the highest score that can still
+be reached: V*(s) = max over a of Q*(s, a), and Q*(s, a) = V*(step(s, a)) (Bellman, "Dynamic Programming", 1957). There
+are only maxima, no sums, so values equal scores to the last bit.
 
-A solver keeps a value as the rank of a score among all scores of the task, which takes two bytes, not eight.
+Solvers store a value as the rank of a score among all scores of the task, which takes two bytes instead of eight.
 """
 
 from abc import ABC, abstractmethod
@@ -48,12 +48,12 @@ from drone_env.planning.states import (
     waiting_parcels,
 )
 
-ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
+NOT_REACHABLE = "the solved episode cannot reach this state: create a solver for this episode"
 
 
 @kernel
 def score_kernel(tables: Tables, scores: Any) -> None:
-    """Write the score of every end into float64[deliveries + 1, capacity + 1, max_steps + 1]."""
+    """Write the score of every possible end into float64[deliveries + 1, capacity + 1, max_steps + 1]."""
     for deliveries in range(scores.shape[0]):
         for battery in range(scores.shape[1]):
             for steps in range(scores.shape[2]):
@@ -66,11 +66,11 @@ def step_kernel(tables: Tables, rewards: Rewards, grids: Any, states: Any, scrat
 
     Args:
         tables: The task's tables.
-        rewards: Those of any profile: they are not used.
+        rewards: Tables of any profile; not used.
         grids: uint8[N, cells]
-        states: uint16[5 N, state size], each state five times; flown on, the k-th by action k modulo 5.
+        states: uint16[5 N, state size], each state five times. The k-th flies action k modulo 5.
         scratch: uint8[cells], working memory.
-        scores: float64[5 N], receives the score of each as it stands then.
+        scores: float64[5 N], receives the scores after the actions.
     """
     for k in range(len(states)):
         for cell in range(tables.cells):
@@ -81,9 +81,9 @@ def step_kernel(tables: Tables, rewards: Rewards, grids: Any, states: Any, scrat
 
 @lru_cache(maxsize=16)
 def ranked_scores(task: TaskConfig) -> tuple[npt.NDArray[np.float64], npt.NDArray[Any]]:
-    """All scores of a task in rising order, and in it the rank of each end.
+    """All scores of a task in ascending order, and the rank of each possible end.
 
-    The ranks are an array [deliveries + 1, capacity + 1, max_steps + 1], of uint16 where that is enough, else uint32.
+    The ranks are [deliveries + 1, capacity + 1, max_steps + 1], uint16 if that is enough, else uint32.
 
     Raises:
         TooLargeError: if they would take more memory than `states.MAX_BYTES`.
@@ -100,10 +100,10 @@ class Solver(ABC):
     """V*, Q*, optimal actions and regrets of every state that an episode can reach.
 
     Args:
-        episode: In flight; it is left as it is. Everything that can still become of it is solved.
+        episode: An episode in flight; it is not changed.
 
     Raises:
-        EpisodeError: if the episode has not begun, or has ended.
+        EpisodeError: if the episode has not started, or has ended.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -115,29 +115,29 @@ class Solver(ABC):
     @property
     @abstractmethod
     def nbytes(self) -> int:
-        """Memory that the values take."""
+        """Memory of the values in bytes."""
 
     @abstractmethod
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """V* of N states in flight that can have come from the one that was solved, float64[N].
+        """V* of N reachable states in flight, float64[N].
 
         Args:
             states: int64[N, 4]: set delivered, cell, battery units and steps left. Bit i of the set is the i-th parcel
-                that was waiting in the state that was solved.
+                that was waiting in the solved state.
         """
 
     def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:
         """Q*, float64[5]: the highest score that can still be reached after each action.
 
         Raises:
-            EpisodeError: if the episode has ended, or cannot have come from the one that was solved.
+            EpisodeError: if the episode has ended, or is not reachable from the solved one.
         """
         self._require_from_here(episode)
         _, state, _ = state_arrays(episode)
         return self.q_values_of(episode.grid().reshape(1, -1), state[None])[0]
 
     def q_values_of(self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16]) -> npt.NDArray[np.float64]:
-        """Q* of N states in flight, float64[N, 5]; nothing checks that they can have come from the one that was solved.
+        """Q* of N states in flight, float64[N, 5]. It does not check that they are reachable.
 
         Args:
             grids: uint8[N, cells]
@@ -148,8 +148,8 @@ class Solver(ABC):
         scratch = np.zeros(task.width * task.height, np.uint8)
         step_kernel(tabulate(task), tabulate_rewards(task, UNPAID), grids, after, scratch, values)
         flying = after[:, OUTCOME] == FLYING
-        gone = after[:, [PARCELS + parcel for parcel in self._waiting]] >= DELIVERED_FLAG
-        delivered = gone @ (1 << np.arange(len(self._waiting)))
+        flags = after[:, [PARCELS + parcel for parcel in self._waiting]] >= DELIVERED_FLAG
+        delivered = flags @ (1 << np.arange(len(self._waiting)))
         left = np.int64(task.max_steps) - after[:, STEPS]
         rows = np.stack([delivered, after[:, CELL], after[:, BATTERY], left], axis=1).astype(np.int64)
         values[flying] = self._values_in_flight(rows[flying])
@@ -159,7 +159,7 @@ class Solver(ABC):
         """V*: the highest score that can still be reached; after the end, the score.
 
         Raises:
-            EpisodeError: if the episode cannot have come from the one that was solved.
+            EpisodeError: if the episode is not reachable from the solved one.
         """
         return episode.score if episode.ended else float(self.q_values(episode).max())
 
@@ -169,7 +169,7 @@ class Solver(ABC):
         return tuple(Action(int(action)) for action in np.flatnonzero(values == values.max()))
 
     def regret(self, episode: Episode, action: int) -> float:
-        """V*(s) - Q*(s, a): what an action gives away for good, in score.
+        """V*(s) - Q*(s, a): the score that an action loses.
 
         Raises:
             InvalidValueError: if the action is not an integer from 0 to 4.
@@ -180,44 +180,44 @@ class Solver(ABC):
         return float(values.max() - values[number])
 
     def best_actions(self) -> list[Action]:
-        """One best sequence of actions, from where the solved episode stood; the same in every run.
+        """One best sequence of actions from the solved state; the same in every run.
 
-        At its end there may be nothing left but to wait.
+        If the episode has not ended then, only waiting remains.
         """
         flight = self._start.copy()
         rollout(flight, lambda _: self.optimal_actions(flight)[0])
         return [step.action for step in flight.path[len(self._start.actions) :]]
 
     def _require_from_here(self, episode: Episode) -> None:
-        """Refuse an episode that has ended, or cannot have come from the one that was solved."""
+        """Reject an episode that has ended, or is not reachable from the solved one."""
         if episode.ended:
-            raise EpisodeError("the episode has ended: there is no action left to value")
+            raise EpisodeError("the episode has ended: it has no further actions")
         if (episode.task, episode.seed) != (self._start.task, self._start.seed):
-            raise EpisodeError(ANOTHER)
+            raise EpisodeError(NOT_REACHABLE)
         waiting, t = waiting_parcels(episode), episode.steps - self._start.steps
         lowest, sizes = self._battery_ranges
         possible = (
             t >= 0
-            and np.array_equal(_unflown(episode), self._unflown)
+            and np.array_equal(_invariants(episode), self._invariants)
             and set(waiting) <= set(self._waiting)
             and all((x, y) != episode.position or delivered for x, y, delivered in episode.parcels)
             and episode.under not in episode.task.impassable
             and 0 <= episode.battery_units - lowest[t] < sizes[t]
         )
         if not possible:
-            raise EpisodeError(ANOTHER)
+            raise EpisodeError(NOT_REACHABLE)
 
     @cached_property
     def _battery_ranges(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         return battery_ranges(self._start)
 
     @cached_property
-    def _unflown(self) -> npt.NDArray[np.int64]:
-        return _unflown(self._start)
+    def _invariants(self) -> npt.NDArray[np.int64]:
+        return _invariants(self._start)
 
 
-def _unflown(episode: Episode) -> npt.NDArray[np.int64]:
-    """What no flight changes: the map with neither drone nor deliveries, and where each parcel lies or lay."""
+def _invariants(episode: Episode) -> npt.NDArray[np.int64]:
+    """The part of an episode that steps do not change: the terrain, and the original cell of each parcel."""
     grid = episode.grid()
     x, y = episode.position
     grid[y, x] = episode.under
@@ -240,19 +240,19 @@ def value_kernel(
     ends: Any,
     ranks: Any,
 ) -> None:
-    """Fill in the ranks from the last step backwards, with every action flown by the rules from every state.
+    """Compute the ranks backwards from the last step, by flying every action from every state.
 
     Args:
         tables: The task's tables.
-        rewards: Those of any profile: they are not used.
+        rewards: Tables of any profile; not used.
         grid: uint8[cells], without the drone; working memory.
         state: uint16[state size], working memory.
-        parcels: int64[n], the entries of `state` that hold the waiting parcels.
-        first_step: Steps taken when the planning starts.
-        lowest: int64[T + 1], the lowest battery that can be left after each step, at least 1.
-        starts: int64[T + 1], where the ranks of each step start.
-        ends: [deliveries + 1, capacity + 1, max_steps + 1], the rank of the score of each end.
-        ranks: [starts[-1]], the rank of each value: by step, battery, delivered set and cell.
+        parcels: int64[n], the entries of `state` of the waiting parcels.
+        first_step: Steps taken in the solved state.
+        lowest: int64[T + 1], the lowest possible battery after each step, at least 1.
+        starts: int64[T + 1], index of the first rank of each step.
+        ends: [deliveries + 1, capacity + 1, max_steps + 1], the rank of each possible end.
+        ranks: [starts[-1]], receives the rank of each value: by step, battery, delivered set and cell.
     """
     places = tables.cells << len(parcels)
     for t in range(len(starts) - 2, -1, -1):
@@ -283,14 +283,14 @@ def value_kernel(
 
 
 class ExactSolver(Solver):
-    """The values of every state, computed for each state. It covers every task; `LegSolver` is a hundred times faster.
+    """Values by dynamic programming over all states. It covers every task; `LegSolver` is a hundred times faster.
 
     Args:
-        episode: In flight; it is left as it is. Everything that can still become of it is solved.
+        episode: An episode in flight; it is not changed.
 
     Raises:
-        EpisodeError: if the episode has not begun, or has ended.
-        TooLargeError: if that would take more memory than `states.MAX_BYTES`.
+        EpisodeError: if the episode has not started, or has ended.
+        TooLargeError: if the values would take more memory than `states.MAX_BYTES`.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -307,7 +307,7 @@ class ExactSolver(Solver):
 
     @property
     def nbytes(self) -> int:
-        """Memory that the values take."""
+        """Memory of the values in bytes."""
         return self._ranks.nbytes
 
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:

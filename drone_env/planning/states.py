@@ -1,4 +1,4 @@
-"""States of one map as kernels take them: read from an episode, set to other cells, and how much memory they need."""
+"""States of one map as arrays for kernels, and limits of their memory."""
 
 from typing import Any
 
@@ -26,21 +26,21 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
 
 MAX_BYTES = 1 << 30
-"""Working memory that a planner may take for one map."""
+"""Maximum working memory of a planner for one map."""
 UNPAID = RewardProfile(id="none", summary="nothing")
-"""For planners that fly by the rules and need no reward."""
+"""A profile for planners that need no reward."""
 
 
 @jitable
 def put_parcels(tables: Tables, grid: Any, state: Any, parcels: Any, delivered: int) -> None:
-    """Set which of the parcels are delivered, in a state without a drone on its grid.
+    """Set the delivered parcels, in a state without a drone on its grid.
 
     Args:
         tables: The task's tables.
         grid: uint8[cells], without the drone.
         state: uint16[state size].
-        parcels: int64[n], the entries of `state` that hold the parcels that were waiting at the start.
-        delivered: Bit i for parcel i of these.
+        parcels: int64[n], the entries of `state` of the parcels that were waiting at the start.
+        delivered: The set of delivered ones, bit i for the i-th entry.
     """
     state[DELIVERIES_DONE] = tables.deliveries - len(parcels)
     for i in range(len(parcels)):
@@ -56,7 +56,7 @@ def put_parcels(tables: Tables, grid: Any, state: Any, parcels: Any, delivered: 
 
 @jitable
 def put_drone(tables: Tables, grid: Any, state: Any, cell: int, steps: int, battery: int) -> None:
-    """Put the drone over a cell of a grid that has none, in flight; the caller chooses the target."""
+    """Put the drone, in flight, over a cell of a grid without a drone. The caller sets the target."""
     state[CELL] = cell
     state[UNDER] = grid[cell]
     state[STEPS] = steps
@@ -67,7 +67,7 @@ def put_drone(tables: Tables, grid: Any, state: Any, cell: int, steps: int, batt
 
 @jitable
 def delivered_set(state: Any, parcels: Any) -> int:
-    """The set of delivered parcels, bit i for parcel i."""
+    """The set of delivered parcels, bit i for the i-th entry of `parcels`."""
     delivered = 0
     for i in range(len(parcels)):
         if state[parcels[i]] >= DELIVERED_FLAG:
@@ -76,12 +76,12 @@ def delivered_set(state: Any, parcels: Any) -> int:
 
 
 def waiting_parcels(episode: Episode) -> list[int]:
-    """The numbers of the parcels still to deliver."""
+    """The numbers of the undelivered parcels."""
     return [i for i, (_, _, delivered) in enumerate(episode.parcels) if not delivered]
 
 
 def state_arrays(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]]:
-    """The grid without the drone, the state, and which of its entries hold waiting parcels: copies, for kernels."""
+    """Copies of the grid without the drone and of the state, and the entries of the state with waiting parcels."""
     grid = episode.grid().ravel()
     grid[episode.cell] = episode.under
     state = np.frombuffer(episode.get_state().numbers, np.uint16).copy()
@@ -89,7 +89,7 @@ def state_arrays(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
 
 
 def require_memory(what: str, task: TaskConfig, size: int) -> None:
-    """Check that something fits into memory; `what` names it in the message.
+    """Check the memory that a planner needs; `what` is the subject of the message.
 
     Raises:
         TooLargeError: if `size`, in bytes, is above `MAX_BYTES`.
@@ -101,17 +101,17 @@ def require_memory(what: str, task: TaskConfig, size: int) -> None:
 
 
 def drain_range(task: TaskConfig) -> tuple[int, int]:
-    """The least and the most that a step can drain on any map of the task; below zero for a charge."""
+    """The lowest and highest drain of a step on any map of the task; negative for a charge."""
     kinds = [Cell.ROAD, Cell.DELIVERY, Cell.DELIVERED, *(kind for kind, count in task.cell_counts().items() if count)]
     drains = np.reshape(tabulate(task).drain, (-1, N_ACTIONS))[[kind for kind in kinds if kind not in task.impassable]]
     return int(drains.min()), int(drains.max())
 
 
 def battery_ranges(episode: Episode) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The range of the battery after each of the T steps left, for episodes that have not ended.
+    """The range of the battery after each of the T steps left, while the episode has not ended.
 
     Returns:
-        int64[T + 1], the lowest number of units above 0; and int64[T], how many numbers from there on.
+        int64[T + 1], the lowest number of units above 0, and int64[T], the number of values from it on.
     """
     least_drain, most_drain = drain_range(episode.task)
     lowest, sizes = [], []

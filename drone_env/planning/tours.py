@@ -1,4 +1,4 @@
-"""Shortest tours where every step costs the same and nothing blocks the way."""
+"""Shortest tours, for tasks with equal costs of all steps and without impassable cells."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -16,19 +16,19 @@ def distance(a: Position, b: Position) -> int:
 
 
 def route(a: Position, b: Position) -> list[Action]:
-    """All actions of a shortest path: along the row first."""
+    """The actions of a shortest path: along the row first."""
     sideways = [Action.RIGHT if b[0] > a[0] else Action.LEFT] * abs(b[0] - a[0])
     return sideways + [Action.DOWN if b[1] > a[1] else Action.UP] * abs(b[1] - a[1])
 
 
 def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:
-    """The actions that visit the positions of a tour one after another."""
+    """The actions that visit the positions of a tour in order."""
     stops = [start, *tour]
     return [action for a, b in pairwise(stops) for action in route(a, b)]
 
 
 def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> list[Position]:
-    """The parcels in the order that visits as many as `budget` steps allow, in as few steps as that takes."""
+    """The parcels of the best tour, in order: the most parcels within `budget` steps, in the fewest steps."""
     n = len(parcels)
     first = [distance(start, parcel) for parcel in parcels]
     legs = [[distance(a, b) for b in parcels] for a in parcels]
@@ -39,20 +39,20 @@ def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> 
 
 
 def held_karp(first: Any, legs: Any, n: int, budget: int, lengths: Any, order: Any) -> int:
-    """Write the order in which to visit the places and return how many of them fit into the budget.
+    """Write the order of the best tour and return its number of places.
 
-    As many as possible, in as few steps as that takes; of equals the lowest numbers. By dynamic programming over (set
-    of places visited, last one): Held and Karp, "A dynamic programming approach to sequencing problems", 1962. Time
-    O(2^n n^2), memory O(2^n n). The function runs interpreted on lists and compiled on arrays.
+    The best tour visits the most places within the budget, in the fewest steps; ties go to the lowest numbers. Dynamic
+    programming over (set of visited places, last place): Held and Karp, "A dynamic programming approach to sequencing
+    problems", 1962. Time O(2^n n^2), memory O(2^n n). The function runs interpreted on lists and compiled on arrays.
 
     Args:
         first: Steps from the start to each place, [n].
         legs: Steps from place to place, [n][n].
-        n: How many places.
-        budget: Steps that may be taken.
+        n: Number of places.
+        budget: Maximum number of steps.
         lengths: Working memory, [2^n][n]; `lengths[visited][last]` becomes the steps of the shortest path that visits
-            the set and ends at `last`, `UNREACHED` where the budget allows none.
-        order: [n], receives the numbers of the places; entries after those that fit have no meaning.
+            the set and ends at `last`, or `UNREACHED` if it is over budget.
+        order: [n], receives the numbers of the places; entries after the returned number are undefined.
     """
     best, best_last, best_size = 0, 0, 0
     best_length = UNREACHED

@@ -14,13 +14,11 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.rendering import draw_picture
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, TextObservation, WithOptimum
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, WithOptimum
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.planning.optimal import solve
 
 IDS = [f"drone_env:{task.gym_id}" for task in TASKS.values()]
-WRAPPERS = [OneHotPlanes, FlatObservation, TextObservation]
 
 
 def make(env_id: str = IDS[0], **options: Any) -> gymnasium.Env:
@@ -55,7 +53,7 @@ def test_gymnasium_check_env_passes_without_a_warning(env_id: str, render_mode: 
     check_env(make(env_id, render_mode=render_mode).unwrapped)
 
 
-@pytest.mark.parametrize("wrapper", WRAPPERS)
+@pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_gymnasium_check_env_passes_on_wrapped_environments(wrapper: type[gymnasium.Wrapper]) -> None:
     with warnings.catch_warnings():
         # The checker says so of every wrapped environment.
@@ -143,49 +141,15 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
         env.step(0)
     env.reset()
     env.step(0)
-    with pytest.raises(ResetNeeded, match="nothing to show"):
+    with pytest.raises(ResetNeeded, match="call reset"):
         DroneDeliveryEnv(render_mode="ansi").render()
 
 
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
-    with pytest.raises(InvalidValueError, match="ansi, rgb_array, human"):
+    with pytest.raises(InvalidValueError, match=r"ansi, rgb_array$"):
         DroneDeliveryEnv(render_mode="png")
     with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
         gymnasium.make("drone_env:DroneDelivery-Easy-v1", task="hard")
-
-
-def test_render_modes() -> None:
-    text = make(render_mode="ansi")
-    text.reset(seed=1)
-    assert "🚁" in text.render()
-    picture = make(render_mode="rgb_array")
-    picture.reset(seed=1)
-    before = picture.render()
-    assert (before.dtype, before.ndim, before.shape[2]) == (np.uint8, 3, 3)
-    picture.step(0)
-    assert not np.array_equal(before, picture.render())
-
-
-def test_human_mode_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    import pygame
-
-    monkeypatch.setitem(DroneDeliveryEnv.metadata, "render_fps", 1000)
-    env = make(render_mode="human")
-
-    def assert_shown() -> None:
-        shown = pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)
-        assert np.array_equal(shown, draw_picture(env.unwrapped.episode))
-
-    try:
-        env.reset(seed=1)
-        assert_shown()
-        env.step(0)
-        assert_shown()
-    finally:
-        env.close()
-    assert not pygame.display.get_init()
 
 
 def test_the_flat_observation_holds_planes_and_telemetry() -> None:
@@ -197,10 +161,3 @@ def test_the_flat_observation_holds_planes_and_telemetry() -> None:
     assert flat.shape == (9 * 100 + 5,)
     assert np.array_equal(flat[:900].reshape(9, 10, 10).argmax(axis=0), observation["grid"])
     assert np.array_equal(flat[900:], observation["telemetry"])
-
-
-def test_the_text_observation_shows_the_map() -> None:
-    env = TextObservation(make(IDS[2]))
-    text, _ = env.reset(seed=2)
-    assert (text.count("📦"), text.count("🎯"), text.count("🚁")) == (4, 1, 1)
-    assert env.observation_space.contains(text)

@@ -27,19 +27,6 @@ def actions_of(step: int) -> np.ndarray:
     return (np.arange(N) * 3 + step * step // 3) % 5
 
 
-@pytest.mark.parametrize("num_threads", [2, 64])
-def test_threads_change_nothing(num_threads: int) -> None:
-    env, single = make(num_threads=num_threads), make()
-    env.reset(seed=0)
-    single.reset(seed=0)
-    for step in range(150):
-        got, want = env.step(actions_of(step)), single.step(actions_of(step))
-        assert np.array_equal(got[0]["grid"], want[0]["grid"])
-        assert np.array_equal(got[1], want[1])
-        if "final_info" in want[4]:
-            assert np.array_equal(got[4]["final_info"]["score"], want[4]["final_info"]["score"])
-
-
 def test_copies_stay_as_they_are_and_live_buffers_do_not() -> None:
     for copy in (True, False):
         env = make(copy=copy)
@@ -115,7 +102,7 @@ def test_where_nothing_begins_by_itself_an_ended_episode_waits_for_its_reset(cop
     assert terminated.tolist() == (~late).tolist()
     assert info["final_info"]["seed"][terminated].tolist() == [0, 2, 4]
     before = env.batch.get_state()
-    with pytest.raises(EpisodeError, match=r'3 of the episodes have ended, number 0 among .*"reset_mask"'):
+    with pytest.raises(EpisodeError, match=r'3 episodes have ended .the first is 0. .*"reset_mask"'):
         env.step(np.full(N, 4))
     assert all(np.array_equal(array, before[name]) for name, array in env.batch.get_state().items())
     _, info = env.reset(options={"reset_mask": terminated})
@@ -133,7 +120,7 @@ def test_a_mask_that_is_none_is_refused(mask: Any) -> None:
 
 def test_the_first_reset_must_begin_all() -> None:
     mask = np.arange(N) < 2
-    with pytest.raises(EpisodeError, match="must begin all"):
+    with pytest.raises(EpisodeError, match="must start all"):
         make().reset(seed=0, options={"reset_mask": mask})
     with pytest.raises(EpisodeError, match="reset"):
         make().step(np.zeros(N, int))
@@ -175,5 +162,5 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_a_wrapper_is_for_plain_observations_of_many(wrapper: Any) -> None:
     many = getattr(vector, wrapper.__name__)
-    with pytest.raises(InvalidValueError, match="a grid of cell ids and its telemetry; got "):
+    with pytest.raises(InvalidValueError, match="a grid of cell ids and its telemetry, got "):
         many(many(make()))

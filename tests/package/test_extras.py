@@ -172,7 +172,7 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
     assert not brought() & {"httpx", "torch", "fastapi", "ray", "pytest"}
     assert not brought("server") & {"torch", "pygame", "matplotlib"}
     assert not brought("llm", "server", "test") & set(LEFT_OUT)  # `make python` has uv install these
-    assert brought("all") >= brought(*(extra for extra in ("city", "data", "human", "server", "llm", "train")))
+    assert brought("all") >= brought(*(extra for extra in ("city", "data", "server", "llm", "train")))
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
 
 

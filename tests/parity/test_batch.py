@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.batch import OWN_CACHE, Batch
+from drone_env.core.batch import PREFETCH_BYTES, Batch
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
@@ -122,7 +122,7 @@ def test_so_they_do_where_every_number_is_the_highest_allowed() -> None:
 @pytest.mark.parametrize("same_step", [False, True], ids=["next_step", "same_step"])
 def test_a_batch_whose_grids_are_fetched_early_flies_as_its_two_halves_do(same_step: bool) -> None:
     task = replace(LARGEST, max_steps=40)
-    half = OWN_CACHE // (task.width * task.height)
+    half = PREFETCH_BYTES // (task.width * task.height)
     n = 2 * half
     whole, halves = Batch(task, n, same_step=same_step), [Batch(task, half, same_step=same_step) for _ in range(2)]
     rng = np.random.default_rng(0)

@@ -148,7 +148,7 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("summary = 'x'", "id: Field required"),
         ("id = 'x'\nbonus = 1", "unknown key 'bonus'; allowed: id, summary"),
         ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
-        ("id = 'x'\nclamp = [2, 1]", "no room"),
+        ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),
         ("id = 'x'\nshaping = 1e999999999", "from -1000000 to 1000000"),
         ("id = 'x'\nshaping_gamma = 1e-999999999", "400 decimal places at most"),

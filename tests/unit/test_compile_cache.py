@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from drone_env.core import compile_cache
-from drone_env.core.compile_cache import CodeCache, cache_folder, digest_of_sources, is_compiled, tell_before_compiling
+from drone_env.core.compile_cache import CodeCache, cache_folder, digest_of_sources, is_compiled, print_before_compiling
 from drone_env.planning.elsewhere import range_kernel
 
 PACKAGE = compile_cache.PACKAGE
@@ -31,7 +31,7 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty folder, which `DRONE_ENV_CACHE` names."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("DRONE_ENV_CACHE", str(folder))
-    tell_before_compiling.cache_clear()
+    print_before_compiling.cache_clear()
     yield folder
     sys.modules.pop("kernels", None)
 
@@ -64,7 +64,7 @@ def test_the_digest_is_of_all_sources(tmp_path: Path) -> None:
 
 def test_sources_that_changed(tmp_path: Path, chosen: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compile_cache, "LOADED", "0123456789abcdef")
-    with pytest.raises(FileNotFoundError, match="not those that this program began with"):
+    with pytest.raises(FileNotFoundError, match="have changed since this program started"):
         cache_folder()
     assert load(tmp_path).twice(3) == 6
     assert files(chosen) == []
@@ -82,11 +82,11 @@ def test_all_functions_of_the_package_are_kept() -> None:
 
 
 def test_what_is_told_before_compiling(tmp_path: Path, chosen: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tell_before_compiling()
-    assert f"a few seconds; kept in {chosen}" in capsys.readouterr().err
+    print_before_compiling()
+    assert f"a few seconds; cached in {chosen}" in capsys.readouterr().err
     load(tmp_path).twice(3)
-    tell_before_compiling.cache_clear()
-    tell_before_compiling()
+    print_before_compiling.cache_clear()
+    print_before_compiling()
     assert capsys.readouterr().err == ""
 
 
@@ -101,7 +101,7 @@ def test_an_equal_source_shares_whatever_its_path_and_another_does_not(tmp_path:
 def test_processes_that_compile_at_once_never_load_the_code_of_another_signature(tmp_path: Path, chosen: Path) -> None:
     load(tmp_path)
     code = "import sys, kernels; assert all(kernels.twice(eval(x)) == 2 * eval(x) for x in sys.argv[1:])"
-    orders = [("1.5", "3"), ("3", "1.5")] * 2
+    orders = [("1.5", "3"), ("3", "1.5")]
     processes = [subprocess.Popen([sys.executable, "-c", code, *order], cwd=tmp_path) for order in orders]
     assert [process.wait() for process in processes] == [0] * len(orders)
     assert len(files(chosen)) == 2
@@ -141,5 +141,5 @@ def test_a_folder_at_home_that_others_can_write_is_not_used(
     parent.chmod(0o777)
     assert load(tmp_path / "kernels").twice(3) == 6
     assert not list(tmp_path.rglob("*.code"))
-    tell_before_compiling()
-    assert f"not kept: {parent}" in capsys.readouterr().err
+    print_before_compiling()
+    assert f"not cached: others than this user can write to {parent}" in capsys.readouterr().err

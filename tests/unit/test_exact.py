@@ -1,4 +1,4 @@
-"""The exact planners by hand on toy maps, against each other on real ones, and what they refuse."""
+"""What the exact planners refuse. (Their values: tests/property/test_exact.py, tests/unit/test_legs.py.)"""
 
 import random
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, TooLargeError
 from drone_env.planning import states
 from drone_env.planning.from_observation import episode_of
-from drone_env.planning.legs import LegSolver, covers
+from drone_env.planning.legs import LegSolver
 from drone_env.planning.optimal import best_actions, solve, solve_episode
 from drone_env.planning.solver import ExactSolver, Solver
 from tests.toy import fly, toy_episode
@@ -24,9 +24,6 @@ from tests.which_tasks import SMALL
 
 MakeSolver: TypeAlias = Callable[[Episode], Solver]
 EACH_SOLVER = pytest.mark.parametrize("make", [ExactSolver, LegSolver])
-
-COUNTS_ALWAYS: dict[str, Any] = {"efficiency_needs_all": False}
-NEEDS_ALL: dict[str, Any] = {"efficiency_needs_all": True}
 
 
 def reset(task: str | TaskConfig, seed: int) -> Episode:
@@ -37,47 +34,8 @@ def letters(actions: Sequence[Action]) -> str:
     return "".join("UDLRW"[action] for action in actions)
 
 
-def scores_of(episode: Episode) -> list[float]:
-    """What all planners make of an episode, flown to its end."""
-    solvers = [ExactSolver(episode), *([LegSolver(episode)] if covers(episode.task) else [])]
-    plans = [solver.best_actions() for solver in solvers] + [best_actions(episode)]
-    return [solver.value(episode) for solver in solvers] + [episode.copy().fly(p).counted_score() for p in plans]
-
-
-class TestByHand:
-    @pytest.mark.parametrize(
-        ("battery", "plan", "left"),
-        [
-            # A wait on the pad is worth 1/battery of charge and costs 1/7 of time.
-            (9, "RRRRRR", 3),
-            (8, "RRRRRR", 2),
-            (6, "RRWRRRR", 1),
-            # On the pad with 3, and it takes 4 from there; the last unit is gone on arrival, which is soon enough.
-            (5, "RRWRRRR", 0),
-        ],
-    )
-    @pytest.mark.parametrize("mode", [NEEDS_ALL, COUNTS_ALWAYS])
-    def test_a_pad_is_used_only_when_it_is_needed_or_worth_the_time(
-        self, battery: int, plan: str, left: int, mode: dict[str, Any]
-    ) -> None:
-        episode = toy_episode(["@.P...0", "......."], max_steps=7, battery_capacity=battery, charge_rate=1, **mode)
-        assert letters(ExactSolver(episode).best_actions()) == plan
-        score = 0.8 + 0.1 * left / battery + 0.1 * (7 - len(plan)) / 7
-        assert scores_of(episode) == pytest.approx([score] * len(scores_of(episode)))
-
-
 def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
     assert letters(ExactSolver(toy_episode(["@.", ".0"])).best_actions()) == "DR"
-
-
-@EACH_SOLVER
-class TestRegret:
-    def test_is_what_an_action_gives_away_for_good(self, make: MakeSolver) -> None:
-        episode = toy_episode(["@0", ".."], max_steps=10, **NEEDS_ALL)
-        solver = make(episode)
-        # Every other action costs a step; DOWN costs another one to come back round.
-        assert [solver.regret(episode, a) for a in Action] == pytest.approx([0.02, 0.02 * 2, 0.02, 0, 0.02])
-        assert solver.optimal_actions(episode) == (Action.RIGHT,)
 
 
 @EACH_SOLVER
@@ -107,13 +65,13 @@ class TestRefusals:
     def test_an_episode_of_another_map_or_task(self, make: MakeSolver) -> None:
         solver = make(reset("skyline_easy", 1).fly([Action.WAIT]))
         for other in (reset("skyline_easy", 2), reset("skyline_medium", 1), reset("skyline_easy", 1)):
-            with pytest.raises(EpisodeError, match="solver of its own"):
+            with pytest.raises(EpisodeError, match="create a solver for this episode"):
                 solver.q_values(other)
 
     def test_another_terrain_or_other_parcels_under_the_same_seed(self, make: MakeSolver) -> None:
         solver = make(toy_episode(["@B.", "0.1"]))
         for other in (["@.B", "0.1"], ["@B.", "1.0"], ["@B.", "01."]):
-            with pytest.raises(EpisodeError, match="solver of its own"):
+            with pytest.raises(EpisodeError, match="create a solver for this episode"):
                 solver.value(toy_episode(other))
         elsewhere = toy_episode([".B@", "0.1"])  # the drone can be there, though it has not flown there
         assert solver.value(elsewhere) == make(elsewhere).value(elsewhere)
@@ -124,7 +82,7 @@ class TestRefusals:
         state = np.frombuffer(spent.get_state().numbers, np.uint16).copy()
         state[BATTERY] = 8
         spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
-        with pytest.raises(EpisodeError, match="solver of its own"):
+        with pytest.raises(EpisodeError, match="create a solver for this episode"):
             make(full).value(spent)
 
     @pytest.mark.parametrize("cell", [2, 4], ids=["a parcel that waits", "a closed cell"])
@@ -135,7 +93,7 @@ class TestRefusals:
         grid, state = np.frombuffer(before.grid, np.uint8).copy(), np.frombuffer(before.numbers, np.uint16).copy()
         grid[episode.cell], state[UNDER], state[CELL], grid[cell] = episode.under, grid[cell], cell, Cell.DRONE
         episode.set_state(replace(before, grid=grid.tobytes(), numbers=state.tobytes()))
-        with pytest.raises(EpisodeError, match="solver of its own"):
+        with pytest.raises(EpisodeError, match="create a solver for this episode"):
             solver.value(episode)
 
     def test_more_memory_than_is_allowed(self, make: MakeSolver, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,5 @@
 """Flights as films."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -43,16 +42,14 @@ def test_fly_and_replay_save_the_same_film(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("video", "why"),
     [
-        ("flight.avi", "a film is a file that ends in .gif or .mp4, got flight.avi"),
+        ("flight.mp4", "a film must be a file that ends in .gif, got flight.mp4"),
         ("folder.gif", "--video takes the name of a file, got the folder folder.gif"),
-        ("flight.mp4", "imageio_ffmpeg is not installed"),
     ],
 )
 def test_a_film_that_cannot_be_made_is_said_before_the_flight(
     video: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     Path("folder.gif").mkdir()
     assert main(["fly", "--task", "easy", "--seed", "14", "--video", video]) == 2
     captured = capsys.readouterr()

@@ -56,7 +56,7 @@ def test_a_best_flight_reaches_the_value_of_the_start(task: str) -> None:
 
 
 def test_a_task_whose_efficiency_always_counts_and_whose_steps_differ_is_refused() -> None:
-    with pytest.raises(UnsupportedTaskError, match="every step costs the same, or where efficiency needs all"):
+    with pytest.raises(UnsupportedTaskError, match="needs equal costs of all steps, or efficiency_needs_all"):
         LegSolver(toy_episode(["@B0", "..."], drain=((Cell.BUILDING, 2),)))
 
 

@@ -79,7 +79,7 @@ def test_a_registered_profile_pays_by_its_name() -> None:
         assert drone_env.register_reward_profile(profile) is profile
         episode = Episode("easy", "parcels", 14)
         assert [episode.step(action) for action in solve("easy", 14).actions] == [0, 0, 3]
-        with pytest.raises(InvalidTaskError, match="another one of this name"):
+        with pytest.raises(InvalidTaskError, match="another profile has this id"):
             register_reward_profile(replace(profile, summary="another"))
     finally:
         REWARD_PROFILES.pop("parcels", None)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs import figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import draw_picture, save_picture
@@ -59,7 +59,7 @@ def count(picture: Picture, colour: str) -> int:
 class TestPicture:
     @pytest.mark.parametrize(
         ("task", "size"),
-        [(EASY, 241), *((task, 96) for task in (*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST))],
+        [(EASY, 241), *((task, 96) for task in (get_task("city"), SMALLEST, LARGEST, WIDEST, TALLEST))],
         ids=lambda value: getattr(value, "id", value),
     )
     def test_shape_and_type(self, task: TaskConfig, size: int) -> None:
@@ -116,7 +116,7 @@ def columns(text: str) -> int:
 
 
 class TestText:
-    @pytest.mark.parametrize("task", [*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST], ids=lambda task: task.id)
+    @pytest.mark.parametrize("task", [SMALLEST, LARGEST, WIDEST, TALLEST], ids=lambda task: task.id)
     def test_rows_are_aligned(self, task: TaskConfig) -> None:
         episode = fly(fresh(task), 10)
         rows = draw_text(episode).split("\n")[: task.height]

@@ -77,10 +77,6 @@ class TestAlignedAndScore:
         assert first == pytest.approx(float(Fraction(99, 100) * Fraction(84, 100) - Fraction(68, 100)))  # 0.1516
         assert last == pytest.approx(0.96 - 0.84)  # phi is 0 at the end, the score 0.8 + 0.2 * 0.8
 
-    def test_aligned_away_is_not_clamped(self) -> None:
-        # phi(s') = 0.2 + 0.8 * (1 - 3/5) = 0.52
-        assert fly(toy_episode(["@.0", "..."], "aligned"), "D") == pytest.approx([0.99 * 0.52 - 0.68])  # -0.1652
-
     def test_aligned_failure_ends_with_potential_zero_and_the_clamped_score(self) -> None:
         assert fly(toy_episode(["@.0", "..."], "aligned", max_steps=1), "W") == pytest.approx([0.01 - 0.68])
 
@@ -88,11 +84,6 @@ class TestAlignedAndScore:
         # Before: phi = 0.2 + 0.4 * (1 - 1/6) = 8/15. After: phi = 0.2 + 0.4 * (2 - 2/6) = 13/15.
         reward = Fraction(99, 100) * Fraction(13, 15) - Fraction(8, 15)
         assert fly(toy_episode(["@0.1", "...."], "aligned"), "R") == pytest.approx([float(reward)])
-
-    def test_aligned_delivery_of_another_target_keeps_the_distance_to_the_current_one(self) -> None:
-        # Before the second step: phi = 0.2 + 0.4 * (1 - 2/5) = 11/25. After: phi = 0.2 + 0.4 * (2 - 3/5) = 19/25.
-        reward = Fraction(99, 100) * Fraction(19, 25) - Fraction(11, 25)
-        assert fly(toy_episode(["@.0", "1.."], "aligned"), "RR")[1] == pytest.approx(float(reward))
 
     def test_score_pays_nothing_before_the_end_and_the_score_there(self) -> None:
         assert fly(toy_episode(["@.0", "..."], "score"), "WRUR") == [0.0, 0.0, 0.0, 0.92]

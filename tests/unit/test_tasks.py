@@ -143,5 +143,5 @@ class TestSplits:
 
     @pytest.mark.parametrize(("episodes", "offset"), [(-1, 0), (1, -1), (2**51, 1)])
     def test_asking_for_more_than_the_split_holds_is_refused(self, episodes: int, offset: int) -> None:
-        with pytest.raises(InvalidValueError, match="split 'test' holds 2251799813685248 seeds"):
+        with pytest.raises(InvalidValueError, match="split 'test' has 2251799813685248 seeds"):
             split_seeds("test", episodes, offset)
