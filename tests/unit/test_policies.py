@@ -158,11 +158,11 @@ def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.Captu
     [
         ("gone.zip:Flat", "unknown wrapper 'Flat'; allowed: FlatObservation, MODULE:NAME, OneHotPlanes"),
         ("my_policies:missing", "my_policies.py has no 'missing'"),
-        ("nowhere_at_all:chase", "module 'nowhere_at_all' could not be imported: ModuleNotFoundError"),
-        ("my_policies:Homeless", "agent 'Homeless' on 'easy_delivery', when made for a task: TypeError"),
-        ("my_policies:number", "what flies is a function of the observation, an agent"),
-        ("broken_policies:fly", "module 'broken_policies' could not be imported: SyntaxError"),
-        ("leaving_policies:fly", "module 'leaving_policies' could not be imported: SystemExit: 0"),
+        ("nowhere_at_all:chase", "cannot import module 'nowhere_at_all': ModuleNotFoundError"),
+        ("my_policies:Homeless", "agent 'Homeless' on 'easy_delivery', constructor: TypeError"),
+        ("my_policies:number", "an agent is a function of the observation, an object"),
+        ("broken_policies:fly", "cannot import module 'broken_policies': SyntaxError"),
+        ("leaving_policies:fly", "cannot import module 'leaving_policies': SystemExit: 0"),
     ],
 )
 def test_names_of_nothing_that_flies_are_refused(mine: Any, name: str, told: str) -> None:
@@ -203,7 +203,7 @@ def test_an_agent_that_fails_is_told_with_task_map_step_and_its_own_traceback(
     [
         ("pathqnet:data/easy.safetensors", "data/easy.safetensors", "pathqnet:/tmp/there"),
         ("a/m.zip:FlatObservation", "a/m.zip", "/tmp/there:FlatObservation"),
-        ("C:/m.zip:mine:Wrapper:sampled", "C:/m.zip", "/tmp/there:mine:Wrapper:sampled"),
+        ("C:/m.zip:mine:Wrapper", "C:/m.zip", "/tmp/there:mine:Wrapper"),
         ("mine:fly", None, "mine:fly"),
         ("greedy", None, "greedy"),
     ],
