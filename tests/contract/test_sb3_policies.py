@@ -12,7 +12,7 @@ from drone_env import evaluate, make_agent
 from drone_env.agents.sb3_policy import open_actions
 from drone_env.cli import main
 from drone_env.core.batch import Batch
-from drone_env.core.episode import Episode, choices, rollout
+from drone_env.core.episode import Episode, choices
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import CheckpointError, UnknownNameError
