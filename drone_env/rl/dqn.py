@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,6 @@ from drone_env.rl.common import (
     figure,
     keep_freed_memory,
     require_same,
-    set_learning_rate,
     update_average,
 )
 from drone_env.rl.config import TrainConfig
@@ -93,14 +92,6 @@ class Trainer:
     Raises:
         InvalidValueError: if the settings name a GPU and there is none.
     """
-
-    curves: ClassVar = {
-        "reward": "mean reward of an episode",
-        "length": "mean steps of an episode",
-        "loss": "loss",
-        "epsilon": "share of random actions",
-        "validation": "score on validation maps",
-    }
 
     def __init__(self, config: TrainConfig) -> None:
         if config.gpu and not torch.cuda.is_available():
@@ -186,7 +177,7 @@ class Trainer:
 
         q_values = self.online(grids, telemetry).gather(1, actions).squeeze(1)
         loss = smooth_l1_loss(q_values, td_target)
-        set_learning_rate(self.optimizer, self.learning_rate)
+        self.optimizer.param_groups[0]["lr"] = self.learning_rate
         self.optimizer.zero_grad()
         loss.backward()
         if config.max_grad_norm:

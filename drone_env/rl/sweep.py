@@ -3,7 +3,7 @@
     journal.log             Optuna's journal: the configuration, and setting, scores and result of each trial
     trial0/lock             held while a process trains the trial
     trial0/seed0/           the files of one training run
-    report.md, curves.png
+    report.md
 
 A trial is one setting with all its seeds, so pruning never keeps the lucky seeds of a setting and stops the others.
 Any number of processes work on a sweep, on all machines that share its folder. A killed process leaves a trial that is
@@ -15,7 +15,6 @@ import math
 import multiprocessing
 import re
 import sys
-import warnings
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -24,21 +23,19 @@ from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, get_type_hints
 
-import matplotlib
 import numpy as np
 import optuna
 from filelock import FileLock, Timeout
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import Trial, TrialState
-from optuna.visualization import matplotlib as plots
 from pydantic import ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError
 
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import InvalidValueError, UnknownNameError, text_of
-from drone_env.files import differences, is_begun, locked, replacing, write_text
+from drone_env.files import differences, is_begun, locked, write_text
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.statistics import SCORES, SHARES, crossed, with_interval
 from drone_env.results.tables import markdown_table, number
@@ -305,9 +302,9 @@ def _show(config: SweepConfig, trial: Trial, message: str) -> None:
 
 
 def write_report(out: Path, config: SweepConfig) -> Counter[TrialState]:
-    """Write the report and the plot of a sweep; return the number of trials in each state."""
-    study = open_study(out, config)
-    trials = sorted(study.get_trials(), key=lambda trial: (trial.state != TrialState.COMPLETE, -(trial.value or 0)))
+    """Write the report of a sweep; return the number of trials in each state."""
+    trials = open_study(out, config).get_trials()
+    trials.sort(key=lambda trial: (trial.state != TrialState.COMPLETE, -(trial.value or 0)))
     head = ("trial", "setting", "state", "episodes", "validation", "test score", "of the optimum", "each seed")
     rows: list[tuple[str, ...]] = []
     for trial in trials:
@@ -327,13 +324,7 @@ def write_report(out: Path, config: SweepConfig) -> Counter[TrialState]:
     text = (
         f"# Sweep of {get_task(config.task).id}, preset {config.preset}\n\nEach setting is trained with {config.seeds} "
         f"seeds. Test scores are means over {config.test_maps:,} test maps, with 95 % intervals over seeds and "
-        f"maps.\n\n{markdown_table(head, rows)}\n\n![validation scores](curves.png)\n"
+        f"maps.\n\n{markdown_table(head, rows)}\n"
     )
     write_text(out / "report.md", text)
-    matplotlib.use("Agg")
-    with warnings.catch_warnings(), replacing(out / "curves.png") as temporary:
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        axes = plots.plot_intermediate_values(study)
-        axes.set_ylabel("validation score")
-        axes.figure.savefig(temporary, format="png")
     return Counter(trial.state for trial in trials)

@@ -19,7 +19,7 @@ from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,6 @@ from drone_env.rl.common import (
     figure,
     keep_freed_memory,
     require_same,
-    set_learning_rate,
     update_average,
 )
 from drone_env.rl.models import TourNet
@@ -183,13 +182,6 @@ class TourTrainer:
         TooLargeError: if they would take too much memory.
     """
 
-    curves: ClassVar = {
-        "choice": "cross-entropy of the choices",
-        "regret": "expected regret of a choice, in score",
-        "completion": "cross-entropy of what can be completed",
-        "shares": "share of the optimum on validation maps",
-    }
-
     def __init__(self, config: TourConfig) -> None:
         keep_freed_memory()
         torch.set_num_threads(config.num_threads)
@@ -290,7 +282,7 @@ class TourTrainer:
         loss = choice + config.regret_weight * regret + config.completion_weight * completion
         if not loss.isfinite():
             raise InvalidValueError(f"loss NaN after {self.updates} updates: lower learning_rate, or raise warm_up")
-        set_learning_rate(self.optimizer, self.learning_rate)
+        self.optimizer.param_groups[0]["lr"] = self.learning_rate
         self.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)

@@ -112,7 +112,6 @@ def test_the_interval_covers_seeds_and_maps() -> None:
     assert crossed(scores[:1], SHARES) == pytest.approx(interval(scores[0], SHARES))
 
 
-@pytest.mark.usefixtures("no_curves")
 def test_settings_that_fall_behind_are_stopped_with_all_their_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,7 +126,6 @@ def test_settings_that_fall_behind_are_stopped_with_all_their_seeds(
     assert [(state, max(scores)) for _, state, scores, _ in trials] == [("COMPLETE", 20), ("PRUNED", 10)]
 
 
-@pytest.mark.usefixtures("no_curves")
 def test_sampled_settings_are_different_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweep, "_train", lambda trial, *_: trial.params["learning_rate"])
     config = config_of("lr=loguniform(1e-5,1e-3)", "double=true,false", samples=6)
@@ -151,7 +149,6 @@ def killed(out: Path, config: sweep.SweepConfig) -> None:
     sweep.run(out, config, 1)
 
 
-@pytest.mark.usefixtures("no_curves")
 def test_a_killed_process_changes_nothing(tmp_path: Path) -> None:
     """Another process continues its trial; the networks are those of a sweep without a kill."""
     config = config_of("episodes=60", "lr=1e-3,1e-6", early_stopping=False, seeds=1)
@@ -189,6 +186,5 @@ def test_two_processes_share_a_sweep_and_a_trial_that_fails_is_reported(
     assert failed["error"] in report
     assert len(finished["test"]["seed_scores"]) == 2
     assert finished["test"]["ratio"][0] <= 1
-    assert (out / "curves.png").stat().st_size > 500
     assert main(command) == 1
     assert (out / "report.md").read_text() == report  # nothing is trained again

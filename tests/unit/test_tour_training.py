@@ -118,8 +118,6 @@ def test_the_command_trains_and_leaves_what_it_says(
         assert {name: float(value) for name, value in row.items()} == line
     log = (tmp_path / "data/train.log").read_text().splitlines()
     assert [line.split()[0] for line in log] == ["update=2", "update=4"]
-    for name in TourTrainer.curves:
-        assert (results / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     # The exported network is the validated average, with its origin.
     network = load_tour_network(tmp_path / "data/tournet_skyline_easy.safetensors")
     assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["average"]))
@@ -135,7 +133,6 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert main([*EASY, "--updates", "6"]) == 2
 
 
-@pytest.mark.usefixtures("no_curves")
 def test_interrupted_it_saves_and_goes_on_to_the_same_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -136,7 +136,7 @@ def test_what_is_kept_of_a_map_is_what_would_be_found_anew(
     grids, telemetry = observations(task, 4, 9)
     alone = [FeatureEncoder(task)(*one) for one in zip(grids[:, None], telemetry[:, None], strict=True)]
     if not cached:  # more maps than the cache holds
-        monkeypatch.setattr("drone_env.agents.tour_encoder.KEPT_BYTES", 0)
+        monkeypatch.setattr("drone_env.agents.tour_encoder.CACHE_BYTES", 0)
         monkeypatch.setattr("drone_env.agents.tour_encoder.CHUNK", 3)
     encoder = FeatureEncoder(task)
     for i in range(0, len(grids), encoder.most):
