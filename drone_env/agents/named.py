@@ -6,9 +6,10 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
+from inspect import getsource
 from pathlib import Path
-from types import CodeType
 from typing import Any, cast
+from uuid import uuid4
 
 from drone_env.agents.base import Agent, named_failures
 from drone_env.core.episode import Observation
@@ -110,30 +111,21 @@ def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None) -> Agent:
 
 
 def _identity(policy: Any) -> dict[str, object]:
-    """The identity of code: its name and a digest of its module's file.
+    """The identity of code: its name and a digest of its module's file. A `partial` adds its arguments.
 
-    Without such a file, as in a REPL, the digest covers the code itself; it is null for code in C. A `partial` adds its
-    arguments.
+    Code without such a file, as in a REPL, is identified by its source text; without that, each time is another one.
     """
     if isinstance(policy, partial):
         bound = cast("partial[Any]", policy)
         return {**_identity(bound.func), "bound": ADDRESS.sub("", f"{bound.args} {bound.keywords}")}
     module = getattr(policy, "__module__", None) or "builtins"
     file = getattr(sys.modules.get(module), "__file__", None)
-    content = Path(file).read_bytes() if file and Path(file).is_file() else _code(policy)
-    source = hashlib.sha256(content).hexdigest()[:16] if content else None
-    return {"agent": f"{module}:{getattr(policy, '__qualname__', type(policy).__qualname__)}", "source": source}
-
-
-def _code(policy: Any) -> bytes:
-    """The instructions of code as bytes, independent of its place in a file; empty for code in C."""
-    if isinstance(policy, CodeType):
-        inner = b"".join(_code(one) if isinstance(one, CodeType) else repr(one).encode() for one in policy.co_consts)
-        return policy.co_code + repr(policy.co_names).encode() + inner
-    if hasattr(policy, "__code__"):
-        return _code(policy.__code__)
-    members = vars(policy if isinstance(policy, type) else type(policy))
-    return b"".join(_code(one) for _, one in sorted(members.items()) if hasattr(one, "__code__"))
+    code = policy if hasattr(policy, "__qualname__") else type(policy)
+    try:
+        content = Path(file).read_bytes() if file and Path(file).is_file() else getsource(code).encode()
+    except (OSError, TypeError):
+        content = uuid4().bytes
+    return {"agent": f"{module}:{code.__qualname__}", "source": hashlib.sha256(content).hexdigest()[:16]}
 
 
 def _wrapper(name: str) -> Any:

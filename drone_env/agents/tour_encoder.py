@@ -8,7 +8,6 @@ import numpy.typing as npt
 from drone_env.agents.tour_features import (
     EDGE_FEATURES,
     OPTION_FEATURES,
-    TOKEN_FEATURES,
     Distances,
     Features,
     PathSearch,
@@ -32,8 +31,6 @@ CHUNK = 256
 """Maximum number of states per call: their features fit into the processor's cache."""
 CHUNK_BYTES = 1 << 25
 """Maximum size of their features, unless a single state takes more."""
-CACHE_BYTES = 1 << 24
-"""Size of the cache of distances."""
 
 
 @kernel
@@ -41,11 +38,8 @@ def encode_kernel(
     grounds: Any,
     drones: Any,
     pads: int,
-    cache: Distances,
-    places: Any,
-    missing: Any,
     search: PathSearch,
-    sites: Any,
+    stops: Any,
     distances: Distances,
     features: Features,
 ) -> int:
@@ -55,78 +49,54 @@ def encode_kernel(
         grounds: uint8[M, cells], without the drones.
         drones: int64[M, 3]: cell, units left, steps left.
         pads: Number of pads of a map, 0 if they are no stops.
-        cache: int32[places, N, N] each, the distances between all parcels, delivered or not, and pads of a map.
-        places: int64[M], the place in the cache of each state's map.
-        missing: bool[M], whether the distances are missing there.
-        search: Working memory.
-        sites: int64[2, N], working memory.
-        distances: Between the stops of one state, working memory.
+        search: Working memory, as are the following.
+        stops: int64[N]
+        distances: Between the stops of one state.
         features: The output.
     """
     tables, ground, stop_at = search.tables, search.ground, search.stop_at
     features.begins[0] = 0
-    stops, numbers = sites
     room = len(stops)
     for m in range(len(grounds)):
-        parcels = n = 0
+        n = delivered = 0
         for c in range(tables.cells):
-            kind = grounds[m, c]
-            ground[c] = DELIVERED_CELL if kind == DELIVERY_CELL else kind
+            ground[c] = grounds[m, c]
             stop_at[c] = NO_STOP
-            if ground[c] == DELIVERED_CELL:
-                if parcels == tables.deliveries:
+            delivered += ground[c] == DELIVERED_CELL
+            if ground[c] == DELIVERY_CELL:
+                if n + delivered >= tables.deliveries:
                     return m
-                stops[parcels] = c
-                parcels += 1
-        n = parcels
+                # Parcels do not end the paths between stops.
+                ground[c] = DELIVERED_CELL
+                stops[n] = c
+                n += 1
+        parcels = n
+        if parcels + delivered > tables.deliveries:
+            return m
         for c in range(tables.cells):
             if pads > 0 and ground[c] == PAD_CELL:
                 if n == parcels + pads:
                     return m
                 stops[n] = c
                 n += 1
-        place = places[m]
-        of_map = Distances(cache.cheap_units[place], cache.cheap_steps[place], cache.fast_steps[place])
-        if missing[m]:
-            for i in range(n):
-                stop_at[stops[i]] = i
-            find_distances(search, stops[:n], of_map)
-        # From here on, the stops are the waiting parcels and the pads.
-        stop, waiting = 0, 0
         for i in range(n):
-            cell = stops[i]
-            if i < parcels and grounds[m, cell] != DELIVERY_CELL:
-                stop_at[cell] = NO_STOP
-                continue
-            ground[cell] = grounds[m, cell]
-            waiting += i < parcels
-            stops[stop] = cell
-            stop_at[cell] = stop
-            numbers[stop] = i
-            stop += 1
-        for i in range(stop):
-            for j in range(stop):
-                a, b = numbers[i], numbers[j]
-                distances.cheap_units[i, j] = of_map.cheap_units[a, b]
-                distances.cheap_steps[i, j] = of_map.cheap_steps[a, b]
-                distances.fast_steps[i, j] = of_map.fast_steps[a, b]
+            stop_at[stops[i]] = i
+        find_distances(search, stops[:n], distances)
+        for i in range(parcels):
+            ground[stops[i]] = DELIVERY_CELL
         cell, units, left = drones[m]
         search_paths(search, cell, units)
-        for t in range(stop + 1, room + 1):
+        for t in range(n + 1, room + 1):
             features.present[m, t] = False
-            for f in range(TOKEN_FEATURES):
-                features.tokens[m, t, f] = 0.0
-            for s in range(room + 1):
-                for f in range(EDGE_FEATURES):
-                    features.edges[m, s, t, f] = features.edges[m, t, s, f] = 0.0
-        write_features(search, stops[:stop], waiting, 0, cell, units, left, distances, features, m)
+            features.tokens[m, t] = 0.0
+            features.edges[m, t] = 0.0
+            features.edges[m, :, t] = 0.0
+        write_features(search, stops[:n], parcels, 0, cell, units, left, distances, features, m)
     return len(grounds)
 
 
 class FeatureEncoder:
     """Encodes observations of one task as features. Not thread-safe.
-
-    It caches the distances between the stops of a map, which do not depend on the flight.
 
     Args:
         task: The task.
@@ -143,15 +113,12 @@ class FeatureEncoder:
         self._pads = task.pads if self._counts and task.charge_rate else 0
         n = task.deliveries + self._pads
         search = make_search(task, n)
-        self._working_memory = search, np.zeros((2, n), np.int64), make_distances(n)
         options = n * search.paths.units.shape[1]
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
         require_memory("the features", task, size)
         self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
+        self._working_memory = search, np.zeros(n, np.int64), make_distances(n)
         self._features = make_features(self.most, n, self.most * options)
-        self._room = max(self.most, CACHE_BYTES // (12 * n * n)) if self._counts else self.most
-        self._cache = Distances(*np.zeros((3, self._room, n, n), np.int32))
-        self._place_of: dict[bytes, int] = {}
 
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
         """The features of M observations, at most `most`; the next call overwrites them.
@@ -183,12 +150,7 @@ class FeatureEncoder:
             InvalidValueError: if one has more parcels or pads than the task.
         """
         m = len(grounds)
-        places, missing = self._places(grounds)
-        written = encode_kernel(
-            grounds, drones, self._pads, self._cache, places, missing, *self._working_memory, self._features
-        )
-        if written < m:
-            self._place_of.clear()
+        if encode_kernel(grounds, drones, self._pads, *self._working_memory, self._features) < m:
             raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
         return first_states(self._features, m)
 
@@ -205,17 +167,3 @@ class FeatureEncoder:
         if self._task.telemetry_size > 6:
             return np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)]
         return [hidden_kind(self._task, grid) for grid in grids] if self._counts else 0
-
-    def _places(self, grounds: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """The place of each map's distances in the cache, and whether they are missing there."""
-        m = len(grounds)
-        if not self._counts:  # searching is faster than a look-up
-            return np.arange(m), np.ones(m, np.bool_)
-        if len(self._place_of) + m > self._room:
-            self._place_of.clear()
-        places, missing = np.zeros(m, np.int64), np.zeros(m, np.bool_)
-        for i, ground in enumerate(np.where(grounds == DELIVERY_CELL, DELIVERED_CELL, grounds).astype(np.uint8)):
-            new = len(self._place_of)
-            places[i] = self._place_of.setdefault(ground.tobytes(), new)
-            missing[i] = places[i] == new
-        return places, missing

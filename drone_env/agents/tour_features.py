@@ -221,16 +221,14 @@ def write_features(
     for i in range(parcels):
         waiting += 1 - (delivered >> i & 1)
     option = features.begins[m]
-    for f in range(TOKEN_FEATURES):
-        tokens[m, 0, f] = 0.0
+    tokens[m, : n + 1] = 0.0
+    edges[m, : n + 1, : n + 1] = 0.0
     present[m, 0] = True
     tokens[m, 0, IS_DRONE] = 1.0
     home = UNREACHED
     for i in range(n):
         t = i + 1
         present[m, t] = i >= parcels or not (delivered >> i & 1)
-        for f in range(TOKEN_FEATURES):
-            tokens[m, t, f] = 0.0
         if not present[m, t]:
             continue
         next_pad = next_parcel = UNREACHED
@@ -257,8 +255,7 @@ def write_features(
                 features.token[option] = t
                 features.numbers[option, 0], features.numbers[option, 1] = units - charged, 1
                 features.numbers[option, 2] = WAIT
-                for f in range(OPTION_FEATURES):
-                    features.options[option, f] = 0.0
+                features.options[option] = 0.0
                 features.options[option, DRAINED] = (units - charged) / capacity
                 features.options[option, TAKEN] = per_step
                 features.options[option, AFTER] = features.options[option, AFTER_SPARE] = charged / capacity
@@ -315,32 +312,20 @@ def write_features(
     for s in range(n + 1):
         arrival = tokens[m, s, ARRIVAL] if s > 0 else np.float32(units) / capacity
         for t in range(n + 1):
-            for f in range(EDGE_FEATURES):
-                edges[m, s, t, f] = 0.0
             if s == t or not present[m, s] or not present[m, t]:
                 continue
             if s == 0 or t == 0:
-                stop = s + t
-                out_units = back_units = tokens[m, stop, CHEAP_UNITS]
-                out_steps = back_steps = tokens[m, stop, CHEAP_STEPS]
-                fastest_steps = tokens[m, stop, FAST_STEPS]
+                out_units, out_steps = tokens[m, s + t, CHEAP_UNITS], tokens[m, s + t, CHEAP_STEPS]
+                fastest_steps = tokens[m, s + t, FAST_STEPS]
+            elif cheap_units[s - 1, t - 1] == UNREACHED:
+                out_units = out_steps = fastest_steps = np.float32(FAR)
             else:
-                out_units = back_units = out_steps = back_steps = fastest_steps = np.float32(FAR)
-                if cheap_units[s - 1, t - 1] < UNREACHED:
-                    out_units = np.float32(cheap_units[s - 1, t - 1]) / capacity
-                    out_steps = np.float32(cheap_steps[s - 1, t - 1]) * per_step
-                    fastest_steps = np.float32(fast_steps[s - 1, t - 1]) * per_step
-                if cheap_units[t - 1, s - 1] < UNREACHED:
-                    back_units = np.float32(cheap_units[t - 1, s - 1]) / capacity
-                    back_steps = np.float32(cheap_steps[t - 1, s - 1]) * per_step
-            back_arrival = tokens[m, t, ARRIVAL] if t > 0 else np.float32(units) / capacity
-            edges[m, s, t, OUT_UNITS] = out_units
-            edges[m, s, t, OUT_STEPS] = out_steps
+                out_units = np.float32(cheap_units[s - 1, t - 1]) / capacity
+                out_steps = np.float32(cheap_steps[s - 1, t - 1]) * per_step
+                fastest_steps = np.float32(fast_steps[s - 1, t - 1]) * per_step
+            edges[m, s, t, OUT_UNITS] = edges[m, t, s, BACK_UNITS] = out_units
+            edges[m, s, t, OUT_STEPS] = edges[m, t, s, BACK_STEPS] = out_steps
             edges[m, s, t, OUT_FAST_STEPS] = fastest_steps
-            edges[m, s, t, BACK_UNITS] = back_units
-            edges[m, s, t, BACK_STEPS] = back_steps
-            edges[m, s, t, OUT_ARRIVAL] = arrival - out_units
-            edges[m, s, t, OUT_REACHES] = arrival - out_units > 0.0
-            edges[m, s, t, BACK_ARRIVAL] = back_arrival - back_units
-            edges[m, s, t, BACK_REACHES] = back_arrival - back_units > 0.0
+            edges[m, s, t, OUT_ARRIVAL] = edges[m, t, s, BACK_ARRIVAL] = arrival - out_units
+            edges[m, s, t, OUT_REACHES] = edges[m, t, s, BACK_REACHES] = arrival - out_units > 0.0
             edges[m, s, t, WITHIN_CAPACITY] = out_units < 1.0

@@ -37,7 +37,7 @@ from drone_env.envs.registry import load_plugins
 from drone_env.errors import InvalidValueError, UnknownNameError, text_of
 from drone_env.files import differences, is_begun, locked, write_text
 from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.statistics import SCORES, SHARES, crossed, with_interval
+from drone_env.results.statistics import SCORES, crossed, with_interval
 from drone_env.results.tables import markdown_table, number
 from drone_env.rl.config import TrainConfig, check_values, preset
 from drone_env.rl.dqn import Trainer
@@ -285,16 +285,11 @@ def _best_until(run: TrainingRun, log: Any, episodes: int) -> float:
 
 
 def _fly_test_maps(runs: list[TrainingRun], config: SweepConfig) -> dict[str, Any]:
-    """The best networks' scores on the test maps, and their ratio to the optimum; intervals are (mean, low, high)."""
+    """The best networks' scores on the test maps: all as (mean, low, high), and the mean of each seed."""
     seeds = split_seeds("test", config.test_maps)
     results = [run_episodes(episodes_key(config.task, f"pathqnet:{run.network}", seeds, "test")) for run in runs]
-    scores, optima = np.array([result.scores for result in results]), results[0].optimal_scores
-    ratio = None
-    if not np.isnan(optima).any():
-        mean_ratio = scores.mean() / optima.mean()
-        # Linearised: the part of each map in mean score / mean optimum; hard maps lower both.
-        ratio = crossed(mean_ratio + (scores - mean_ratio * optima) / optima.mean(), SHARES)
-    return {"score": crossed(scores, SCORES), "ratio": ratio, "seed_scores": scores.mean(axis=1).tolist()}
+    scores = np.array([result.scores for result in results])
+    return {"score": crossed(scores, SCORES), "seed_scores": scores.mean(axis=1).tolist()}
 
 
 def _show(config: SweepConfig, trial: Trial, message: str) -> None:
@@ -305,10 +300,10 @@ def write_report(out: Path, config: SweepConfig) -> Counter[TrialState]:
     """Write the report of a sweep; return the number of trials in each state."""
     trials = open_study(out, config).get_trials()
     trials.sort(key=lambda trial: (trial.state != TrialState.COMPLETE, -(trial.value or 0)))
-    head = ("trial", "setting", "state", "episodes", "validation", "test score", "of the optimum", "each seed")
+    head = ("trial", "setting", "state", "episodes", "validation", "test score", "each seed")
     rows: list[tuple[str, ...]] = []
     for trial in trials:
-        test = trial.user_attrs.get("test") or {"score": None, "ratio": None, "seed_scores": ()}
+        test = trial.user_attrs.get("test")
         validation = trial.intermediate_values.get(trial.last_step or 0)
         rows.append(
             (
@@ -317,8 +312,8 @@ def write_report(out: Path, config: SweepConfig) -> Counter[TrialState]:
                 trial.user_attrs.get("error", trial.state.name.lower()),
                 f"{trial.last_step or 0}",
                 f"{number(validation)} of {number(trial.user_attrs.get('validation_optimum'))}",
-                *("-" if figure is None else with_interval(figure[0], figure[1:]) for figure in [*test.values()][:2]),
-                " ".join(map(number, test["seed_scores"])) or "-",
+                with_interval(test["score"][0], test["score"][1:]) if test else "-",
+                " ".join(map(number, test["seed_scores"])) if test else "-",
             )
         )
     text = (
