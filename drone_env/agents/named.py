@@ -30,12 +30,16 @@ class FunctionAgent:
     """
 
     def __init__(self, act: Callable[[Observation], int], config: Mapping[str, object]) -> None:
-        self.act = act
+        self._act = act
         self.config = config
         self.stochastic = bool(getattr(act, "stochastic", False))
 
     def reset(self, seed: int) -> None:
         """Nothing to forget."""
+
+    def act(self, observation: Observation) -> int:
+        """The function's action."""
+        return self._act(observation)
 
 
 def sb3_file(name: str) -> Path | None:
@@ -120,7 +124,7 @@ def _identity(policy: Any) -> dict[str, object]:
         return {**_identity(bound.func), "bound": ADDRESS.sub("", f"{bound.args} {bound.keywords}")}
     module = getattr(policy, "__module__", None) or "builtins"
     file = getattr(sys.modules.get(module), "__file__", None)
-    code = policy if hasattr(policy, "__qualname__") else type(policy)
+    code: Any = policy if hasattr(policy, "__qualname__") else policy.__class__
     try:
         content = Path(file).read_bytes() if file and Path(file).is_file() else getsource(code).encode()
     except (OSError, TypeError):

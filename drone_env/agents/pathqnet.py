@@ -1,4 +1,4 @@
-"""PathQNet in NumPy, from an exported file, and the agent that flies by it."""
+"""PathQNet in NumPy, from an exported file, and its agent."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -107,7 +107,7 @@ def load_network(path: Path) -> Network:
 def _shapes(metadata: dict[str, Any]) -> Shapes:
     telemetry_size = metadata.get("telemetry_size")
     if type(telemetry_size) is not int or not 0 < telemetry_size <= MAP_FEATURES:
-        raise ValueError("its metadata lack telemetry_size, the number of values that it takes beside the map")
+        raise ValueError("its metadata lacks telemetry_size, the number of telemetry values")
     rows, inputs = SHAPES["head.0.weight"]
     return SHAPES | {"head.0.weight": (rows, inputs + telemetry_size)}
 

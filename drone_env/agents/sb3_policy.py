@@ -96,11 +96,10 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any) -> Sb3Agent:
         try:
             data, params, _ = load_from_zip_file(opened, device="cpu")
             stored = cast(dict[str, Any], data)
-            # The learning rate schedule of the constructor plays no part in inference.
             policy = stored["policy_class"](
                 stored["observation_space"],
                 stored["action_space"],
-                lambda _: 0.0,
+                _no_schedule,
                 **(stored.get("policy_kwargs") or {}),
             )
             policy.load_state_dict(params["policy"])
@@ -110,3 +109,8 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any) -> Sb3Agent:
         return Sb3Agent(task, policy, wrapper)
     except CheckpointError as error:
         raise CheckpointError(f"{file}: {error}") from None
+
+
+def _no_schedule(_: float) -> float:
+    """Dummy learning rate schedule for inference."""
+    return 0.0

@@ -61,7 +61,7 @@ BACK_UNITS, BACK_STEPS = 3, 4
 OUT_ARRIVAL, OUT_REACHES = 5, 6
 """`ARRIVAL` at the first less the units from there to the second; whether some are left."""
 BACK_ARRIVAL, BACK_REACHES = 7, 8
-"""The other way round."""
+"""The same from the second token to the first."""
 WITHIN_CAPACITY = 9
 """Whether a full battery lasts from the first to the second."""
 

@@ -153,7 +153,7 @@ class TourPlanner:
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
         flights = Flights(grids[maps], states[maps], actions, scores)
-        # Arrays of 64-bit integers wrap as compiled ones do.
+        # Arrays of 64-bit integers wrap like compiled integers.
         of_maps, steps, of_plans = (cast(Any, array) for array in (seeds[maps], states[maps, STEPS], numbers))
         keys: Any = mix64(map_key(KEY, of_maps) ^ steps ^ mix64(of_plans))
         flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)

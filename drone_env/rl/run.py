@@ -249,10 +249,10 @@ class TrainingRun:
 
 
 def figures_of(line: Any) -> dict[str, float]:
-    """The figures of a log line, in order; each task's entry of `shares` is named like `validation_hard`."""
+    """The figures of a log line, in order; each task's entry of `ratios` is named like `validation_hard`."""
     figures = asdict(line)
-    shares = figures.pop("shares", {})
-    return figures | {f"validation_{task}": share for task, share in shares.items()}
+    ratios = figures.pop("ratios", {})
+    return figures | {f"validation_{task}": ratio for task, ratio in ratios.items()}
 
 
 def log_line(line: Any) -> str:

@@ -43,8 +43,8 @@ FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """Percentages: flights from the start; options that are not the best; those of them with a regret of at most `NEAR`;
 steps after which a flight stays on its path instead of choosing again."""
 NEAR = 0.02
-KEPT_BEGUN, KEPT_ON_PATH, KEPT_LOST = 75, 20, 20
-"""Percentages of kept states: at the start of a path, on it, and after the mission is lost."""
+KEEP_AT_CHOICE, KEEP_ON_PATH, KEEP_LOST = 75, 20, 20
+"""Percentages of states that become samples: at the start of a path, on it, and after the mission is lost."""
 
 
 class Workspace(NamedTuple):
@@ -197,9 +197,9 @@ def sample_kernel(
                 key = next_key(key)
                 drawn = uniform_below(key, 200)
                 chosen = find_option(features, m, chosen_token, path_units, path_steps)
-                keep = KEPT_ON_PATH if chosen >= 0 else KEPT_BEGUN
+                keep = KEEP_ON_PATH if chosen >= 0 else KEEP_AT_CHOICE
                 if values[best] < COMPLETE:
-                    chosen, keep = best, KEPT_LOST
+                    chosen, keep = best, KEEP_LOST
                 elif lost == 0:
                     keep //= 2
                 if chosen < 0:
