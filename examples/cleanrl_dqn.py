@@ -1,12 +1,12 @@
-"""DQN in one file, in the manner of CleanRL: a dataclass is the command line, the algorithm reads top to bottom.
+"""DQN in one file, in the style of CleanRL: a dataclass defines the command line, the algorithm reads top to bottom.
 
     pip install -e '.[train]'
     python examples/cleanrl_dqn.py --total-timesteps 400000
 
 Measured: score 0.9774, optimum of the same 500 maps 0.9774, after 2.5 minutes of CPU time (PyTorch 2.13).
 
-The native vector environment steps all drones in compiled code. Every ending is part of the task, so nothing is ever
-bootstrapped beyond one, and the observation after it is never looked at.
+The native vector environment steps all drones in compiled code. Every end is part of the task, so targets never
+bootstrap over an end, and the observation after it is not used.
 """
 
 from dataclasses import dataclass
@@ -33,29 +33,29 @@ class Args:
     total_timesteps: int = 400_000
     """steps of all drones together"""
     num_envs: int = 64
-    """drones that fly at once"""
+    """number of parallel environments"""
     learning_rate: float = 1e-3
     """the learning rate of the optimizer"""
     buffer_size: int = 100_000
-    """steps that the replay buffer holds"""
+    """capacity of the replay buffer in steps"""
     gamma: float = 0.99
-    """the discount; the shaping of the profile `aligned` is made for this one"""
+    """discount factor; the shaping of the profile `aligned` uses the same"""
     tau: float = 0.02
-    """how far the target network follows with each update"""
+    """weight of the online network in a soft target update"""
     batch_size: int = 256
-    """steps in a batch"""
+    """transitions per update"""
     start_e: float = 1.0
     """epsilon at the start"""
     end_e: float = 0.1
-    """and at the end"""
+    """epsilon at the end"""
     exploration_fraction: float = 0.5
-    """share of the training over which it falls"""
+    """share of the training in which epsilon decays"""
     learning_starts: int = 2_000
     """steps before the first update"""
     updates_per_step: int = 2
-    """updates for each step of all drones"""
+    """updates per step of all environments"""
     maps: int = 500
-    """validation maps to judge by"""
+    """number of validation maps"""
 
 
 class QNetwork(nn.Module):
@@ -80,7 +80,7 @@ class QNetwork(nn.Module):
 
 
 class Learned:
-    """The network as an agent of the package, so that `evaluate` can judge it."""
+    """The network as an agent of the package, for `evaluate`."""
 
     def reset(self, seed):
         """Nothing to forget."""
@@ -116,23 +116,23 @@ telemetry, next_telemetry = (torch.zeros(size, n_telemetry) for _ in range(2))
 actions, rewards, dones = torch.zeros(size, dtype=torch.int64), torch.zeros(size), torch.zeros(size)
 
 scores: list[float] = []
-observation, _ = envs.reset(seed=args.seed)
+obs, _ = envs.reset(seed=args.seed)
 for global_step in range(0, args.total_timesteps, args.num_envs):
     progress = global_step / (args.exploration_fraction * args.total_timesteps)
     epsilon = max(args.end_e, args.start_e + (args.end_e - args.start_e) * progress)
-    action = q_network.greedy(observation["grid"], observation["telemetry"])
+    action = q_network.greedy(obs["grid"], obs["telemetry"])
     explore = rng.random(args.num_envs) < epsilon
     action = np.where(explore, rng.integers(5, size=args.num_envs), action)
-    following, reward, terminated, _, info = envs.step(action)
+    next_obs, reward, terminated, _, info = envs.step(action)
     if "final_info" in info:
         scores.extend(info["final_info"]["score"][info["_final_info"]].tolist())
 
     rows = torch.arange(global_step, global_step + args.num_envs) % size
-    grids[rows], telemetry[rows] = torch.as_tensor(observation["grid"]), torch.as_tensor(observation["telemetry"])
-    next_grids[rows], next_telemetry[rows] = torch.as_tensor(following["grid"]), torch.as_tensor(following["telemetry"])
+    grids[rows], telemetry[rows] = torch.as_tensor(obs["grid"]), torch.as_tensor(obs["telemetry"])
+    next_grids[rows], next_telemetry[rows] = torch.as_tensor(next_obs["grid"]), torch.as_tensor(next_obs["telemetry"])
     actions[rows] = torch.as_tensor(action)
     rewards[rows], dones[rows] = torch.as_tensor(reward).float(), torch.as_tensor(terminated).float()
-    observation = following
+    obs = next_obs
 
     if global_step >= args.learning_starts:
         for _ in range(args.updates_per_step):

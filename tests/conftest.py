@@ -59,12 +59,6 @@ def patience() -> None:
     store.PATIENCE = 60
 
 
-@pytest.fixture
-def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing the curves of a training takes longer than the trainings of most tests."""
-    monkeypatch.setattr("drone_env.rl.run.draw_curves", lambda *_: None)
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report(
     collector: pytest.Collector,

@@ -99,9 +99,10 @@ def write_audits() -> None:
 
 def write_curves() -> None:
     """Train on two rewards, draw the curves, and write their table in docs/reward.md."""
+    from matplotlib import pyplot
+
     from drone_env.rl.config import preset
     from drone_env.rl.dqn import Progress, Trainer
-    from drone_env.rl.run import draw_curves
 
     histories: dict[str, list[Progress]] = {}
     rows = [
@@ -116,7 +117,14 @@ def write_curves() -> None:
         shares = [f"{last.success:.1%}", f"{last.validation:.4f}", f"{last.validation_optimum:.4f}"]
         rows.append([f"`{reward}`", f"{last.reward:.2f}", f"{last.length:.1f}", *shares])
         print(rows[-1], file=sys.stderr)
-    draw_curves(histories, CURVES, Trainer.curves, DOCS / "images" / "training")
+    for name in ("reward", "length", "loss", "epsilon", "validation"):
+        pyplot.figure(figsize=(7, 4), layout="constrained")
+        for reward, history in histories.items():
+            pyplot.plot([line.episode for line in history], [getattr(line, name) for line in history], label=reward)
+        pyplot.xlabel("episodes")
+        pyplot.ylabel(name)
+        pyplot.legend()
+        pyplot.savefig(DOCS / "images" / "training" / f"{name}.png", dpi=120)
     REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "curves", table(rows)), encoding="utf-8")
 
 

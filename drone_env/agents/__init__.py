@@ -17,7 +17,7 @@ from drone_env.errors import InvalidValueError, UnknownNameError
 
 
 class NetworkAgent(NamedTuple):
-    """An agent that flies by a network."""
+    """A kind of agent with a network."""
 
     network: str
     """The network of its file, as `weights_file.network_of` returns it."""
@@ -31,7 +31,7 @@ NETWORK_AGENTS: dict[str, NetworkAgent] = {
     "tournet-search": NetworkAgent(TOURNET, TournetSearchAgent),
     "tournet-search-64": NetworkAgent(TOURNET, partial(TournetSearchAgent, plans=64)),
 }
-"""The agents that fly by a shipped network, or by the one in a file as `NAME:FILE`."""
+"""The agents with a network: a shipped one, or the one in a file as `NAME:FILE`."""
 AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
@@ -80,9 +80,9 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
     """Make an agent for a task by its name, as commands take it.
 
     Names are those of `AGENTS`; `pathqnet:FILE`, the network in a file, likewise for all `NETWORK_AGENTS`;
-    `MODULE:NAME`, your own class or function; `FILE.zip:WRAPPER`, a policy that Stable-Baselines3 saved, behind the
-    wrapper of its training (`FILE.zip` for none), with `:sampled` at the end to sample its actions. Reading such a file
-    runs code that it contains: only name files that you trust.
+    `MODULE:NAME`, your own class or function; `FILE.zip:WRAPPER`, a policy that Stable-Baselines3 saved, with the
+    observation wrapper of its training (`FILE.zip` for none). Reading such a file runs code that it contains: only name
+    files that you trust.
 
     Raises:
         UnknownNameError: if there is no such agent, task or wrapper; the message lists the valid names.

@@ -120,5 +120,5 @@ def named_failures(name: str, task: TaskConfig, where: Callable[[], str]) -> Gen
         while own is not None and own.tb_frame.f_globals.get("__name__", "").startswith((ours, "contextlib")):
             own = own.tb_next
         trace = "".join(traceback.format_exception(type(error), error, own or error.__traceback__))
-        told = f"agent {name!r} on {task.id!r}, {where()}: {type(error).__name__}: {error}"
-        raise AgentError(told, trace) from error
+        message = f"agent {name!r} on {task.id!r}, {where()}: {type(error).__name__}: {error}"
+        raise AgentError(message, trace) from error

@@ -1,4 +1,4 @@
-"""Agents outside the registry: classes and functions of your own, and policies of Stable-Baselines3."""
+"""Agents outside the registry: your own classes and functions, and policies of Stable-Baselines3."""
 
 import hashlib
 import re
@@ -6,16 +6,17 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
+from inspect import getsource
 from pathlib import Path
-from types import CodeType, ModuleType
 from typing import Any, cast
+from uuid import uuid4
 
 from drone_env.agents.base import Agent, named_failures
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError
 
-SB3_FILE = re.compile(r"(?P<file>.+\.zip)(:(?P<wrapper>[\w.]+(:(?!sampled$)\w+)?))??(?P<sampled>:sampled)?")
+SB3_FILE = re.compile(r"(?P<file>.+\.zip)(:(?P<wrapper>[\w.]+(:\w+)?))?")
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 MODULE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 
@@ -42,22 +43,22 @@ class FunctionAgent:
 
 
 def sb3_file(name: str) -> Path | None:
-    """The file of Stable-Baselines3 in the name of an agent; None if there is none."""
-    found = SB3_FILE.fullmatch(name)
-    return None if found is None else Path(found["file"])
+    """The Stable-Baselines3 file in the name of an agent; None if there is none."""
+    match = SB3_FILE.fullmatch(name)
+    return None if match is None else Path(match["file"])
 
 
 def sb3_elsewhere(name: str, file: Path) -> str:
-    """The name of an agent after its file of Stable-Baselines3 is moved."""
-    found = SB3_FILE.fullmatch(name)
-    return name if found is None else f"{file}{name[found.end('file') :]}"
+    """The name of an agent after its Stable-Baselines3 file is moved."""
+    match = SB3_FILE.fullmatch(name)
+    return name if match is None else f"{file}{name[match.end('file') :]}"
 
 
 def agent_named(name: str, task: TaskConfig) -> Agent | None:
-    """The agent of `MODULE:NAME`, `FILE.zip`, `FILE.zip:WRAPPER`, or one of the latter two with `:sampled`.
+    """The agent of `MODULE:NAME`, `FILE.zip` or `FILE.zip:WRAPPER`; None if a name has none of these forms.
 
-    A class is made for the task, a function is called for each action, anything else is an agent. Modules come from
-    Python's path or the working directory. None if a name has none of these forms.
+    A class is instantiated with the task, a function is called for each action, anything else is an agent. Modules are
+    imported from Python's path or the working directory.
 
     Raises:
         UnknownNameError: if there is no such wrapper.
@@ -65,28 +66,27 @@ def agent_named(name: str, task: TaskConfig) -> Agent | None:
         OSError: if the file cannot be read.
         CheckpointError: if it contains no policy for the task.
     """
-    zipped, mine = SB3_FILE.fullmatch(name), MODULE.fullmatch(name)
-    if zipped is not None:
+    if match := SB3_FILE.fullmatch(name):
         from drone_env.agents.sb3_policy import load_policy
 
-        wrapper = zipped["wrapper"] and _wrapper(zipped["wrapper"])
-        return load_policy(Path(zipped["file"]), task, wrapper, sampled=zipped["sampled"] is not None)
-    return None if mine is None else as_agent(_member(mine["module"], mine["name"], f"agent {name!r}"), task)
+        return load_policy(Path(match["file"]), task, match["wrapper"] and _wrapper(match["wrapper"]))
+    if match := MODULE.fullmatch(name):
+        return as_agent(_member(match["module"], match["name"], f"agent {name!r}"), task)
+    return None
 
 
-def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None, sampled: bool = False) -> Agent:
-    """Make an agent of anything that can fly.
+def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None) -> Agent:
+    """Make an agent of a policy.
 
     Args:
         policy: An agent, a class of one, a function of the observation, or a model of Stable-Baselines3.
         task: The task.
-        wrapper: The wrapper in a model's training, or its name.
-        sampled: Whether a model samples its actions; else it takes the likeliest.
+        wrapper: The observation wrapper of a model's training, or its name.
 
     Raises:
         UnknownNameError: if there is no such wrapper.
-        InvalidValueError: if it is none of these or a class without a task, an argument needs a model, or the model
-            needs normalised observations.
+        InvalidValueError: if it is none of these or a class without a task, there is a wrapper without a model, or the
+            model needs normalised observations.
         AgentError: if the constructor of a class fails.
         CheckpointError: if the model takes other observations than the wrapped task has.
     """
@@ -95,53 +95,41 @@ def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None, sampled: bool =
 
         normalised = policy.get_vec_normalize_env() if hasattr(policy, "get_vec_normalize_env") else None
         if normalised is not None and normalised.norm_obs:
-            raise InvalidValueError(
-                "this model sees what VecNormalize makes of observations: train it with norm_obs=False, or write an "
-                "agent of your own that normalises likewise"
-            )
-        chosen = _wrapper(wrapper) if isinstance(wrapper, str) else wrapper
-        return Sb3Agent(task, getattr(policy, "policy", policy), chosen, sampled)
-    if wrapper is not None or sampled:
-        raise InvalidValueError(f"wrapper and sampled are said of a model of Stable-Baselines3, got {policy!r}")
-    made = policy
+            raise InvalidValueError("this model takes observations of VecNormalize: train it with norm_obs=False")
+        wrapper = _wrapper(wrapper) if isinstance(wrapper, str) else wrapper
+        return Sb3Agent(task, getattr(policy, "policy", policy), wrapper)
+    if wrapper is not None:
+        raise InvalidValueError(f"only a model of Stable-Baselines3 takes a wrapper, got {policy!r}")
+    agent = policy
     if isinstance(policy, type):
-        with named_failures(policy.__qualname__, task, lambda: "when made for a task"):
-            made = policy(task)
-    if callable(getattr(made, "act", None)) and callable(getattr(made, "reset", None)):
-        if getattr(made, "config", None) is None:
-            made.config = _identity(type(made))
-        return made
-    if callable(made) and not isinstance(policy, type):
-        return FunctionAgent(cast(Callable[[Observation], int], made), _identity(made))
-    takes = "a function of the observation, an agent (reset, act), a class of one, or a model of Stable-Baselines3"
-    raise InvalidValueError(f"what flies is {takes}; got {policy!r}")
+        with named_failures(policy.__qualname__, task, lambda: "constructor"):
+            agent = policy(task)
+    if callable(getattr(agent, "act", None)) and callable(getattr(agent, "reset", None)):
+        if getattr(agent, "config", None) is None:
+            agent.config = _identity(type(agent))
+        return agent
+    if callable(agent) and not isinstance(policy, type):
+        return FunctionAgent(cast(Callable[[Observation], int], agent), _identity(agent))
+    allowed = "a function of the observation, an object or class with reset and act, or a model of Stable-Baselines3"
+    raise InvalidValueError(f"an agent is {allowed}; got {policy!r}")
 
 
-def _identity(made: Any) -> dict[str, object]:
-    """The identity of code: its name and a digest of its module's file.
+def _identity(policy: Any) -> dict[str, object]:
+    """The identity of code: its name and a digest of its module's file. A `partial` adds its arguments.
 
-    Without such a file, as in a REPL, the digest covers the code itself; it is null for code in C. A `partial` adds its
-    arguments.
+    Code without such a file, as in a REPL, is identified by its source text; without that, each time is another one.
     """
-    if isinstance(made, partial):
-        bound = cast("partial[Any]", made)
+    if isinstance(policy, partial):
+        bound = cast("partial[Any]", policy)
         return {**_identity(bound.func), "bound": ADDRESS.sub("", f"{bound.args} {bound.keywords}")}
-    module = getattr(made, "__module__", None) or "builtins"
+    module = getattr(policy, "__module__", None) or "builtins"
     file = getattr(sys.modules.get(module), "__file__", None)
-    held = Path(file).read_bytes() if file and Path(file).is_file() else _code(made)
-    source = hashlib.sha256(held).hexdigest()[:16] if held else None
-    return {"agent": f"{module}:{getattr(made, '__qualname__', type(made).__qualname__)}", "source": source}
-
-
-def _code(made: Any) -> bytes:
-    """The instructions of code as bytes, independent of its place in a file; empty for code in C."""
-    if isinstance(made, CodeType):
-        inner = b"".join(_code(one) if isinstance(one, CodeType) else repr(one).encode() for one in made.co_consts)
-        return made.co_code + repr(made.co_names).encode() + inner
-    if hasattr(made, "__code__"):
-        return _code(made.__code__)
-    members = vars(made if isinstance(made, type) else type(made))
-    return b"".join(_code(one) for _, one in sorted(members.items()) if hasattr(one, "__code__"))
+    code: Any = policy if hasattr(policy, "__qualname__") else policy.__class__
+    try:
+        content = Path(file).read_bytes() if file and Path(file).is_file() else getsource(code).encode()
+    except (OSError, TypeError):
+        content = uuid4().bytes
+    return {"agent": f"{module}:{code.__qualname__}", "source": hashlib.sha256(content).hexdigest()[:16]}
 
 
 def _wrapper(name: str) -> Any:
@@ -149,27 +137,24 @@ def _wrapper(name: str) -> Any:
     if ":" in name:
         module, _, member = name.partition(":")
         return _member(module, member, f"wrapper {name!r}")
-    from drone_env.agents.sb3_policy import AT_ONCE
+    from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 
-    shipped = {wrapper.__name__: wrapper for wrapper in AT_ONCE if wrapper is not None}
+    shipped = {wrapper.__name__: wrapper for wrapper in (FlatObservation, OneHotPlanes)}
     if name not in shipped:
         raise UnknownNameError("wrapper", name, [*shipped, "MODULE:NAME"])
     return shipped[name]
 
 
-def _member(module: str, name: str, what: str) -> Any:
-    imported = _imported(module, what)
-    if not hasattr(imported, name):
-        raise InvalidValueError(f"{what}: {imported.__file__} has no {name!r}")
-    return getattr(imported, name)
-
-
-def _imported(module: str, what: str) -> ModuleType:
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # at the end: what lies here hides nothing that is installed
+def _member(module: str, name: str, user: str) -> Any:
+    """A member of a module; `user` is what needs it, for errors."""
+    folder = str(Path.cwd())
+    if folder not in sys.path:
+        sys.path.append(folder)  # last, so that installed packages have priority
     try:
-        return import_module(module)
-    except (Exception, SystemExit) as error:  # whatever a module does while it is imported
-        told = f"{type(error).__name__}: {error}"
-        raise InvalidValueError(f"{what}: module {module!r} could not be imported: {told}") from error
+        imported = import_module(module)
+    except (Exception, SystemExit) as error:  # importing a module runs any code
+        reason = f"{type(error).__name__}: {error}"
+        raise InvalidValueError(f"{user}: cannot import module {module!r}: {reason}") from error
+    if not hasattr(imported, name):
+        raise InvalidValueError(f"{user}: {imported.__file__} has no {name!r}")
+    return getattr(imported, name)

@@ -1,4 +1,4 @@
-"""PathQNet in NumPy, from an exported file, and the agent that flies by it."""
+"""PathQNet in NumPy, from an exported file, and its agent."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -47,13 +47,7 @@ class Network:
     """
 
     def __init__(self, weights: Weights) -> None:
-        parameters, self.metadata, self.digest = weights
-        self.parameters = parameters
-        embedding, weight = parameters["encoder.embedding.weight"], parameters["encoder.conv1.weight"]
-        # The inputs of the first convolution are embeddings, so it is nine table lookups. The last row is the padding.
-        table = np.einsum("ke,oeyx->yxko", embedding, weight).reshape(9, len(embedding), -1)
-        self._conv1 = np.concatenate([table, np.zeros_like(table[:, :1])], axis=1)
-        self._conv2 = parameters["encoder.conv2.weight"].transpose(2, 3, 1, 0).reshape(-1, weight.shape[0] * 2)
+        self.parameters, self.metadata, self.digest = weights
 
     @in_one_thread
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
@@ -69,17 +63,22 @@ class Network:
         return x @ p["head.7.weight"].T + p["head.7.bias"]
 
     def _encode(self, grids: npt.NDArray[np.uint8]) -> Array:
+        """The map features, float32[B, 64]."""
         p = self.parameters
-        n, height, width = grids.shape
-        padded = np.pad(grids, ((0, 0), (1, 1), (1, 1)), constant_values=N_CELL_KINDS)
-        x = np.broadcast_to(p["encoder.conv1.bias"], (n, height, width, self._conv1.shape[2])).copy()
-        for i in range(9):
-            x += self._conv1[i][padded[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width]]
-        x = np.pad(np.maximum(x, 0), ((0, 0), (1, 1), (1, 1), (0, 0)))
-        patches = [x[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width] for i in range(9)]
-        x = np.maximum(np.concatenate(patches, axis=3) @ self._conv2 + p["encoder.conv2.bias"], 0)
+        x = p["encoder.embedding.weight"][grids]
+        x = self._convolve("encoder.conv2", self._convolve("encoder.conv1", x))
+        n, height, width, _ = x.shape
         x = np.einsum("ph,nhwc,qw->npqc", pooling(height), x, pooling(width), optimize=True)
         return np.maximum(x.reshape(n, -1) @ p["encoder.linear.weight"].T + p["encoder.linear.bias"], 0)
+
+    def _convolve(self, name: str, x: Array) -> Array:
+        """A 3 x 3 convolution with padding, then ReLU: float32[B, H, W, outputs] from float32[B, H, W, inputs]."""
+        _, height, width, _ = x.shape
+        padded = np.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
+        patches = [padded[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width] for i in range(9)]
+        weight = self.parameters[f"{name}.weight"]
+        flat = weight.transpose(2, 3, 1, 0).reshape(-1, len(weight))
+        return np.maximum(np.concatenate(patches, axis=3) @ flat + self.parameters[f"{name}.bias"], 0)
 
 
 @lru_cache(maxsize=16)
@@ -108,7 +107,7 @@ def load_network(path: Path) -> Network:
 def _shapes(metadata: dict[str, Any]) -> Shapes:
     telemetry_size = metadata.get("telemetry_size")
     if type(telemetry_size) is not int or not 0 < telemetry_size <= MAP_FEATURES:
-        raise ValueError("its metadata lack telemetry_size, the number of values that it takes beside the map")
+        raise ValueError("its metadata lacks telemetry_size, the number of telemetry values")
     rows, inputs = SHAPES["head.0.weight"]
     return SHAPES | {"head.0.weight": (rows, inputs + telemetry_size)}
 

@@ -14,7 +14,7 @@ from drone_env.planning.from_observation import episode_of, require_observations
 from drone_env.planning.optimal import best_actions
 
 TARGET_TELEMETRY = (3, 4)
-"""Indices of the target in the telemetry. It is the first by number of equally near parcels, which no one observes."""
+"""Indices of the target in the telemetry. Ties break by the parcel's number, which no observation contains."""
 
 
 class PlannedAgent(ABC):
@@ -64,7 +64,7 @@ class PlannedAgent(ABC):
             InvalidValueError: if they are no observations of the task, or not one for each seed of `reset_batch`.
         """
         if len(grids) != len(self.seeds):
-            raise InvalidValueError(f"reset_batch was told of {len(self.seeds)} maps, and these are {len(grids)}")
+            raise InvalidValueError(f"reset_batch got {len(self.seeds)} seeds, act_batch got {len(grids)} observations")
         if self._plans is None:
             require_observations(self.task, grids, telemetry)
             obs = zip(grids, telemetry, strict=True)

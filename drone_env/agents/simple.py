@@ -1,4 +1,4 @@
-"""The agents without a plan: random actions, and the way to the nearest parcel."""
+"""Agents without a plan: random actions, and greedy flight to the nearest parcel."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -36,7 +36,7 @@ class RandomAgent:
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
         """Start the sequences of these seeds, int64[N]."""
-        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
+        as_integers: Any = seeds  # arrays of 64-bit integers wrap like compiled integers
         self._key = map_key(KEY, as_integers)
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
@@ -47,7 +47,7 @@ class RandomAgent:
 
 
 class GreedyAgent(StatelessAgent):
-    """Flies to the nearest target, by the cheapest way if terrain costs or blocks."""
+    """Flies to the nearest target, on the cheapest path if terrain costs or blocks."""
 
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}

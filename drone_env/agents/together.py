@@ -1,4 +1,4 @@
-"""Many episodes flown together, each to its first end."""
+"""Batched rollouts: many episodes in parallel, each to its first end."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,7 +14,7 @@ ActBatch = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.float32]], npt.NDArra
 
 
 class BatchResults(NamedTuple):
-    """How n episodes ended, in the order of their seeds."""
+    """The results of n episodes, in the order of their seeds."""
 
     scores: npt.NDArray[np.float64]
     """float64[n], graded."""
@@ -30,8 +30,8 @@ def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, 
     Args:
         task: The task.
         seeds: int64[n], the maps.
-        act: Names the actions.
-        stateless: Whether `act` holds no state for each episode; it is then asked for those alone that still fly.
+        act: Returns the actions.
+        stateless: Whether `act` keeps no state per episode; it then gets only episodes that still fly.
     """
     n = len(seeds)
     results = BatchResults(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))
@@ -39,10 +39,10 @@ def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, 
     batch = Batch(task, n)
     batch.reset(seeds)
     while flying.any():
-        asked = flying if stateless else slice(None)
-        actions[asked] = act(batch.grids[asked], batch.telemetry[asked])
+        active = flying if stateless else slice(None)
+        actions[active] = act(batch.grids[active], batch.telemetry[active])
         batch.step(actions)
-        # Episodes that ended earlier fly on, over other maps: only the first end counts.
+        # Ended episodes are reset to other maps: only the first end counts.
         first = flying[batch.ended]
         ended, finals = batch.ended[first], batch.finals()
         for column, name in zip(results, ("score", "steps", "deliveries"), strict=True):

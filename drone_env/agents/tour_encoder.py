@@ -8,141 +8,95 @@ import numpy.typing as npt
 from drone_env.agents.tour_features import (
     EDGE_FEATURES,
     OPTION_FEATURES,
-    TOKEN_FEATURES,
     Distances,
     Features,
+    PathSearch,
     find_distances,
     first_states,
     make_distances,
     make_features,
+    make_search,
+    search_paths,
     write_features,
 )
-from drone_env.core import compiled
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
-from drone_env.core.compile_cache import compiled_once
-from drone_env.core.tables import Tables, tabulate
+from drone_env.core.compiled import kernel
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import drone_positions, hidden_kind
-from drone_env.planning.paths import (
-    NO_STOP,
-    ParetoPaths,
-    Workspace,
-    counts_units,
-    find_paths,
-    make_paths,
-    make_workspace,
-)
+from drone_env.planning.paths import NO_STOP, counts_units
 from drone_env.planning.states import require_memory
 
 CHUNK = 256
 """Maximum number of states per call: their features fit into the processor's cache."""
 CHUNK_BYTES = 1 << 25
 """Maximum size of their features, unless a single state takes more."""
-KEPT_BYTES = 1 << 24
-"""Size of the cache of distances."""
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def encode_kernel(
-    tables: Tables,
     grounds: Any,
     drones: Any,
-    counts: int,
     pads: int,
-    kept: Distances,
-    places: Any,
-    unknown: Any,
-    ground: Any,
-    sites: Any,
-    stop_at: Any,
+    search: PathSearch,
+    stops: Any,
     distances: Distances,
-    ways: ParetoPaths,
-    workspace: Workspace,
     features: Features,
 ) -> int:
     """Write the features of M observations and return their number. It stops at one with too many parcels or pads.
 
     Args:
-        tables: The task's tables.
         grounds: uint8[M, cells], without the drones.
         drones: int64[M, 3]: cell, units left, steps left.
-        counts: 1 if units count beside steps.
         pads: Number of pads of a map, 0 if they are no stops.
-        kept: int32[places, N, N] each, the cached distances between all parcels, delivered or not, and pads of a map.
-        places: int64[M], the place in `kept` of each state's map.
-        unknown: bool[M], whether the distances are missing there.
-        ground: uint8[cells], working memory, as are the following.
-        sites: int64[2, N]
-        stop_at: int32[cells]
+        search: Working memory, as are the following.
+        stops: int64[N]
         distances: Between the stops of one state.
-        ways: From its drone to them.
-        workspace: Of the search.
         features: The output.
     """
+    tables, ground, stop_at = search.tables, search.ground, search.stop_at
     features.begins[0] = 0
-    stops, numbers = sites
     room = len(stops)
     for m in range(len(grounds)):
-        parcels = n = 0
+        n = delivered = 0
         for c in range(tables.cells):
-            kind = grounds[m, c]
-            ground[c] = DELIVERED_CELL if kind == DELIVERY_CELL else kind
+            ground[c] = grounds[m, c]
             stop_at[c] = NO_STOP
-            if ground[c] == DELIVERED_CELL:
-                if parcels == tables.deliveries:
+            delivered += ground[c] == DELIVERED_CELL
+            if ground[c] == DELIVERY_CELL:
+                if n + delivered >= tables.deliveries:
                     return m
-                stops[parcels] = c
-                parcels += 1
-        n = parcels
+                # Parcels do not end the paths between stops.
+                ground[c] = DELIVERED_CELL
+                stops[n] = c
+                n += 1
+        parcels = n
+        if parcels + delivered > tables.deliveries:
+            return m
         for c in range(tables.cells):
             if pads > 0 and ground[c] == PAD_CELL:
                 if n == parcels + pads:
                     return m
                 stops[n] = c
                 n += 1
-        place = places[m]
-        of_map = Distances(kept.cheap_units[place], kept.cheap_steps[place], kept.fast_steps[place])
-        if unknown[m]:
-            for i in range(n):
-                stop_at[stops[i]] = i
-            find_distances(tables, ground, stops[:n], counts, stop_at, of_map, ways, workspace)
-        # From here on the parcels that wait, and the pads.
-        stop, waiting = 0, 0
         for i in range(n):
-            cell = stops[i]
-            if i < parcels and grounds[m, cell] != DELIVERY_CELL:
-                stop_at[cell] = NO_STOP
-                continue
-            ground[cell] = grounds[m, cell]
-            waiting += i < parcels
-            stops[stop] = cell
-            stop_at[cell] = stop
-            numbers[stop] = i
-            stop += 1
-        for i in range(stop):
-            for j in range(stop):
-                a, b = numbers[i], numbers[j]
-                distances.cheap_units[i, j] = of_map.cheap_units[a, b]
-                distances.cheap_steps[i, j] = of_map.cheap_steps[a, b]
-                distances.fast_steps[i, j] = of_map.fast_steps[a, b]
+            stop_at[stops[i]] = i
+        find_distances(search, stops[:n], distances)
+        for i in range(parcels):
+            ground[stops[i]] = DELIVERY_CELL
         cell, units, left = drones[m]
-        find_paths(tables, ground, cell, units, counts, stop_at, ways, 0, workspace)
-        for t in range(stop + 1, room + 1):
+        search_paths(search, cell, units)
+        for t in range(n + 1, room + 1):
             features.present[m, t] = False
-            for f in range(TOKEN_FEATURES):
-                features.tokens[m, t, f] = 0.0
-            for s in range(room + 1):
-                for f in range(EDGE_FEATURES):
-                    features.edges[m, s, t, f] = features.edges[m, t, s, f] = 0.0
-        write_features(tables, stops[:stop], waiting, 0, cell, units, left, counts, distances, ways, features, m)
+            features.tokens[m, t] = 0.0
+            features.edges[m, t] = 0.0
+            features.edges[m, :, t] = 0.0
+        write_features(search, stops[:n], parcels, 0, cell, units, left, distances, features, m)
     return len(grounds)
 
 
 class FeatureEncoder:
     """Encodes observations of one task as features. Not thread-safe.
-
-    It caches the distances between the stops of a map, which do not depend on the flight.
 
     Args:
         task: The task.
@@ -155,22 +109,16 @@ class FeatureEncoder:
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        self._task, self._tables = task, tabulate(task)
-        self._counts = counts_units(task)
+        self._task, self._counts = task, counts_units(task)
         self._pads = task.pads if self._counts and task.charge_rate else 0
-        cells, n = self._tables.cells, task.deliveries + self._pads
-        self._ground, self._stop_at = np.zeros(cells, np.uint8), np.zeros(cells, np.int32)
-        self._sites = np.zeros((2, n), np.int64)
-        ways = make_paths(task, n)
-        options = n * ways.units.shape[1]
+        n = task.deliveries + self._pads
+        search = make_search(task, n)
+        options = n * search.paths.units.shape[1]
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
         require_memory("the features", task, size)
         self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
-        self._work = make_distances(n), ways, make_workspace(task)
+        self._working_memory = search, np.zeros(n, np.int64), make_distances(n)
         self._features = make_features(self.most, n, self.most * options)
-        self._room = max(self.most, KEPT_BYTES // (12 * n * n)) if self._counts else self.most
-        self._kept = Distances(*np.zeros((3, self._room, n, n), np.int32))
-        self._place_of: dict[bytes, int] = {}
 
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
         """The features of M observations, at most `most`; the next call overwrites them.
@@ -202,13 +150,7 @@ class FeatureEncoder:
             InvalidValueError: if one has more parcels or pads than the task.
         """
         m = len(grounds)
-        places, unknown = self._places(grounds)
-        written = encode_kernel(
-            self._tables, grounds, drones, int(self._counts), self._pads, self._kept, places, unknown,
-            self._ground, self._sites, self._stop_at, *self._work, self._features,
-        )  # fmt: skip
-        if written < m:
-            self._place_of.clear()
+        if encode_kernel(grounds, drones, self._pads, *self._working_memory, self._features) < m:
             raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
         return first_states(self._features, m)
 
@@ -225,17 +167,3 @@ class FeatureEncoder:
         if self._task.telemetry_size > 6:
             return np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)]
         return [hidden_kind(self._task, grid) for grid in grids] if self._counts else 0
-
-    def _places(self, grounds: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """The place of each map's distances in the cache, and whether they are missing there."""
-        m = len(grounds)
-        if not self._counts:  # found faster than looked up
-            return np.arange(m), np.ones(m, np.bool_)
-        if len(self._place_of) + m > self._room:
-            self._place_of.clear()
-        places, unknown = np.zeros(m, np.int64), np.zeros(m, np.bool_)
-        for i, ground in enumerate(np.where(grounds == DELIVERY_CELL, DELIVERED_CELL, grounds).astype(np.uint8)):
-            new = len(self._place_of)
-            places[i] = self._place_of.setdefault(ground.tobytes(), new)
-            unknown[i] = places[i] == new
-        return places, unknown

@@ -8,14 +8,22 @@ steps to `max_steps`. They contain no coordinates, so they do not depend on the 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.cells import PAD_CELL
+from drone_env.core.compiled import jitable
 from drone_env.core.rules import units_left
-from drone_env.core.tables import Tables
-from drone_env.planning.paths import UNREACHED, ParetoPaths, Workspace, find_paths
+from drone_env.core.tables import Tables, tabulate
+from drone_env.core.tasks import TaskConfig
+from drone_env.planning.paths import (
+    UNREACHED,
+    ParetoPaths,
+    Workspace,
+    counts_units,
+    find_paths,
+    make_paths,
+    make_workspace,
+)
 
 WAIT = int(Action.WAIT)
 FAR = 1.5
@@ -31,13 +39,13 @@ IS_DRONE, IS_PARCEL, IS_PAD = 0, 1, 2
 HERE = 3
 """Whether the drone is above this pad."""
 CHEAP_UNITS, CHEAP_STEPS, FAST_STEPS = 4, 5, 6
-"""From the drone: units and steps of the cheapest way, steps of the fastest."""
+"""From the drone: units and steps of the cheapest path, steps of the fastest."""
 REACHED = 7
-"""Whether there is a way that the battery has the units for; 0 for the pad that the drone is above."""
+"""Whether there is a path that the battery has the units for; 0 for the pad that the drone is above."""
 ARRIVAL = 8
-"""Units left after the cheapest way."""
+"""Units left after the cheapest path."""
 TO_PAD, TO_PARCEL = 9, 10
-"""Units of the cheapest way from here to the nearest other pad and parcel; the drone has the first alone."""
+"""Units of the cheapest path from here to the nearest other pad and parcel; the drone has the first alone."""
 SPARE, SAFE = 11, 12
 """`ARRIVAL` less the units to the nearest pad, which none needs on a pad or when the last parcel is delivered; whether
 some are left."""
@@ -47,13 +55,13 @@ charge; 10 / capacity; 40 / `max_steps`; whether two parcels wait; pads / 5."""
 
 EDGE_FEATURES = 10
 OUT_UNITS, OUT_STEPS, OUT_FAST_STEPS = 0, 1, 2
-"""From the first token to the second: units and steps of the cheapest way, steps of the fastest."""
+"""From the first token to the second: units and steps of the cheapest path, steps of the fastest."""
 BACK_UNITS, BACK_STEPS = 3, 4
 """The reverse direction. For a pair with the drone, both directions hold the path from the drone."""
 OUT_ARRIVAL, OUT_REACHES = 5, 6
 """`ARRIVAL` at the first less the units from there to the second; whether some are left."""
 BACK_ARRIVAL, BACK_REACHES = 7, 8
-"""The other way round."""
+"""The same from the second token to the first."""
 WITHIN_CAPACITY = 9
 """Whether a full battery lasts from the first to the second."""
 
@@ -63,24 +71,52 @@ DRAINED, TAKEN = 0, 1
 AFTER = 2
 """Units left."""
 AFTER_SPARE, AFTER_SAFE = 3, 4
-"""As `SPARE` and `SAFE`, after this way."""
+"""As `SPARE` and `SAFE`, after this path."""
 CHARGES = 5
 """Whether it is a charge."""
 MORE_UNITS, MORE_STEPS = 6, 7
-"""Units beyond those of the cheapest way to the same stop, steps beyond those of the fastest."""
+"""Units beyond those of the cheapest path to the same stop, steps beyond those of the fastest."""
 LEFT_AFTER = 8
 """Steps left / `max_steps`."""
 
 
+class PathSearch(NamedTuple):
+    """One map of a task, and the working memory for the Pareto-optimal paths from a cell to its stops."""
+
+    tables: Tables
+    counts: Any
+    """1 if units count beside steps."""
+    ground: Any
+    """uint8[cells], the kind of each cell without the drone."""
+    stop_at: Any
+    """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
+    paths: ParetoPaths
+    workspace: Workspace
+
+
+def make_search(task: TaskConfig, stops: int) -> PathSearch:
+    """Allocate the search for paths to this many stops."""
+    tables = tabulate(task)
+    ground, stop_at = np.zeros(tables.cells, np.uint8), np.zeros(tables.cells, np.int32)
+    return PathSearch(tables, int(counts_units(task)), ground, stop_at, make_paths(task, stops), make_workspace(task))
+
+
+@jitable
+def search_paths(search: PathSearch, cell: int, units: int) -> None:
+    """Find the Pareto-optimal paths of a drone with these units from a cell to every stop."""
+    tables, counts, ground, stop_at, paths, workspace = search
+    find_paths(tables, ground, cell, units, counts, stop_at, paths, 0, workspace)
+
+
 class Distances(NamedTuple):
-    """From each stop (first axis) to each: int32[N, N], `UNREACHED` where nothing leads. Parcels do not end a way."""
+    """From each stop (first axis) to each: int32[N, N], `UNREACHED` if there is no path. Parcels do not end a path."""
 
     cheap_units: Any
-    """Units of the cheapest way."""
+    """Units of the cheapest path."""
     cheap_steps: Any
     """Its steps."""
     fast_steps: Any
-    """Steps of the fastest way."""
+    """Steps of the fastest path."""
 
 
 class Features(NamedTuple):
@@ -127,62 +163,53 @@ def first_states(features: Features, m: int) -> Features:
     return Features(*by_state, features.token[:options], features.options[:options], features.numbers[:options])
 
 
-def find_distances(
-    tables: Tables,
-    ground: Any,
-    stops: Any,
-    counts: int,
-    stop_at: Any,
-    distances: Distances,
-    ways: ParetoPaths,
-    workspace: Workspace,
-) -> None:
+@jitable
+def find_distances(search: PathSearch, stops: Any, distances: Distances) -> None:
     """Find the distances between all stops, on a map without waiting parcels."""
     cheap_units, cheap_steps, fast_steps = distances
+    paths = search.paths
     for i in range(len(stops)):
-        find_paths(tables, ground, stops[i], tables.capacity, counts, stop_at, ways, 0, workspace)
+        search_paths(search, stops[i], search.tables.capacity)
         for j in range(len(stops)):
-            n = ways.count[j]
+            n = paths.count[j]
             if i == j:
                 cheap_units[i, j] = cheap_steps[i, j] = fast_steps[i, j] = 0
             elif n == 0:
                 cheap_units[i, j] = cheap_steps[i, j] = fast_steps[i, j] = UNREACHED
             else:
-                cheap_steps[i, j] = ways.steps[j, n - 1]
-                cheap_units[i, j] = ways.units[j, n - 1] if counts else cheap_steps[i, j]
-                fast_steps[i, j] = ways.steps[j, 0]
+                cheap_steps[i, j] = paths.steps[j, n - 1]
+                cheap_units[i, j] = paths.units[j, n - 1] if search.counts else cheap_steps[i, j]
+                fast_steps[i, j] = paths.steps[j, 0]
 
 
+@jitable
 def write_features(
-    tables: Tables,
+    search: PathSearch,
     stops: Any,
     parcels: int,
     delivered: int,
     cell: int,
     units: int,
     left: int,
-    counts: int,
     distances: Distances,
-    ways: ParetoPaths,
     features: Features,
     m: int,
 ) -> None:
-    """Write the features of one state, whose paths are known, as number m.
+    """Write the features of one state as number m.
 
     Args:
-        tables: The task's tables.
+        search: The map, after `search_paths` from the drone.
         stops: int64[N], the cells of the parcels and pads.
         parcels: Number of parcels; they are the first stops.
         delivered: Bit i for parcel i.
         cell: The drone's cell.
         units: Battery units left.
         left: Steps left.
-        counts: 1 if units count beside steps.
         distances: Between the stops.
-        ways: From the drone to the stops.
         features: The output.
         m: The number of the state; those below it are written.
     """
+    tables, counts, paths = search.tables, search.counts, search.paths
     capacity, max_steps = np.float32(tables.capacity), np.float32(tables.max_steps)
     per_step = np.float32(STEP_SCALE) / max_steps
     cheap_units, cheap_steps, fast_steps = distances
@@ -194,16 +221,14 @@ def write_features(
     for i in range(parcels):
         waiting += 1 - (delivered >> i & 1)
     option = features.begins[m]
-    for f in range(TOKEN_FEATURES):
-        tokens[m, 0, f] = 0.0
+    tokens[m, : n + 1] = 0.0
+    edges[m, : n + 1, : n + 1] = 0.0
     present[m, 0] = True
     tokens[m, 0, IS_DRONE] = 1.0
     home = UNREACHED
     for i in range(n):
         t = i + 1
         present[m, t] = i >= parcels or not (delivered >> i & 1)
-        for f in range(TOKEN_FEATURES):
-            tokens[m, t, f] = 0.0
         if not present[m, t]:
             continue
         next_pad = next_parcel = UNREACHED
@@ -220,7 +245,7 @@ def write_features(
         tokens[m, t, TO_PAD] = to_pad
         tokens[m, t, TO_PARCEL] = np.float32(next_parcel) / capacity if next_parcel < UNREACHED else np.float32(FAR)
         here = stops[i] == cell
-        k_ways = ways.count[i]
+        n_paths = paths.count[i]
         if here:
             tokens[m, t, HERE] = 1.0
             home = 0
@@ -230,36 +255,35 @@ def write_features(
                 features.token[option] = t
                 features.numbers[option, 0], features.numbers[option, 1] = units - charged, 1
                 features.numbers[option, 2] = WAIT
-                for f in range(OPTION_FEATURES):
-                    features.options[option, f] = 0.0
+                features.options[option] = 0.0
                 features.options[option, DRAINED] = (units - charged) / capacity
                 features.options[option, TAKEN] = per_step
                 features.options[option, AFTER] = features.options[option, AFTER_SPARE] = charged / capacity
                 features.options[option, AFTER_SAFE] = features.options[option, CHARGES] = 1.0
                 features.options[option, LEFT_AFTER] = (left - 1) / max_steps
                 option += 1
-        elif k_ways == 0:
+        elif n_paths == 0:
             tokens[m, t, CHEAP_UNITS] = tokens[m, t, CHEAP_STEPS] = tokens[m, t, FAST_STEPS] = FAR
         else:
-            last = k_ways - 1
-            cheapest = ways.units[i, last] if counts else ways.steps[i, last]
-            fastest = ways.steps[i, 0]
+            last = n_paths - 1
+            cheapest = paths.units[i, last] if counts else paths.steps[i, last]
+            fastest = paths.steps[i, 0]
             if i >= parcels:
                 home = min(home, cheapest)
             tokens[m, t, CHEAP_UNITS] = cheapest / capacity
-            tokens[m, t, CHEAP_STEPS] = ways.steps[i, last] * per_step
+            tokens[m, t, CHEAP_STEPS] = paths.steps[i, last] * per_step
             tokens[m, t, FAST_STEPS] = fastest * per_step
             tokens[m, t, REACHED] = 1.0
             tokens[m, t, ARRIVAL] = (units - cheapest) / capacity
-            for k in range(k_ways):
-                steps = ways.steps[i, k]
+            for k in range(n_paths):
+                steps = paths.steps[i, k]
                 # With the step to a parcel a drone may drain more than it has.
-                drained = (min(ways.units[i, k], units) if i < parcels else ways.units[i, k]) if counts else steps
+                drained = (min(paths.units[i, k], units) if i < parcels else paths.units[i, k]) if counts else steps
                 if drained > units or (drained == units and i >= parcels) or steps > left:
                     continue
                 features.token[option] = t
                 features.numbers[option, 0], features.numbers[option, 1] = drained, steps
-                features.numbers[option, 2] = ways.first[i, k]
+                features.numbers[option, 2] = paths.first[i, k]
                 features.options[option, DRAINED] = drained / capacity
                 features.options[option, TAKEN] = steps * per_step
                 features.options[option, AFTER] = (units - drained) / capacity
@@ -288,36 +312,20 @@ def write_features(
     for s in range(n + 1):
         arrival = tokens[m, s, ARRIVAL] if s > 0 else np.float32(units) / capacity
         for t in range(n + 1):
-            for f in range(EDGE_FEATURES):
-                edges[m, s, t, f] = 0.0
             if s == t or not present[m, s] or not present[m, t]:
                 continue
             if s == 0 or t == 0:
-                stop = s + t
-                out_units = back_units = tokens[m, stop, CHEAP_UNITS]
-                out_steps = back_steps = tokens[m, stop, CHEAP_STEPS]
-                fastest_steps = tokens[m, stop, FAST_STEPS]
+                out_units, out_steps = tokens[m, s + t, CHEAP_UNITS], tokens[m, s + t, CHEAP_STEPS]
+                fastest_steps = tokens[m, s + t, FAST_STEPS]
+            elif cheap_units[s - 1, t - 1] == UNREACHED:
+                out_units = out_steps = fastest_steps = np.float32(FAR)
             else:
-                out_units = back_units = out_steps = back_steps = fastest_steps = np.float32(FAR)
-                if cheap_units[s - 1, t - 1] < UNREACHED:
-                    out_units = np.float32(cheap_units[s - 1, t - 1]) / capacity
-                    out_steps = np.float32(cheap_steps[s - 1, t - 1]) * per_step
-                    fastest_steps = np.float32(fast_steps[s - 1, t - 1]) * per_step
-                if cheap_units[t - 1, s - 1] < UNREACHED:
-                    back_units = np.float32(cheap_units[t - 1, s - 1]) / capacity
-                    back_steps = np.float32(cheap_steps[t - 1, s - 1]) * per_step
-            back_arrival = tokens[m, t, ARRIVAL] if t > 0 else np.float32(units) / capacity
-            edges[m, s, t, OUT_UNITS] = out_units
-            edges[m, s, t, OUT_STEPS] = out_steps
+                out_units = np.float32(cheap_units[s - 1, t - 1]) / capacity
+                out_steps = np.float32(cheap_steps[s - 1, t - 1]) * per_step
+                fastest_steps = np.float32(fast_steps[s - 1, t - 1]) * per_step
+            edges[m, s, t, OUT_UNITS] = edges[m, t, s, BACK_UNITS] = out_units
+            edges[m, s, t, OUT_STEPS] = edges[m, t, s, BACK_STEPS] = out_steps
             edges[m, s, t, OUT_FAST_STEPS] = fastest_steps
-            edges[m, s, t, BACK_UNITS] = back_units
-            edges[m, s, t, BACK_STEPS] = back_steps
-            edges[m, s, t, OUT_ARRIVAL] = arrival - out_units
-            edges[m, s, t, OUT_REACHES] = arrival - out_units > 0.0
-            edges[m, s, t, BACK_ARRIVAL] = back_arrival - back_units
-            edges[m, s, t, BACK_REACHES] = back_arrival - back_units > 0.0
+            edges[m, s, t, OUT_ARRIVAL] = edges[m, t, s, BACK_ARRIVAL] = arrival - out_units
+            edges[m, s, t, OUT_REACHES] = edges[m, t, s, BACK_REACHES] = arrival - out_units > 0.0
             edges[m, s, t, WITHIN_CAPACITY] = out_units < 1.0
-
-
-for function in (find_distances, write_features):
-    register_jitable(**compiled.OPTIONS)(function)

@@ -6,25 +6,17 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.tour_encoder import FeatureEncoder
+from drone_env.agents.tour_features import PathSearch, make_search, search_paths
 from drone_env.agents.tournet import Network, best_options
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
-from drone_env.core.compile_cache import compiled_once
+from drone_env.core.compiled import kernel
 from drone_env.core.rewards import Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import score, step
 from drone_env.core.seeds import MASK32, map_key, mix64, next_key, task_key
-from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, tabulate
+from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.paths import (
-    NO_STOP,
-    ParetoPaths,
-    Workspace,
-    counts_units,
-    find_paths,
-    make_paths,
-    make_workspace,
-)
+from drone_env.planning.paths import NO_STOP
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
@@ -61,34 +53,19 @@ class Choices(NamedTuple):
     """int64[M], index of the best option of each state, -1 if there is none."""
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
-def fly_kernel(
-    tables: Tables,
-    rewards: Rewards,
-    counts: int,
-    flights: Flights,
-    chosen: Any,
-    options: Any,
-    ground: Any,
-    stop_at: Any,
-    ways: ParetoPaths,
-    workspace: Workspace,
-) -> None:
+@kernel
+def fly_kernel(search: PathSearch, rewards: Rewards, flights: Flights, chosen: Any, options: Any) -> None:
     """Fly paths to their ends by the rules.
 
     Args:
-        tables: The task's tables.
+        search: Working memory, for a single stop.
         rewards: The table of any profile; unused.
-        counts: 1 if units count beside steps.
         flights: The flights.
         chosen: int64[n], the indices of the flights that move.
         options: int64[n, 4], their paths: token, units, steps, first action; with 0 steps, the flight waits to its
             end.
-        ground: uint8[cells], working memory, as are the following.
-        stop_at: int32[cells]
-        ways: For a single stop.
-        workspace: Of the search.
     """
+    tables, ground, stop_at, paths = search.tables, search.ground, search.stop_at, search.paths
     for c in range(tables.cells):
         stop_at[c] = NO_STOP
     for k in range(len(chosen)):
@@ -120,10 +97,10 @@ def fly_kernel(
                 break
             # The search skips paths that cost more than the rest of this one; one of the others has its steps.
             most = min(units + 1, state[BATTERY])
-            find_paths(tables, ground, state[CELL], most, counts, stop_at, ways, 0, workspace)
-            for w in range(ways.count[0]):
-                if ways.steps[0, w] == steps:
-                    action = ways.first[0, w]
+            search_paths(search, state[CELL], most)
+            for k in range(paths.count[0]):
+                if paths.steps[0, k] == steps:
+                    action = paths.first[0, k]
         stop_at[to] = NO_STOP
         flights.scores[i] = score(tables, state)
 
@@ -140,10 +117,7 @@ class TourPlanner:
     def __init__(self, task: TaskConfig, network: Network, plans: int) -> None:
         self._network, self._plans = network, plans
         self._encoder = FeatureEncoder(task)
-        self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
-        self._counts = int(counts_units(task))
-        cells = self._tables.cells
-        self._work = np.zeros(cells, np.uint8), np.zeros(cells, np.int32), make_paths(task, 1), make_workspace(task)
+        self._search, self._rewards = make_search(task, 1), tabulate_rewards(task, get_reward_profile("score"))
 
     def best(
         self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
@@ -175,11 +149,11 @@ class TourPlanner:
             states: uint16[M, state size]
             seeds: int64[M], the agent seeds; the steps flown vary them.
         """
-        m, plans, max_steps = len(grids), self._plans, self._tables.max_steps
+        m, plans, max_steps = len(grids), self._plans, self._search.tables.max_steps
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
         flights = Flights(grids[maps], states[maps], actions, scores)
-        # Arrays of 64-bit integers wrap as compiled ones do.
+        # Arrays of 64-bit integers wrap like compiled integers.
         of_maps, steps, of_plans = (cast(Any, array) for array in (seeds[maps], states[maps, STEPS], numbers))
         keys: Any = mix64(map_key(KEY, of_maps) ^ steps ^ mix64(of_plans))
         flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)
@@ -191,7 +165,7 @@ class TourPlanner:
             chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
             options = np.zeros((len(flying), 4), np.int64)
             options[chosen >= 0] = choices.options[chosen[chosen >= 0]]
-            fly_kernel(self._tables, self._rewards, self._counts, flights, flying, options, *self._work)
+            fly_kernel(self._search, self._rewards, flights, flying, options)
             flying = flying[flights.states[flying, OUTCOME] == FLYING]
         return flights
 
@@ -201,9 +175,10 @@ class TourPlanner:
         """The options of the distinct states, and the index of each state among these, int64[N]."""
         equal = np.column_stack([maps, states[:, [CELL, BATTERY, STEPS]], states[:, PARCELS:]]).astype(np.int32)
         _, which, of = np.unique(equal, axis=0, return_index=True, return_inverse=True)
+        max_steps = self._search.tables.max_steps
         grids, now = grids[which], states[which].astype(np.int64)
         grids[np.arange(len(grids)), now[:, CELL]] = now[:, UNDER]
-        drones = np.stack([now[:, CELL], now[:, BATTERY], self._tables.max_steps - now[:, STEPS]], axis=1)
+        drones = np.stack([now[:, CELL], now[:, BATTERY], max_steps - now[:, STEPS]], axis=1)
         parts: list[Choices] = []
         begin = 0
         for i in range(0, len(grids), self._encoder.most):

@@ -26,7 +26,7 @@ Network = Callable[["Features"], tuple[npt.NDArray[np.float32], npt.NDArray[np.f
 """From features to two logits of each option, float32[options] each: its choice, and whether the mission can be
 completed after it."""
 TIE = 1e-4
-"""Closer logits count as equal, because the size of a batch changes their last bits."""
+"""Closer logits are equal: the size of a batch changes their last bits."""
 
 
 def tour_network(network: Path | None) -> "TourNetwork":
@@ -163,7 +163,7 @@ def best_options(features: "Features", choices: npt.NDArray[np.float32]) -> npt.
         CheckpointError: if a logit is no number: the network's parameters are too large.
     """
     if not np.isfinite(choices).all():
-        raise CheckpointError("the tour network has values that are no numbers: its parameters are too large to fly by")
+        raise CheckpointError("the tour network returned NaN or infinity: its parameters are too large")
     best = np.full(len(features.begins) - 1, -1, np.int64)
     some = np.flatnonzero(np.diff(features.begins))
     begins = features.begins[some]

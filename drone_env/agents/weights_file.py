@@ -1,4 +1,4 @@
-"""The files of networks, which anybody may have written.
+"""Files of networks. They may come from anybody, so everything in them is checked.
 
 A file is in the safetensors format: float32 parameters under PyTorch's names and, in the metadata, a JSON object as the
 entry `drone_env`. The object's entry `network` names the network, PathQNet if it is missing.
@@ -32,8 +32,8 @@ MOST_BYTES = 1 << 20
 LARGEST = 100.0
 """Maximum absolute value of a parameter: trained ones stay below 3, and up to it nothing overflows."""
 in_one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
-"""Decorator: NumPy multiplies matrices in the calling thread alone. Ours are small, and the spinning threads of NumPy's
-library take several times as long beside other work."""
+"""Decorator: NumPy multiplies matrices in the calling thread. The matrices are small: on a busy machine, threads of the
+BLAS library would take several times as long."""
 
 
 class Weights(NamedTuple):
@@ -73,7 +73,7 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
     try:
         found = weights.metadata.get("network", PATHQNET)
         if found != network:
-            raise ValueError(f"it holds a network of {shown(found)}, not of {network!r}")
+            raise ValueError(f"it contains a network of {shown(found)}, not of {network!r}")
         _require_shapes(weights.parameters, shapes_of(weights.metadata))
     except (ValueError, TypeError) as error:
         raise _rejected(path, error) from None
@@ -97,7 +97,7 @@ def _read(path: Path) -> Weights:
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
         metadata = json.loads(header["__metadata__"][METADATA])
         if not isinstance(metadata, dict):
-            raise ValueError("its metadata are no JSON object")
+            raise ValueError("its metadata is not a JSON object")
     except KeyError as error:
         raise _rejected(path, ValueError(f"it lacks {error}")) from None
     except (SafetensorError, ValueError, TypeError, AttributeError, RecursionError) as error:
@@ -118,4 +118,4 @@ def _require_shapes(parameters: Mapping[str, npt.NDArray[Any]], shapes: Shapes) 
         if array.dtype != np.float32 or array.shape != shape:
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of float32{list(shape)}")
         if not (np.abs(array) <= LARGEST).all():
-            raise ValueError(f"{name} has values that are no numbers, or beyond {LARGEST:g}")
+            raise ValueError(f"{name} has NaN, or values beyond {LARGEST:g}")

@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -22,24 +21,25 @@ from drone_env.installer import program
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.tour_config import TourConfig
 
-TaskOrAll = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")]
 Network = Literal["pathqnet", "tournet"]
 
 
 @dataclass(frozen=True)
 class Settings(TrainConfig):
-    """The settings for the task that the command names, or for each of those."""
+    """The settings of PathQNet."""
 
-    task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "easy"
+    task: TaskName = "easy"
+    """The task, by its short name, id or grader."""
     reward_profile: ProfileName = DEFAULT_PROFILE
     """Reward profile, or a TOML file with one. Potential-based shaping, if the profile has it, uses `gamma`."""
 
 
 @dataclass(frozen=True)
 class TourSettings(TourConfig):
-    """The settings for the task that the command names, or for one network on all tasks."""
+    """The settings of the tour network."""
 
-    task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all"
+    task: Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")] = "all"
+    """`all` for one network that flies every registered task, or one task."""
 
 
 AnySettings = TypeVar("AnySettings", Settings, TourSettings)
@@ -50,26 +50,25 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset, no such number of episodes, or no one network for all tasks.
+        InvalidValueError: if there is no such preset or number of episodes, or PathQNet is to learn all tasks.
     """
-    named = _named(arguments)
-    if named.network == "tournet":
-        tour = TourSettings(task=named.task or "all")
-        return _tour_command(_as_before(tour, tour.name, named))
-    if named.task == "all":
+    given = _given(arguments)
+    if given.network == "tournet":
+        tour = TourSettings(task=given.task or "all")
+        return _tour_command(_resumed(tour, tour.name, given))
+    if given.task == "all":
         raise InvalidValueError("PathQNet learns one task at a time: name it, or add --network tournet")
-    task = named.task or "easy"
-    episodes = int(named.episodes) if named.episodes and named.episodes.isdecimal() else None
-    defaults = Settings(**vars(preset(named.preset or "fast", task, episodes)))
+    task = given.task or "easy"
+    episodes = int(given.episodes) if given.episodes and given.episodes.isdecimal() else None
+    defaults = Settings(**vars(preset(given.preset or "fast", task, episodes)))
     # The number of environments depends on the first number of episodes, which only the checkpoint has.
-    return _train_command(defaults if named.preset else _as_before(defaults, get_task(task).short_name, named))
+    return _train_command(defaults if given.preset else _resumed(defaults, get_task(task).short_name, given))
 
 
 def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
         network: Network = "pathqnet",
-        task: TaskName = "easy",
         preset: Literal["fast", "original"] = "fast",
         fresh: bool = False,
         data: Path | None = None,
@@ -77,8 +76,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
     ) -> int:
         """Train a network to fly a task, and validate it against the exact optimum.
 
-        Continues from `data/TASK.pth` if it exists, with its settings; Ctrl-C saves and ends. The best network by
-        validation is `data/TASK.safetensors`: `drone-env serve` in the same folder flies it, and so does
+        The command continues from `data/TASK.pth` if that exists, with its settings; Ctrl-C saves and ends. The best
+        network by validation is `data/TASK.safetensors`. `drone-env serve` in the same folder uses it; so does
         `drone-env evaluate --agents pathqnet --checkpoint data/TASK.safetensors`.
 
         The defaults below are those of the preset for the task and the number of episodes. `original` has the
@@ -91,9 +90,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             config: The settings.
             network: The network: `pathqnet` learns the values of actions on one task from rewards, `tournet` learns
                 which parcel or pad to fly to next from exact values, on all tasks at once.
-            task: The task, by its short name, id or grader.
             preset: The preset of the defaults.
-            fresh: Start from scratch; an earlier training is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
+            fresh: Start from scratch; the earlier checkpoint is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
             data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
             results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
         """
@@ -112,16 +110,15 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
     def train(
         config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
         network: Network = "tournet",
-        task: TaskOrAll = "all",
         fresh: bool = False,
         data: Path | None = None,
         results: Path | None = None,
     ) -> int:
         """Train a tour network, and validate it against the exact optimum.
 
-        It learns from the exact value of each option (`drone_env.planning.legs`), on maps of the train split. Continues
-        from `data/tournet.pth` if it exists, with its settings; Ctrl-C saves and ends. The network is
-        `data/tournet.safetensors`; to fly it, type `drone-env evaluate --agents tournet --checkpoint
+        It learns from the exact value of each option (`drone_env.planning.legs`), on maps of the train split. The
+        command continues from `data/tournet.pth` if that exists, with its settings; Ctrl-C saves and ends. The network
+        is `data/tournet.safetensors`; to fly it, type `drone-env evaluate --agents tournet --checkpoint
         data/tournet.safetensors`. A network for one task is `tournet_TASK` instead of `tournet`.
 
         Example: drone-env train --network tournet --task all
@@ -129,8 +126,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
         Args:
             config: The settings.
             network: The network: `tournet`.
-            task: `all` for one network that flies every registered task, or one task.
-            fresh: Start from scratch; an earlier training is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
+            fresh: Start from scratch; the earlier checkpoint is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
             data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
             results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
         """
@@ -141,7 +137,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
     return train
 
 
-def _named(arguments: Sequence[str]) -> argparse.Namespace:
+def _given(arguments: Sequence[str]) -> argparse.Namespace:
     """The arguments that the defaults depend on; tyro reports their errors."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for flag in ("--network", "--task", "--preset", "--episodes", "--data"):
@@ -150,18 +146,18 @@ def _named(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_known_args(arguments)[0]
 
 
-def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> AnySettings:
+def _resumed(defaults: AnySettings, name: str, given: argparse.Namespace) -> AnySettings:
     """The settings of the checkpoint, if there is one."""
-    checkpoint = Path(named.data or data_folder()) / f"{name}.pth"
-    if named.fresh or not checkpoint.exists():
+    checkpoint = Path(given.data or data_folder()) / f"{name}.pth"
+    if given.fresh or not checkpoint.exists():
         return defaults
     try:
         from drone_env.rl.run import load_checkpoint
 
-        kept = load_checkpoint(checkpoint)["config"]
-        passed = {"task", *({"reward_profile"} if kept.get("reward_profile") not in REWARD_PROFILES else ())}
-        names = [field.name for field in fields(defaults) if field.name in kept and field.name not in passed]
-        return type(defaults)(**vars(defaults) | {name: kept[name] for name in names})
+        stored = load_checkpoint(checkpoint)["config"]
+        omitted = {"task", *({"reward_profile"} if stored.get("reward_profile") not in REWARD_PROFILES else ())}
+        names = [field.name for field in fields(defaults) if field.name in stored and field.name not in omitted]
+        return type(defaults)(**vars(defaults) | {name: stored[name] for name in names})
     except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
         return defaults  # `TrainingRun` reports the error
 
@@ -171,29 +167,32 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
 
     run = TrainingRun(trainer, data or data_folder(), results or data_folder("results"), fresh)
     unit, total, console = run.unit, run.total, Console(stderr=True)
-    say = partial(print, file=sys.stderr, flush=True)
+
+    def log(message: str) -> None:
+        print(message, file=sys.stderr, flush=True)
+
     if run.done >= total:
-        say(f"{run.checkpoint} has {run.done} of {total} {unit}: nothing to do.")
+        log(f"{run.checkpoint} has {run.done} of {total} {unit}: nothing to do.")
         more = "Raise --episodes to go on, or add" if unit == "episodes" else "Add"
-        say(f"{more} --fresh to start again; the old training is kept.")
+        log(f"{more} --fresh to start again; the old training is kept.")
         return 0
     if run.resumed:
-        say(f"going on from {run.checkpoint}: {run.done} of {total} {unit}")
+        log(f"going on from {run.checkpoint}: {run.done} of {total} {unit}")
     columns = TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn()
-    # The speed of the last minutes: episodes end in bursts, and validations take time.
+    # Averaged over minutes: episodes end in bursts, and validations take time.
     bars = Progress(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=300)
     with bars, run.stopping_on_interrupt():
         bar = bars.add_task(run.name, total=total, completed=run.done)
         for line in run.train():
             bars.update(bar, completed=run.done, description=f"{run.name}  {summary(line)}")
             if not console.is_terminal and run.done % run.trainer.config.validation_every == 0:
-                say(f"{run.done}/{total} {unit}  {summary(line)}")
+                log(f"{run.done}/{total} {unit}  {summary(line)}")
     if run.stopped:
-        again = "the same command without --fresh" if fresh else "the same command"
-        say(f"stopped after {run.done} {unit}, saved as {run.checkpoint}; {again} goes on")
+        command = "the same command without --fresh" if fresh else "the same command"
+        log(f"stopped after {run.done} {unit}, saved as {run.checkpoint}; {command} goes on")
         return 130
-    say(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
+    log(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
     task, agent = run.trainer.config.task, "pathqnet" if unit == "episodes" else "tournet"
     task = task if task == "all" else task_argument(get_task(task))
-    say(f"next: {program('drone-env')} evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
+    log(f"next: {program('drone-env')} evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
     return 0

@@ -148,7 +148,6 @@ def evaluate(
     seeds: range | None = None,
     repeat: int = 0,
     wrapper: Any = None,
-    sampled: bool = False,
 ) -> Results:
     """Fly maps with anything that can fly, each beside the exact optimum; `summarise` makes figures of it.
 
@@ -163,7 +162,6 @@ def evaluate(
         seeds: The maps to fly instead.
         repeat: Which flight over these maps it is, of an agent that draws lots: another number, other lots.
         wrapper: The wrapper of observations that a model was trained behind, or its name.
-        sampled: Whether a model draws its actions; else it takes the likeliest.
 
     Raises:
         UnknownNameError: if there is no such task, split, version or agent.
@@ -181,7 +179,7 @@ def evaluate(
     if isinstance(policy, str):
         agent = make_agent(policy, task)
     else:
-        agent = as_agent(policy, task, wrapper, sampled)
+        agent = as_agent(policy, task, wrapper)
         name = f"{agent.config.get('agent', type(agent).__name__)}"
     key = episodes_key(task, name, maps, split if seeds is None else "custom", repeat=repeat, made=agent)
     return _fly_beside_the_optimum(task, key, agent)

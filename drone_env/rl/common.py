@@ -76,12 +76,6 @@ def clone_state(network: nn.Module) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in network.state_dict().items()}
 
 
-def set_learning_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    """Set the learning rate of the next step."""
-    for group in optimizer.param_groups:
-        group["lr"] = rate
-
-
 @torch.no_grad()
 def update_average(average: nn.Module, network: nn.Module, weight: float) -> None:
     """Move each parameter of `average` towards `network` by this weight (Polyak averaging)."""

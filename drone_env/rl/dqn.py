@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,6 @@ from drone_env.rl.common import (
     figure,
     keep_freed_memory,
     require_same,
-    set_learning_rate,
     update_average,
 )
 from drone_env.rl.config import TrainConfig
@@ -94,14 +93,6 @@ class Trainer:
         InvalidValueError: if the settings name a GPU and there is none.
     """
 
-    curves: ClassVar = {
-        "reward": "mean reward of an episode",
-        "length": "mean steps of an episode",
-        "loss": "loss",
-        "epsilon": "share of random actions",
-        "validation": "score on validation maps",
-    }
-
     def __init__(self, config: TrainConfig) -> None:
         if config.gpu and not torch.cuda.is_available():
             raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
@@ -122,7 +113,7 @@ class Trainer:
         self.replay = ReplayBuffer(config.replay_size, config.num_envs, task.height, task.width, task.telemetry_size)
         self.validator = Validator(task, config.validation_maps)
         self.validation = Validation(math.nan, self.validator.optimum, math.nan)
-        self.best, self.best_score = clone_state(self.judged), -1.0
+        self.best, self.best_score = clone_state(self.eval_network), -1.0
         self.steps = self.updates = self.episodes = 0
         self.updates_due = 0.0
         self.validated_updates = -1
@@ -150,7 +141,7 @@ class Trainer:
         while self.episodes < config.episodes:
             if not self.ended:  # a run may stop amid the episodes that one step ended
                 self.fly()
-                if self.steps > config.learning_starts and self.replay.held > 1:
+                if self.steps > config.learning_starts and self.replay.stored > 1:
                     self.updates_due += config.num_envs / config.steps_per_update
                 while self.updates_due >= 1:
                     self.learn()
@@ -186,7 +177,7 @@ class Trainer:
 
         q_values = self.online(grids, telemetry).gather(1, actions).squeeze(1)
         loss = smooth_l1_loss(q_values, td_target)
-        set_learning_rate(self.optimizer, self.learning_rate)
+        self.optimizer.param_groups[0]["lr"] = self.learning_rate
         self.optimizer.zero_grad()
         loss.backward()
         if config.max_grad_norm:
@@ -224,10 +215,10 @@ class Trainer:
         self.validation = self.validator.validate(self.act)
         self.validated_updates = self.updates
         if self.validation.score >= self.best_score:
-            self.best, self.best_score = clone_state(self.judged), self.validation.score
+            self.best, self.best_score = clone_state(self.eval_network), self.validation.score
 
     @property
-    def judged(self) -> PathQNet:
+    def eval_network(self) -> PathQNet:
         """The network that is validated and exported.
 
         A soft target is a moving average of the online network and flies far better: on hard, after 2,000 updates,
@@ -283,8 +274,8 @@ class Trainer:
             return network(self.tensor(grids), self.tensor(telemetry)).cpu().numpy()
 
     def act(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of the judged network, int64[N]."""
-        return self.q_values(grids, telemetry, self.judged).argmax(axis=1)
+        """The actions of the validated network, int64[N]."""
+        return self.q_values(grids, telemetry, self.eval_network).argmax(axis=1)
 
     def tensor(self, array: npt.NDArray[Any]) -> Tensor:
         """The array on the training device."""

@@ -47,7 +47,7 @@ class ReplayBuffer:
         """Rows written so far."""
 
     @property
-    def held(self) -> int:
+    def stored(self) -> int:
         """Rows in the buffer."""
         return min(self.added, len(self.grids))
 
@@ -74,7 +74,7 @@ class ReplayBuffer:
     def sample(self, batch_size: int, gamma: float, rng: np.random.Generator) -> Transitions:
         """Uniformly sampled transitions; the buffer holds at least two rows."""
         rows = len(self.grids)
-        first = self.added - self.held + rng.integers(0, self.held - 1, batch_size)
+        first = self.added - self.stored + rng.integers(0, self.stored - 1, batch_size)
         env = rng.integers(0, self.grids.shape[1], batch_size)
         now, later = first % rows, (first + 1) % rows
         return Transitions(
@@ -89,10 +89,10 @@ class ReplayBuffer:
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
         """The rows in the buffer, and how many were written."""
-        return {name: column[: self.held] for name, column in self._columns.items()} | {"added": np.array(self.added)}
+        return {name: column[: self.stored] for name, column in self._columns.items()} | {"added": np.array(self.added)}
 
     def set_state(self, state: dict[str, npt.NDArray[Any]]) -> None:
         """Take the rows of another buffer of the same size."""
         self.added = int(state["added"])
         for name, column in self._columns.items():
-            column[: self.held] = state[name]
+            column[: self.stored] = state[name]

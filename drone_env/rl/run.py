@@ -1,4 +1,4 @@
-"""A training run and its files: checkpoint, log, curves, and the exported network.
+"""A training run and its files: checkpoint, log, and the exported network.
 
 A checkpoint contains only tensors and plain values, so `weights_only=True` reads it and it cannot run code. It replaces
 the previous one atomically. An exported network is read by `agents`, without PyTorch.
@@ -7,16 +7,12 @@ the previous one atomically. An exported network is read by `agents`, without Py
 import csv
 import math
 import os
-import pickle
-import shutil
 import signal
-import struct
 import sys
 import time
-import zipfile
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from itertools import count
 from pathlib import Path
 from typing import Any, TextIO, cast
@@ -29,9 +25,6 @@ from drone_env.files import locked, open_file, replacing, stamp
 from drone_env.rl.common import figure
 
 FORMAT, VERSION = "drone_env/checkpoint", 1
-UNREADABLE = (pickle.UnpicklingError, zipfile.BadZipFile, struct.error, RuntimeError, EOFError, MemoryError,
-              ValueError, TypeError, LookupError, AttributeError, AssertionError, ArithmeticError)  # fmt: skip
-"""What reading a damaged archive, its pickle or its tensors raises."""
 DIGITS = {"epsilon": 3, "loss": 6, "success": 3, "length": 1, "learning_rate": 6, "regret": 6, "cpu_seconds": 1}
 """Decimal places of the log; 4 for other figures."""
 
@@ -64,7 +57,9 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
             state: Any = torch.load(file, map_location="cpu", weights_only=True)
     except InvalidValueError as error:
         raise CheckpointError(str(error)) from None
-    except UNREADABLE as error:
+    except OSError:
+        raise
+    except Exception as error:  # damaged archives, pickles and tensors raise many types
         raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({type(error).__name__})") from None
     if not isinstance(state, dict) or cast(dict[str, Any], state).get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a checkpoint of this project")
@@ -82,16 +77,15 @@ class TrainingRun:
         data/train.log                     one line per `log_every` episodes or updates
         data/train.lock                    held while a training writes to this folder
         results/<name>/history.csv         the log as a table
-        results/<name>/*.png               the log as curves
         results/<name>/tensorboard/        the log for TensorBoard
 
-    A training from scratch keeps the checkpoint, network and results of an earlier one under the next free number, such
-    as `<name>.pth.1`. The earlier network also stays in place until a validated one replaces it.
+    A training from scratch keeps the checkpoint of an earlier one under the next free number, such as `<name>.pth.1`.
+    The earlier network stays in place until a validated one replaces it.
 
     Args:
         trainer: A `Trainer` or `TourTrainer`; its settings name the files.
         data: Folder of checkpoint and log.
-        results: Folder of tables and curves.
+        results: Folder of table and curves.
         fresh: Start from scratch, even if there is a checkpoint.
         clock: Returns the time in seconds, for the time between checkpoints.
 
@@ -116,7 +110,7 @@ class TrainingRun:
         self.results = results / self.name
         self.resumed = not fresh and self.checkpoint.exists()
         self.stopped = False
-        """Whether the run ends after the current step, or has ended."""
+        """Set it to end the run after the current step."""
         self._seconds, self._since = 0.0, clock()
         self._stamp = stamp(self.checkpoint)
         if self.resumed:
@@ -127,10 +121,12 @@ class TrainingRun:
             state = load_checkpoint(self.checkpoint)
             self.trainer.set_state(state)
             self._seconds = state["seconds"]
-        except UNREADABLE as error:
+        except OSError:
+            raise
+        except Exception as error:  # parts of another network or run raise many types
             first = (str(error).splitlines() or [type(error).__name__])[0]  # PyTorch adds lines
-            why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} does not fit: {first}"
-            raise CheckpointError(f"{why}; --fresh starts again and keeps the file") from None
+            reason = error if isinstance(error, CheckpointError) else f"{self.checkpoint} does not fit: {first}"
+            raise CheckpointError(f"{reason}; --fresh starts again and keeps the file") from None
 
     @property
     def done(self) -> int:
@@ -150,7 +146,7 @@ class TrainingRun:
     def train(self) -> Iterator[Any]:
         """Train to the end, or save and end after the step in which `stopped` is set.
 
-        Yields every line of the log after it is written.
+        Yields each line of the log after it is written.
 
         Raises:
             InvalidValueError: if another process trains in the same folder, or has trained there since this run
@@ -158,12 +154,14 @@ class TrainingRun:
         """
         trainer, config, data = self.trainer, self.trainer.config, self.log.parent
         data.mkdir(parents=True, exist_ok=True)
-        taken = f"another process is training in {data}: wait for its end, or add --data FOLDER"
-        with locked(data / "train.lock", taken):
+        message = f"another process is training in {data}: wait for its end, or add --data FOLDER"
+        with locked(data / "train.lock", message):
             if stamp(self.checkpoint) != self._stamp:
                 raise InvalidValueError(f"another process has trained in {data} meanwhile: start this training again")
-            if not self.resumed:
-                self._keep_earlier()
+            if not self.resumed and self.checkpoint.exists():
+                earlier = next(path for n in count(1) if not (path := Path(f"{self.checkpoint}.{n}")).exists())
+                self.checkpoint.replace(earlier)
+                print(f"the earlier training is kept as {earlier}", file=sys.stderr)
             self.results.mkdir(parents=True, exist_ok=True)
             self._since = self._clock()
             saved_at, saved_done = self._since if self.resumed else None, self.done
@@ -171,22 +169,21 @@ class TrainingRun:
                 for lines in trainer.train():
                     late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
                     if late and self.done - saved_done >= config.checkpoint_episodes:
-                        # Saved before it is logged: a kill loses no line of the log.
+                        # Save before logging: a kill loses no line of the log.
                         self.save()
                         saved_at, saved_done = self._clock(), self.done
                     for line in lines:
                         log.write(f"{log_line(line)}\n")
-                        (_, count), *figures = figures_of(line).items()
+                        (_, step), *figures = figures_of(line).items()
                         for name, value in figures:
                             if not math.isnan(value):
-                                board.add_scalar(name, value, count)
+                                board.add_scalar(name, value, step)
                         yield line
                     if self.stopped:
                         break
             self.save()
             if trainer.history:
                 self._write_history()
-                draw_curves({self.name: trainer.history}, self.name, trainer.curves, self.results)
 
     def save(self) -> None:
         """Write the checkpoint and, after a validation, the best network beside it.
@@ -197,7 +194,7 @@ class TrainingRun:
         """
         if not all(torch.isfinite(weights).all() for weights in self.trainer.online.parameters()):
             raise InvalidValueError(
-                f"the training diverged: after {self.done} {self.unit} weights are infinite or NaN. Nothing is saved.\n"
+                f"the training diverged: after {self.done} {self.unit} weights are infinite or NaN; nothing is saved.\n"
                 "Lower --learning-rate, or raise --max-grad-norm from 0."
             )
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
@@ -206,26 +203,10 @@ class TrainingRun:
             parameters = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
             write_weights(self.network, parameters, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
 
-    def _keep_earlier(self) -> None:
-        """Keep the files of an earlier training under the next free number."""
-        files = (self.network, self.checkpoint, self.results)
-        if not any(file.exists() for file in files):
-            return
-        number = next(number for number in count(1) if not any(Path(f"{file}.{number}").exists() for file in files))
-        network, checkpoint, results = (Path(f"{file}.{number}") for file in files)
-        if self.network.exists():  # copied: a server flies it until there is a validated one
-            with replacing(network) as temporary:
-                shutil.copy2(self.network, temporary)
-        if self.results.exists():
-            self.results.replace(results)
-        if self.checkpoint.exists():
-            self.checkpoint.replace(checkpoint)
-            print(f"the earlier training is kept as {checkpoint}", file=sys.stderr)
-
     def _log_file(self) -> TextIO:
-        """The log, with the lines of the checkpoint alone: training repeats what came after it.
+        """The log, cut to the lines of the checkpoint: training repeats later ones.
 
-        It is changed in place, so `tail -f` continues.
+        It changes in place, so `tail -f` continues.
         """
         text = "".join(f"{log_line(line)}\n" for line in self.trainer.history).encode()
         if not self.log.exists() or self.log.is_file():
@@ -238,7 +219,7 @@ class TrainingRun:
         return self.log.open("a", encoding="utf-8", buffering=1)
 
     def _tensorboard(self) -> Any:
-        """TensorBoard's writer; it drops what came after the checkpoint."""
+        """TensorBoard's writer; it drops steps after the checkpoint."""
         with needs("train"):
             from torch.utils.tensorboard import SummaryWriter
         return SummaryWriter(self.results / "tensorboard", purge_step=self.done + 1)
@@ -253,12 +234,12 @@ class TrainingRun:
 
     @contextmanager
     def stopping_on_interrupt(self) -> Generator[None, None, None]:
-        """Inside the `with`, Ctrl-C sets `stopped`; a second one ends at once. For the main thread."""
+        """Inside the `with`, Ctrl-C sets `stopped`; a second one interrupts. For the main thread."""
 
         def stop(*_: object) -> None:
             self.stopped = True
             signal.signal(signal.SIGINT, before)
-            print("\nstopping after this step; once more to stop at once", file=sys.stderr)
+            print("\nstopping after this step; press Ctrl-C again to stop at once", file=sys.stderr)
 
         before = signal.signal(signal.SIGINT, stop)
         try:
@@ -268,10 +249,10 @@ class TrainingRun:
 
 
 def figures_of(line: Any) -> dict[str, float]:
-    """The figures of a log line, in order; each task's entry of `shares` is named like `validation_hard`."""
+    """The figures of a log line, in order; each task's entry of `ratios` is named like `validation_hard`."""
     figures = asdict(line)
-    shares = figures.pop("shares", {})
-    return figures | {f"validation_{task}": share for task, share in shares.items()}
+    ratios = figures.pop("ratios", {})
+    return figures | {f"validation_{task}": ratio for task, ratio in ratios.items()}
 
 
 def log_line(line: Any) -> str:
@@ -283,46 +264,9 @@ def log_line(line: Any) -> str:
 
 
 def summary(line: Any) -> str:
-    """A log line in few words."""
+    """A log line, abridged for the progress bar."""
     validation = f"validation {figure(line.validation, 4)}"
     if hasattr(line, "epsilon"):
         optimum = figure(line.validation_optimum, 4)
         return f"{validation} of {optimum}  loss {figure(line.loss, 4)}  epsilon {line.epsilon:.2f}"
     return f"{validation}  regret {figure(line.regret, 5)}  completion {line.completion:.4f}"
-
-
-def draw_curves(runs: Mapping[str, Sequence[Any]], title: str, curves: Mapping[str, str], folder: Path) -> None:
-    """Draw curves over the first field of the log lines, one line per run, into `folder/<name>.png`.
-
-    Args:
-        runs: The log lines of each run, by its name.
-        title: Title of every curve.
-        curves: The fields to draw, with their labels; a field of several figures is a line for each.
-        folder: Made if it is missing.
-
-    Raises:
-        MissingPackageError: if Matplotlib is missing.
-        OSError: if a file cannot be written.
-    """
-    with needs("train"):
-        from matplotlib.figure import Figure
-    folder.mkdir(parents=True, exist_ok=True)
-    last = next(iter(runs.values()))[-1]
-    counted = fields(last)[0].name
-    for name, label in curves.items():
-        figure: Any = Figure(figsize=(7, 4), layout="constrained")
-        axes: Any = figure.add_subplot()
-        for run, history in runs.items():
-            x = [getattr(line, counted) for line in history]
-            values: list[Any] = [getattr(line, name) for line in history]
-            series: list[dict[str, float]] = values if isinstance(values[0], Mapping) else [{run: y} for y in values]
-            for part in series[0]:
-                axes.plot(x, [figures[part] for figures in series], label=part)
-        if name in ("validation", "shares"):
-            if not math.isnan(last.validation_optimum):
-                axes.axhline(last.validation_optimum, color="black", linestyle="--", label="exact optimum")
-            axes.set_ylim(0, 1)
-        axes.set(xlabel=f"{counted}s", ylabel=label, title=title)
-        axes.grid(alpha=0.3)
-        axes.legend()
-        figure.savefig(folder / f"{name}.png", dpi=120)

@@ -9,21 +9,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.agents.tour_features import (
     Distances,
     Features,
+    PathSearch,
     find_distances,
     first_states,
     make_distances,
     make_features,
+    search_paths,
     write_features,
 )
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
-from drone_env.core.compile_cache import compiled_once
+from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rules import choose_target, reset, step
@@ -32,9 +32,6 @@ from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER,
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel, working_memory
 from drone_env.planning.paths import NO_STOP
-from drone_env.planning.paths import ParetoPaths as Ways
-from drone_env.planning.paths import Workspace as Rounds
-from drone_env.planning.paths import find_paths as find_ways
 from drone_env.planning.solver import ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 
@@ -46,8 +43,8 @@ FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """Percentages: flights from the start; options that are not the best; those of them with a regret of at most `NEAR`;
 steps after which a flight stays on its path instead of choosing again."""
 NEAR = 0.02
-KEPT_BEGUN, KEPT_ON_THE_WAY, KEPT_LOST = 75, 20, 20
-"""Percentages of kept states: at the start of a path, on it, and after the mission is lost."""
+KEEP_AT_CHOICE, KEEP_ON_PATH, KEEP_LOST = 75, 20, 20
+"""Percentages of states that become samples: at the start of a path, on it, and after the mission is lost."""
 
 
 class Workspace(NamedTuple):
@@ -63,6 +60,7 @@ class Workspace(NamedTuple):
     """int64[deliveries], the indices of the parcels in `state`."""
 
 
+@jitable
 def place_stops(workspace: Workspace, legs: Legs) -> None:
     """Write the map of the workspace, without its drone, into the legs."""
     for cell in range(workspace.tables.cells):
@@ -79,6 +77,7 @@ def place_stops(workspace: Workspace, legs: Legs) -> None:
         legs.stop_at[legs.stops[i]] = i
 
 
+@jitable
 def option_row(legs: Legs, delivered: int, done: int, features: Features, option: int, units: int) -> int:
     """The row of `legs.ranks` after an option, `features.numbers[option, 1]` steps later."""
     stop, drained = features.token[option] - 1, features.numbers[option, 0]
@@ -88,6 +87,7 @@ def option_row(legs: Legs, delivered: int, done: int, features: Features, option
     return row_after(legs, delivered, done, stop, after)
 
 
+@jitable
 def find_option(features: Features, m: int, token: int, units: int, steps: int) -> int:
     """The option of state m to a token with these units and steps; -1 if there is none."""
     for option in range(features.begins[m], features.begins[m + 1]):
@@ -100,6 +100,7 @@ def find_option(features: Features, m: int, token: int, units: int, steps: int) 
     return -1
 
 
+@jitable
 def sample_start_state(workspace: Workspace, counts: int, start: int, key: int) -> tuple[int, bool]:
     """Place the drone at the start of the map or anywhere on it; return the next key and whether the cell is free.
 
@@ -131,18 +132,13 @@ def sample_start_state(workspace: Workspace, counts: int, start: int, key: int) 
     return key, True
 
 
-for function in (place_stops, option_row, find_option, sample_start_state):
-    register_jitable(**compiled.OPTIONS)(function)
-
-
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def sample_kernel(
     workspace: Workspace,
     legs: Legs,
     scores: Any,
     distances: Distances,
-    ways: Ways,
-    rounds: Rounds,
+    search: PathSearch,
     seeds: Any,
     per_map: int,
     features: Features,
@@ -155,8 +151,7 @@ def sample_kernel(
         legs: Working memory, for whole episodes.
         scores: float64[ranks], the score of each rank.
         distances: Working memory.
-        ways: Working memory.
-        rounds: Working memory.
+        search: Working memory; it shares the map with the legs.
         seeds: int64[maps]
         per_map: Maximum number of states of each map.
         features: The output.
@@ -171,25 +166,23 @@ def sample_kernel(
         grid[start] = state[UNDER]
         place_stops(workspace, legs)
         mark_delivered(legs, (1 << n) - 1)
-        find_distances(tables, legs.ground, legs.stops, legs.counts, legs.stop_at, distances, ways, rounds)
-        value_kernel(legs, ways, rounds)
-        key, wanted = mix64(seed ^ GOLDEN), m + per_map
+        find_distances(search, legs.stops, distances)
+        value_kernel(legs, search.paths, search.workspace)
+        key, target = mix64(seed ^ GOLDEN), m + per_map
         for _ in range(4 * per_map):
-            if m == wanted:
+            if m == target:
                 break
             key, flies = sample_start_state(workspace, legs.counts, start, key)
             if not flies:
                 continue
-            chosen_token, way_units, way_steps = -1, 0, 0
-            while state[OUTCOME] == FLYING and m < wanted:
+            chosen_token, path_units, path_steps = -1, 0, 0
+            while state[OUTCOME] == FLYING and m < target:
                 delivered = delivered_set(state, parcels)
                 cell, units, left = state[CELL] * 1, state[BATTERY] * 1, tables.max_steps - state[STEPS]
                 still = left if legs.counts else min(left, units)
                 done = mark_delivered(legs, delivered)
-                find_ways(tables, legs.ground, cell, units, legs.counts, legs.stop_at, ways, 0, rounds)
-                write_features(
-                    tables, legs.stops, n, delivered, cell, units, left, legs.counts, distances, ways, features, m
-                )
+                search_paths(search, cell, units)
+                write_features(search, legs.stops, n, delivered, cell, units, left, distances, features, m)
                 first, behind = features.begins[m], features.begins[m + 1]
                 best, lost, alike = -1, 0, True
                 for option in range(first, behind):
@@ -203,10 +196,10 @@ def sample_kernel(
                     break
                 key = next_key(key)
                 drawn = uniform_below(key, 200)
-                chosen = find_option(features, m, chosen_token, way_units, way_steps)
-                keep = KEPT_ON_THE_WAY if chosen >= 0 else KEPT_BEGUN
+                chosen = find_option(features, m, chosen_token, path_units, path_steps)
+                keep = KEEP_ON_PATH if chosen >= 0 else KEEP_AT_CHOICE
                 if values[best] < COMPLETE:
-                    chosen, keep = best, KEPT_LOST
+                    chosen, keep = best, KEEP_LOST
                 elif lost == 0:
                     keep //= 2
                 if chosen < 0:
@@ -221,7 +214,7 @@ def sample_kernel(
                             chosen = option
                             break
                 action, before = features.numbers[chosen, 2], units
-                chosen_token, way_units, way_steps = (
+                chosen_token, path_units, path_steps = (
                     features.token[chosen],
                     features.numbers[chosen, 0],
                     features.numbers[chosen, 1],
@@ -230,8 +223,8 @@ def sample_kernel(
                     m += 1
                 step(tables, rewards, grid, state, action)
                 key = next_key(key)
-                way_units -= before - state[BATTERY] if legs.counts else 1
-                way_steps -= 1
+                path_units -= before - state[BATTERY] if legs.counts else 1
+                path_steps -= 1
                 if action == WAIT or uniform_below(key, 100) >= GOES_ON:
                     chosen_token = -1
             grid[state[CELL]] = state[UNDER]
@@ -265,14 +258,14 @@ class SampleGenerator:
         # All maps of a task have the same number of stops.
         ground, state, entries = state_arrays(Episode(task, seed=0))
         legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
-        ways, rounds = working_memory(task, legs)
+        search = PathSearch(tables, legs.counts, legs.ground, legs.stop_at, *working_memory(task, legs))
         scores, _ = ranked_scores(task)
         grid, state = np.zeros(tables.cells, np.uint8), np.zeros(state_size(tables), np.uint16)
         workspace = Workspace(tables, tabulate_rewards(task, UNPAID), grid, state, entries)
         stops = len(legs.stops)
-        self._working_memory = workspace, legs, scores, make_distances(stops), ways, rounds
+        self._working_memory = workspace, legs, scores, make_distances(stops), search
         states = maps * per_map + 1
-        options = states * stops * ways.units.shape[1]
+        options = states * stops * search.paths.units.shape[1]
         self._features, self._values = make_features(states, stops, options), np.zeros(options, np.float32)
 
     def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:

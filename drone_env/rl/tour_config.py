@@ -13,7 +13,7 @@ from drone_env.rl.config import Share, ShareBelowOne, check_values
 
 ALL = "all"
 SHARES = {
-    "easy_delivery": 0.0,  # one parcel and one way to it: nothing to choose
+    "easy_delivery": 0.0,  # one parcel, one path: nothing to choose
     "medium_delivery": 0.06,
     "hard_delivery": 0.10,
     "skyline_easy": 0.14,
@@ -51,7 +51,7 @@ class TourConfig:
     """Minimum number of updates between two checkpoints."""
 
     task: str = ALL
-    """The task, by its short name, id or grader; `all` for one network on all tasks and variants of them."""
+    """The task, by its short name, id or grader; `all` for one network on all tasks and their variants."""
     initial: str = ""
     """File of an exported tour network to start from; empty for random weights."""
     updates: PositiveInt = 12_000
@@ -102,7 +102,7 @@ class TourConfig:
         if self.task != ALL:
             task = get_task(self.task)
             if task.uniform and task.deliveries == 1:
-                raise InvalidValueError(f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
+                raise InvalidValueError(f"there is nothing to choose on {task.id!r}: one parcel, one path")
         states = self.maps_per_chunk * self.states_per_map
         if states > MAX_STATES:
             raise InvalidValueError(f"maps_per_chunk times states_per_map must be at most {MAX_STATES}, got {states}")

@@ -19,7 +19,7 @@ from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,6 @@ from drone_env.rl.common import (
     figure,
     keep_freed_memory,
     require_same,
-    set_learning_rate,
     update_average,
 )
 from drone_env.rl.models import TourNet
@@ -54,7 +53,7 @@ MAX_REGRET = 0.1
 AHEAD = 3
 """Number of chunks that are generated ahead."""
 MODULES = ("online", "average", "optimizer")
-VARIABLES = ("updates", "states", "shares", "validated")
+VARIABLES = ("updates", "states", "ratios", "validated")
 """The attributes that a checkpoint stores as state dictionaries, and as they are."""
 
 
@@ -157,7 +156,7 @@ class TourProgress:
         validation: Mean optimality ratio of the tasks, at the last validation; NaN before it.
         validation_optimum: 1.
         cpu_seconds: Processor time of this training.
-        shares: The optimality ratio of each task, at the last validation; NaN before it.
+        ratios: The optimality ratio of each task, at the last validation; NaN before it.
     """
 
     update: int
@@ -169,7 +168,7 @@ class TourProgress:
     validation: float
     validation_optimum: float
     cpu_seconds: float
-    shares: dict[str, float]
+    ratios: dict[str, float]
 
 
 class TourTrainer:
@@ -182,13 +181,6 @@ class TourTrainer:
         UnsupportedTaskError: if there are no exact values for a task.
         TooLargeError: if they would take too much memory.
     """
-
-    curves: ClassVar = {
-        "choice": "cross-entropy of the choices",
-        "regret": "expected regret of a choice, in score",
-        "completion": "cross-entropy of what can be completed",
-        "shares": "share of the optimum on validation maps",
-    }
 
     def __init__(self, config: TourConfig) -> None:
         keep_freed_memory()
@@ -211,7 +203,7 @@ class TourTrainer:
         self.updates = self.states = 0
         self._losses: list[tuple[float, float, float]] = []
         self.history: list[TourProgress] = []
-        self.shares: dict[str, float] = {}
+        self.ratios: dict[str, float] = {}
         """The optimality ratio of each task at the last validation."""
         self.validated: dict[str, Tensor] = {}
         """The average of the weights at the last validation."""
@@ -282,7 +274,7 @@ class TourTrainer:
         config, rng = self.config, self._rng(self.updates, 2)
         shares = self._task_shares * [any(len(samples.values) for samples in window) for window in self._windows]
         if not shares.any():
-            raise InvalidValueError("no choice drawn so far matters: raise maps_per_chunk or states_per_map")
+            raise InvalidValueError("no sample has options of different value: raise maps_per_chunk or states_per_map")
         window = self._windows[int(rng.choice(len(shares), p=shares / shares.sum()))]
         batch = sample_batch([samples for samples in window if len(samples.values)], config.batch_size, rng)
         preference, completions = self.online(*batch.inputs)
@@ -290,7 +282,7 @@ class TourTrainer:
         loss = choice + config.regret_weight * regret + config.completion_weight * completion
         if not loss.isfinite():
             raise InvalidValueError(f"loss NaN after {self.updates} updates: lower learning_rate, or raise warm_up")
-        set_learning_rate(self.optimizer, self.learning_rate)
+        self.optimizer.param_groups[0]["lr"] = self.learning_rate
         self.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
@@ -318,9 +310,9 @@ class TourTrainer:
             return []
         choice, regret, completion = np.mean(self._losses, axis=0).tolist()
         self._losses = []
-        shares = {name: self.shares.get(name, math.nan) for name in self._validators}
-        mean, rate, seconds = float(np.mean(list(shares.values()))), self.learning_rate, self.cpu_seconds
-        line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, seconds, shares)
+        ratios = {name: self.ratios.get(name, math.nan) for name in self._validators}
+        mean, rate, seconds = float(np.mean(list(ratios.values()))), self.learning_rate, self.cpu_seconds
+        line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, seconds, ratios)
         self.history.append(line)
         return [line]
 
@@ -329,7 +321,7 @@ class TourTrainer:
         network = partial(self._logits, self.average)
         for name, validator in self._validators.items():
             result = validator.validate(partial(choose, self._encoders[name], network))
-            self.shares[name] = result.score / result.optimum
+            self.ratios[name] = result.score / result.optimum
         self.validated = clone_state(self.average)
 
     @staticmethod
@@ -377,7 +369,7 @@ class TourTrainer:
     @property
     def result(self) -> str:
         """The optimality ratio of each task, for people."""
-        return ", ".join(f"{name} {figure(share, 4)}" for name, share in self.shares.items()) + " of the optimum"
+        return ", ".join(f"{name} {figure(ratio, 4)}" for name, ratio in self.ratios.items()) + " of the optimum"
 
     def metadata(self) -> dict[str, Any]:
         """The metadata of the exported network."""
@@ -389,5 +381,5 @@ class TourTrainer:
             "updates": self.updates,
             "states": self.states,
             "cpu_seconds": round(self.cpu_seconds, 1),
-            "validation_shares": {name: None if math.isnan(share) else share for name, share in self.shares.items()},
+            "validation_shares": {name: None if math.isnan(ratio) else ratio for name, ratio in self.ratios.items()},
         }

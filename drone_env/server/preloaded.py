@@ -9,7 +9,7 @@ import gc
 from contextlib import suppress
 from importlib import import_module
 
-from drone_env.agents import make_agent, tour_network
+from drone_env.agents import make_agent
 from drone_env.agents.tour_encoder import encode_kernel
 from drone_env.core.compile_cache import is_compiled
 from drone_env.core.episode import Episode
@@ -23,7 +23,7 @@ from drone_env.planning.paths import cheapest_kernel
 SOLVERS = (
     range_kernel, legs.flight_kernel, legs.rank_kernel, legs.value_kernel, solver.score_kernel, solver.step_kernel
 )  # fmt: skip
-TOURNET = (cheapest_kernel, tour_network.gather, tour_network.match, encode_kernel)
+TOURNET = (cheapest_kernel, encode_kernel)
 TASKS = ("easy", "skyline_easy")
 
 

@@ -5,20 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from sb3_contrib import MaskablePPO, RecurrentPPO
+from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN, PPO
 
 from drone_env import evaluate, make_agent
-from drone_env.agents.named import as_agent
 from drone_env.agents.sb3_policy import open_actions
 from drone_env.cli import main
 from drone_env.core.batch import Batch
-from drone_env.core.episode import Episode, choices, rollout
+from drone_env.core.episode import Episode, choices
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
-from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError
-from drone_env.results.evaluate import episodes_key, repeats_of, run_episodes
+from drone_env.errors import CheckpointError, UnknownNameError
+from drone_env.results.evaluate import episodes_key, run_episodes
 
 MAPS = range(100, 116)
 NETWORK: Any = {"policy_kwargs": {"net_arch": [8]}, "seed": 3, "device": "cpu"}
@@ -65,34 +63,7 @@ def test_a_policy_is_known_by_its_weights(tmp_path: Path) -> None:
         model.save(tmp_path / f"{number}.zip")
         names.append(f"{tmp_path / f'{number}.zip'}:FlatObservation")
     first, same, learned = (episodes_key("easy", name, range(1)).config_hash for name in names)
-    sampled = episodes_key("easy", f"{names[0]}:sampled", range(1)).config_hash
-    assert first == same
-    assert len({first, learned, sampled}) == 3
-
-
-def test_drawn_actions_depend_on_the_map_and_the_repeat_alone(tmp_path: Path) -> None:
-    model_of(PPO, "flat").save(tmp_path / "model.zip")
-    keys = repeats_of(episodes_key("easy", f"{tmp_path / 'model.zip'}:FlatObservation:sampled", MAPS), 2)
-    first, second = map(run_episodes, keys)
-    assert first.steps.tolist() != second.steps.tolist()
-    some = run_episodes(keys[0]._replace(seeds=(MAPS.start + 5, MAPS.stop)))
-    assert some.scores.tolist() == first.scores[5:].tolist()
-    agent = make_agent(keys[0].agent, "easy")
-    agent.reset(MAPS.start)
-    assert rollout(Episode("easy", seed=MAPS.start), agent.act).score == first.scores[0]
-
-
-def test_drawn_actions_have_the_probabilities_of_the_policy() -> None:
-    model, task = model_of(PPO, "flat"), get_task("easy")
-    for part in model.policy.action_net.parameters():
-        part.data.zero_()
-    model.policy.action_net.bias.data[:] = torch.tensor([0.5, 0.1, 0.1, 0.1, 0.2]).log()
-    agent: Any = as_agent(model, task, "FlatObservation", sampled=True)
-    batch = Batch(task, 4000)
-    batch.reset(np.arange(4000))
-    agent.reset_batch(np.arange(4000))
-    shares = np.bincount(agent.act_batch(batch.grids, batch.telemetry), minlength=5) / 4000
-    assert shares == pytest.approx([0.5, 0.1, 0.1, 0.1, 0.2], abs=0.03)
+    assert first == same != learned
 
 
 def test_a_masked_policy_is_told_what_would_bump(tmp_path: Path) -> None:
@@ -133,18 +104,12 @@ def test_a_wrapper_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "model.zip"
     model_of(PPO, "flat").save(file)
-    with pytest.raises(CheckpointError, match=r"sees Box.*, and 'easy_delivery' behind the wrapper none is"):
+    with pytest.raises(CheckpointError, match=r"takes Box.*; 'easy_delivery' with wrapper none has"):
         make_agent(f"{file}", "easy")
     with pytest.raises(UnknownNameError, match="'Flattened'; allowed: FlatObservation, MODULE:NAME, OneHotPlanes"):
         make_agent(f"{file}:Flattened", "easy")
-    model_of(DQN, "flat").save(file)
-    with pytest.raises(InvalidValueError, match="DQNPolicy has no probabilities of actions"):
-        make_agent(f"{file}:FlatObservation:sampled", "easy")
-    recurrent = RecurrentPPO("MlpLstmPolicy", DroneDeliveryVecEnv("easy", 2, observation="flat"), device="cpu")
-    with pytest.raises(InvalidValueError, match="a recurrent policy keeps a state"):
-        evaluate(recurrent, "easy", wrapper="FlatObservation")
     file.write_bytes(b"no archive")
-    with pytest.raises(CheckpointError, match="holds no policy of Stable-Baselines3"):
+    with pytest.raises(CheckpointError, match="contains no policy of Stable-Baselines3"):
         make_agent(f"{file}:FlatObservation", "easy")
 
 

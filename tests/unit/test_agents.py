@@ -128,7 +128,7 @@ def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
         (grids, beside),
     ):
         agent.reset_batch(np.arange(3))
-        with pytest.raises(InvalidValueError, match=r"observation|kinds of cells|reset_batch was told"):
+        with pytest.raises(InvalidValueError, match=r"observation|kinds of cells|reset_batch got"):
             agent.act_batch(*wrong)
     agent.reset_batch(np.arange(3))
     assert len(agent.act_batch(grids, telemetry)) == 3

@@ -21,7 +21,6 @@ from drone_env.results.folder import stored_results
 from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
-from drone_env.rl.sweep import read_config
 from drone_env.server.logs import TrainLog
 
 PARSERS: dict[str, Callable[[Path], object]] = {
@@ -39,7 +38,6 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "run.json": lambda path: load_config(path.parent),
     "flights.jsonl": lambda path: load_results(path.parent),
     "evaluation.json": lambda path: stored_results(path.parent),
-    "sweep.json": lambda path: read_config(path.parent),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
 READERS: dict[str, Callable[[Path], object]] = {

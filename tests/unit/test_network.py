@@ -152,7 +152,7 @@ HOSTILE: dict[str, tuple[Callable[[dict[str, Any]], bytes], str]] = {
     "cut short": (lambda whole: file_of(whole)[:-30], "Error while deserializing"),
     "a missing array": (lambda whole: file_of({"head.7.bias": BIAS}), "its parameters are not those"),
     "another shape": (lambda whole: file_of(whole, head_7_bias=BIAS[1:]), r"head.7.bias is float32\[4\]"),
-    "no number": (lambda whole: file_of(whole, head_7_bias=BIAS + np.nan), "head.7.bias has values that are no"),
+    "no number": (lambda whole: file_of(whole, head_7_bias=BIAS + np.nan), "head.7.bias has NaN"),
     "overflow": (lambda whole: file_of(whole, head_7_bias=BIAS + 2 * LARGEST), "beyond 100"),
     "other metadata": (lambda whole: save(whole, {"format": "pt"}), "it lacks 'drone_env'"),
     "nested metadata": (lambda whole: file_of(whole, "[" * 50_000), "recursion"),

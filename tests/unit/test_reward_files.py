@@ -50,7 +50,6 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("no_curves")
 def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(*TRAIN, "--reward-profile", "mine.toml") == 0
     kept = load_checkpoint(Path("data/easy.pth"))["config"]

@@ -68,7 +68,7 @@ def test_the_replay_bootstraps_up_to_the_end_of_an_episode() -> None:
 
 def test_the_replay_forgets_the_oldest_row_first() -> None:
     replay = filled(7, 10, set())
-    assert replay.held == 3
+    assert replay.stored == 3
     sampled = replay.sample(200, 0.9, np.random.default_rng(0))
     assert set(sampled.grids.ravel().tolist()) == {7, 8, 107, 108}
     assert (sampled.next_grids == sampled.grids + 1).all()
@@ -109,7 +109,7 @@ def test_presets_fit_the_task_and_the_number_of_episodes(task: str) -> None:
         (SMALL, {"task": "impossible"}, "unknown task 'impossible'"),
         (SMALL_TOUR, {"batch_size": 66}, "batch_size should be a multiple of 4, got 66"),
         (SMALL_TOUR, {"maps_per_chunk": 10**9}, "maps_per_chunk times states_per_map must be at most 131072"),
-        (SMALL_TOUR, {"task": "easy"}, "nothing to choose on 'easy_delivery': one parcel, and one way to it"),
+        (SMALL_TOUR, {"task": "easy"}, "nothing to choose on 'easy_delivery': one parcel, one path"),
     ],
 )
 def test_settings_out_of_range_are_rejected(config: Any, wrong: dict[str, Any], message: str) -> None:

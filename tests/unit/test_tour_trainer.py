@@ -102,8 +102,8 @@ def test_it_soon_flies_better_than_to_the_nearest_target() -> None:
     )))  # fmt: skip
     maps = split_seeds("validation", 50)
     greedy = summarise(run_episodes(episodes_key("skyline_easy", "greedy", maps, "validation")))
-    (share,) = trainer.shares.values()
-    assert share > greedy["mean_score"] / greedy["mean_optimal_score"] + 0.1
+    (ratio,) = trainer.ratios.values()
+    assert ratio > greedy["mean_score"] / greedy["mean_optimal_score"] + 0.1
     first, last = trainer.history[0], trainer.history[-1]
     assert last.regret < first.regret / 2
     assert last.completion < first.completion / 2
@@ -118,7 +118,7 @@ def test_a_validation_is_what_evaluation_says_of_the_exported_average(tmp_path: 
     write_weights(file, {name: tensor.numpy() for name, tensor in trainer.validated.items()}, trainer.metadata())
     key = episodes_key("skyline_easy", f"tournet:{file}", split_seeds("validation", 20), "validation")
     figures = summarise(run_episodes(key))
-    assert trainer.shares == {"skyline_easy": pytest.approx(figures["mean_score"] / figures["mean_optimal_score"])}
+    assert trainer.ratios == {"skyline_easy": pytest.approx(figures["mean_score"] / figures["mean_optimal_score"])}
     # Another training can start from it.
     other = TourTrainer(replace(SMALL_TOUR, initial=str(file), seed=1))
     assert_same(weights(other.online), weights(trainer.average))

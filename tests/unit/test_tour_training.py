@@ -62,11 +62,11 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
     assert_same(state_of(whole), state_of(other))
 
 
-def test_lessons_without_any_choice_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_without_a_choice_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     empty = SampleGenerator(get_task("easy"), 1, 1).generate(np.zeros(1, np.int64))
     monkeypatch.setattr(SampleGenerator, "generate", lambda *_: empty)
     trainer = TourTrainer(SMALL_TOUR)
-    with pytest.raises(InvalidValueError, match="no choice drawn so far matters: raise maps_per_chunk"):
+    with pytest.raises(InvalidValueError, match="no sample has options of different value: raise maps_per_chunk"):
         next(trainer.train())
 
 
@@ -114,17 +114,15 @@ def test_the_command_trains_and_leaves_what_it_says(
     results = tmp_path / "results/tournet_skyline_easy"
     history = list(csv.DictReader((results / "history.csv").read_text().splitlines()))
     for row, line in zip(history, state["history"], strict=True):
-        line["validation_skyline_easy"] = line.pop("shares")["skyline_easy"]
+        line["validation_skyline_easy"] = line.pop("ratios")["skyline_easy"]
         assert {name: float(value) for name, value in row.items()} == line
     log = (tmp_path / "data/train.log").read_text().splitlines()
     assert [line.split()[0] for line in log] == ["update=2", "update=4"]
-    for name in TourTrainer.curves:
-        assert (results / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     # The exported network is the validated average, with its origin.
     network = load_tour_network(tmp_path / "data/tournet_skyline_easy.safetensors")
     assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["average"]))
     expected = {"network": "tournet", "tasks": {"skyline_easy": 2}, "updates": 4, "states": 64}
-    expected |= {"validation_shares": state["shares"], "config": state["config"]}
+    expected |= {"validation_shares": state["ratios"], "config": state["config"]}
     assert {name: network.metadata[name] for name in expected} == expected
     assert main([*evaluate, "--episodes", "3", "--json", "-"]) == 0
     agents = json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]
@@ -135,7 +133,6 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert main([*EASY, "--updates", "6"]) == 2
 
 
-@pytest.mark.usefixtures("no_curves")
 def test_interrupted_it_saves_and_goes_on_to_the_same_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

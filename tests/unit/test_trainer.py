@@ -216,20 +216,20 @@ def test_the_best_network_is_kept() -> None:
     kept = []
     for number in range(4):
         with torch.no_grad():
-            for parameter in trainer.judged.parameters():
+            for parameter in trainer.eval_network.parameters():
                 parameter.fill_(number)
         trainer.validate()
         kept.append((trainer.best_score, parameters(trainer.best_network())[0].ravel()[0].item()))
     assert kept == [(0.3, 0), (0.5, 1), (0.5, 1), (0.5, 3)]  # of equal ones the later
 
 
-@pytest.mark.parametrize(("target_update", "judged"), [("soft", "target"), ("episodes", "online")])
-def test_the_moving_average_is_what_is_judged(target_update: Any, judged: str) -> None:
+@pytest.mark.parametrize(("target_update", "eval_network"), [("soft", "target"), ("episodes", "online")])
+def test_the_moving_average_is_what_is_judged(target_update: Any, eval_network: str) -> None:
     trainer = flown_for(Trainer(replace(SMALL, target_update=target_update)), 10)
     trainer.learn()
     assert not all(map(torch.equal, parameters(trainer.online), parameters(trainer.target)))
     trainer.validate()
-    assert_same(trainer.best, dict(getattr(trainer, judged).state_dict()))
+    assert_same(trainer.best, dict(getattr(trainer, eval_network).state_dict()))
 
 
 # Resuming
