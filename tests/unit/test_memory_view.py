@@ -1,7 +1,6 @@
 """memory.json, the view of the last episodes."""
 
 import logging
-import os
 import threading
 from pathlib import Path
 
@@ -72,25 +71,6 @@ def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:
         assert view(tmp_path) == whole
 
 
-def test_a_file_of_another_program_is_kept_under_another_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "memory.json"
-    others = [b'[{"task": "easy_delivery", "total_reward": 4.5}]', b"[]", b'{"episodes": []}']
-    path.write_bytes(others[0])
-    with Store(tmp_path) as store:
-        assert view(tmp_path) == []
-        path.write_bytes(others[1])
-        store.add_episode(flown(), "ace")
-    assert len(view(tmp_path)) == 1
-    path.write_bytes(others[2])
-    for _ in range(2):
-        Store(tmp_path).close()
-        assert len(view(tmp_path)) == 1
-    kept = sorted(tmp_path.glob("memory.kept-*.json"))
-    assert [one.read_bytes() for one in kept] == others
-    for one in kept:
-        assert f"{path} was not written by drone-env: it is kept as {one}" in caplog.text
-
-
 def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -100,12 +80,3 @@ def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
         assert store.episode(episode_id).id == episode_id
     assert "memory.json could not be written" in caplog.text
     assert list(tmp_path.glob("memory*")) == [tmp_path / "memory.json"]
-
-
-def test_leftovers_of_killed_processes_are_removed_but_not_what_is_being_written(tmp_path: Path) -> None:
-    old, fresh = tmp_path / "memory.json.1-2.part", tmp_path / "memory.json.3-4.part"
-    for path in (old, fresh):
-        path.write_text("[")
-    os.utime(old, (0, 0))
-    Store(tmp_path).close()
-    assert (old.exists(), fresh.exists()) == (False, True)
