@@ -9,7 +9,6 @@ from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.files import write_text
-from drone_env.results.finished import StoredEpisode
 
 LENGTH = 100
 PAUSE_SECONDS = 0.05
@@ -17,7 +16,7 @@ HEAD = '{"format": "drone_env/memory", "format_version": 1, "episodes": [\n'
 TAIL = "\n]}\n"
 log = logging.getLogger(__name__)
 
-Newer = Callable[[int, int], Sequence[tuple[int, StoredEpisode]]]
+Newer = Callable[[int, int], Sequence[tuple[int, str]]]
 
 
 class MemoryView:
@@ -27,8 +26,7 @@ class MemoryView:
 
     Args:
         path: The file.
-        newer: `newer(after, n)` returns the last `n` episodes stored after number `after`, oldest first, with their
-            numbers.
+        newer: `newer(after, n)` returns number and JSON of the last `n` episodes after number `after`, oldest first.
     """
 
     def __init__(self, path: Path, newer: Newer) -> None:
@@ -68,7 +66,7 @@ class MemoryView:
 
     def _read(self) -> bool:
         found = self._newer(self._lines[-1][0] if self._lines else 0, LENGTH)
-        self._lines.extend((number, stored.model_dump_json(exclude_none=True)) for number, stored in found)
+        self._lines.extend(found)
         return bool(found)
 
     def _write(self) -> None:

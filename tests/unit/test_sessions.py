@@ -11,9 +11,9 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, SessionGoneError, StoreError
 from drone_env.planning.optimal import solve
 from drone_env.results.record import record_of
-from drone_env.results.sessions import Session, advance, steady_clock
+from drone_env.results.sessions import Session, advance
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import finish_in, flown, opened
+from tests.unit.stores import finish_in, flown, latest, opened
 
 
 def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
@@ -26,14 +26,14 @@ def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
                 assert advance(row, action) == episode.step(action)
         row = store.read_session(session_id)
         assert row.episode_id is not None
-        assert store.latest(1)[0].id == row.episode_id
+        assert latest(store, 1)[0].id == row.episode_id
         assert store.episode(row.episode_id).record == record_of(episode, "someone")
         with store.session(session_id) as row:
             assert advance(row, 4) == 0, "a step after the end pays nothing and is not kept"
         assert store.read_session(session_id).actions == tuple(episode.actions)
         with store.session(session_id) as row:
             row.begin(Episode("easy", "tiered", 8))
-    assert len(store.latest(9)) == 2
+    assert len(latest(store, 9)) == 2
     row = store.read_session(session_id)
     assert (row.flight, row.agent) == (("easy_delivery", 1, 8, "tiered"), "someone")
     assert (row.actions, row.episode_id) == ((), None)
@@ -52,7 +52,7 @@ def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:
             finish_and_fly(row, action)
     with pytest.raises(InvalidValueError, match="one printable line"), store.session(session_id) as row:
         row.begin(Episode("medium", "tiered", 8), "two\nlines")
-    assert (store.read_session(session_id).actions, store.latest(1)) == ((), [])
+    assert (store.read_session(session_id).actions, latest(store, 1)) == ((), [])
     with pytest.raises(InvalidValueError, match="one printable line"):
         store.open_session(Episode("easy", "tiered", 7), "\ud800", 9)
 
@@ -144,20 +144,6 @@ def test_idle_sessions_expire_and_used_ones_do_not(store: Store) -> None:
     assert store.expire_sessions(60) == []
     with pytest.raises(NoSessionError):
         store.read_session(idle)
-
-
-def test_sessions_are_idle_by_a_clock_that_nobody_sets(tmp_path: Path) -> None:
-    wall, steady = 1_000_000.0, 50.0
-    with Store(tmp_path, steady_clock(lambda: wall, lambda: steady)) as store:
-        session_id = opened(store)
-        assert store.read_session(session_id).touched_at == wall
-        for jump in (3600, -7200):
-            wall += jump
-            assert store.expire_sessions(60) == []
-        steady += 59
-        assert store.expire_sessions(60) == []
-        steady += 1
-        assert store.expire_sessions(60) == [session_id]
 
 
 def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:

@@ -21,7 +21,7 @@ from drone_env.models import DIRECTIONS
 from drone_env.results.record import replay
 from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import eventually, opened, view
+from tests.unit.stores import eventually, latest, opened, view
 
 KILLS = max(2, int(os.environ.get("DRONE_ENV_EXAMPLES", "200")) // 100)
 
@@ -95,7 +95,7 @@ def test_processes_on_one_session_lose_no_step_when_they_are_killed(tmp_path: Pa
             assert {id_ for _, _, id_ in steps if id_} <= {stored.id for stored in store.episodes()}
             # At most one step of each killed process is kept, but not yet told of.
             assert 0 <= sum(map(len, flown.values())) - len(steps) <= 2 * kill
-            assert view(tmp_path) == store.latest(100)[::-1]
+            assert view(tmp_path) == latest(store, 100)[::-1]
         connection = sqlite3.connect(tmp_path / FILE_NAME)
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         connection.close()
