@@ -404,7 +404,7 @@ class Store:
                     maps[get_task(row["task"], row["task_version"]), row[seed]] = None
         if not maps:
             return rows
-        self._optima.want(maps, PATIENCE if patience is None else patience)
+        self._optima.solve(maps, PATIENCE if patience is None else patience)
         return self._read(query, values)
 
     def _read(self, query: str, values: tuple[object, ...] = ()) -> list[sqlite3.Row]:

@@ -42,7 +42,7 @@ def test_model_dictionary_and_episode_agree_on_a_whole_flight(task: str) -> None
 
 def test_only_counts_of_the_graders_own_task_are_graded() -> None:
     assert grade_easy(state_of("easy", score=0.99)) == 0.20
-    with pytest.raises(InvalidValueError, match="'easy_delivery' was given a state of 'hard_delivery'"):
+    with pytest.raises(InvalidValueError, match="'easy_delivery' got a state of 'hard_delivery'"):
         grade_easy(state_of("hard"))
     with pytest.raises(InvalidValueError, match="max_steps"):
         grade_easy(state_of("easy", max_steps=1000))
