@@ -20,7 +20,7 @@ APPLICATION_ID = 0x44726F6E
 
 VERSION = 1
 SCHEMA = """
-CREATE TABLE episodes (
+CREATE TABLE IF NOT EXISTS episodes (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     id TEXT NOT NULL UNIQUE,
     finished_at REAL NOT NULL,
@@ -38,15 +38,15 @@ CREATE TABLE episodes (
     outcome TEXT NOT NULL,
     episode TEXT NOT NULL
 );
-CREATE INDEX episodes_by_task ON episodes (task, task_version, number);
-CREATE TABLE optima (
+CREATE INDEX IF NOT EXISTS episodes_by_task ON episodes (task, task_version, number);
+CREATE TABLE IF NOT EXISTS optima (
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
     seed INTEGER NOT NULL,
     score REAL,
     PRIMARY KEY (task, task_version, seed)
 ) WITHOUT ROWID;
-CREATE TABLE sessions (
+CREATE TABLE IF NOT EXISTS sessions (
     id TEXT NOT NULL PRIMARY KEY,
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
@@ -59,15 +59,15 @@ CREATE TABLE sessions (
     touched_at REAL NOT NULL,
     address TEXT
 ) WITHOUT ROWID;
-CREATE TABLE gone_sessions (
+CREATE TABLE IF NOT EXISTS gone_sessions (
     id TEXT NOT NULL PRIMARY KEY,
     gone_at REAL NOT NULL
 ) WITHOUT ROWID;
-CREATE INDEX sessions_by_use ON sessions (touched_at);
-CREATE INDEX finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
-CREATE INDEX gone_sessions_by_time ON gone_sessions (gone_at);
-CREATE UNIQUE INDEX unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
-CREATE TABLE own_tasks (
+CREATE INDEX IF NOT EXISTS sessions_by_use ON sessions (touched_at);
+CREATE INDEX IF NOT EXISTS finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
+CREATE INDEX IF NOT EXISTS gone_sessions_by_time ON gone_sessions (gone_at);
+CREATE UNIQUE INDEX IF NOT EXISTS unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
+CREATE TABLE IF NOT EXISTS own_tasks (
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
     rules TEXT NOT NULL,
@@ -210,34 +210,26 @@ class Database:
 
 
 def _make_tables(connection: sqlite3.Connection, path: Path) -> None:
-    """Create the tables of a new file in one transaction; several processes may try at once."""
-    if _has_tables(connection, path):
-        return
-    with connection:
-        connection.execute("BEGIN IMMEDIATE")
-        if not _has_tables(connection, path):  # another process may have been faster
+    """Create the tables of an empty file in one transaction; several processes may do so at once.
+
+    Raises:
+        StoreError: if the file belongs to another program or another version.
+    """
+    tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if not version and not tables:
+        with connection:
+            connection.execute("BEGIN IMMEDIATE")
             for statement in SCHEMA.split(";"):
                 connection.execute(statement)
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             connection.execute(f"PRAGMA user_version = {VERSION}")
-
-
-def _has_tables(connection: sqlite3.Connection, path: Path) -> bool:
-    """Return whether a file is a store; False if it is empty.
-
-    Raises:
-        StoreError: if it belongs to another program or another version.
-    """
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if not version and not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-        return False
-    if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+    elif connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise StoreError(f"{path} is an SQLite file of another program")
-    if version != VERSION:
+    elif version != VERSION:
         raise StoreError(
             f"{path} has version {version}, this drone-env reads version {VERSION}: use another data folder"
         )
-    return True
 
 
 def _identity(path: str) -> tuple[int, int] | None:

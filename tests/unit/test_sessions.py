@@ -1,6 +1,5 @@
 """Sessions, rows of the store."""
 
-import sqlite3
 import stat
 from pathlib import Path
 from typing import cast
@@ -116,34 +115,26 @@ def test_a_session_that_never_was(session_id: str, store: Store) -> None:
             call(session_id)
 
 
-def test_an_ended_session_is_gone_for_every_store(store: Store) -> None:
-    session_id = opened(store)
-    store.end_session(session_id)
-    with Store(store.folder) as other:
-        for one in (store, other):
-            for call in (one.read_session, one.end_session):
+def test_idle_and_ended_sessions_are_gone_for_every_store(tmp_path: Path) -> None:
+    now = 1_000_000.0
+    with Store(tmp_path, lambda: now) as store, Store(tmp_path, lambda: now) as other:
+        idle, used, ended = (opened(store) for _ in range(3))
+        store.end_session(ended)
+        now += 59
+        assert store.expire_sessions(60) == []
+        with store.session(used):
+            pass
+        now += 1
+        assert other.expire_sessions(60) == [idle]
+        for call in (store.read_session, store.end_session, other.read_session):
+            for session_id in (idle, ended):
                 with pytest.raises(SessionGoneError):
                     call(session_id)
-
-
-def test_idle_sessions_expire_and_used_ones_do_not(store: Store) -> None:
-    idle, used = opened(store), opened(store)
-    assert store.expire_sessions(60) == []
-    with sqlite3.connect(store.folder / FILE_NAME) as connection:
-        connection.execute("UPDATE sessions SET touched_at = touched_at - 100")
-    connection.close()
-    with store.session(used):
-        pass
-    assert store.expire_sessions(60) == [idle]
-    with pytest.raises(SessionGoneError):
-        store.read_session(idle)
-    assert store.read_session(used).id == used
-    with sqlite3.connect(store.folder / FILE_NAME) as connection:
-        connection.execute("UPDATE gone_sessions SET gone_at = gone_at - 8 * 24 * 3600")
-    connection.close()
-    assert store.expire_sessions(60) == []
-    with pytest.raises(NoSessionError):
-        store.read_session(idle)
+        assert other.read_session(used).id == used
+        now += 8 * 24 * 3600
+        assert store.expire_sessions(9 * 24 * 3600) == []
+        with pytest.raises(NoSessionError):
+            store.read_session(idle)
 
 
 def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:
