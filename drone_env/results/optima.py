@@ -49,7 +49,6 @@ class Optima:
         self._thread = ThreadPoolExecutor(1, "drone_env-optima")
         self._submit = submit or partial(self._thread.submit, solve_maps)
         self._unsolved: dict[TaskConfig, dict[int, None]] = {}
-        self._solving: set[TaskConfig] = set()
         self._changed = threading.Condition()
         self._waiting = threading.Semaphore(WAITING)
         self._closed = False
@@ -64,9 +63,10 @@ class Optima:
             patience: Seconds to wait.
         """
         with self._changed:
+            idle = {task for task, _ in maps} - self._unsolved.keys()
             for task, seed in maps:
                 self._unsolved.setdefault(task, {})[seed] = None
-            for task in {task for task, _ in maps} - self._solving:
+            for task in idle:
                 self._start(task)
         if patience and self._waiting.acquire(blocking=False):
             try:
@@ -85,7 +85,6 @@ class Optima:
     def _start(self, task: TaskConfig) -> None:
         """Start the next job of a task; the caller holds the lock."""
         seeds = list(islice(self._unsolved[task], CHUNK))
-        self._solving.add(task)
         try:
             job = self._submit(task, seeds)
         except (DroneEnvError, RuntimeError) as error:  # too many jobs, or a closed pool
@@ -116,7 +115,6 @@ class Optima:
             left = self._unsolved.pop(task)
             for seed in seeds[: len(scores)]:
                 del left[seed]
-            self._solving.remove(task)
             if left and scores and not self._closed:
                 self._unsolved[task] = left
                 self._start(task)

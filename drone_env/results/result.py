@@ -146,20 +146,6 @@ class Results:
         flights = [1] * n if self.flights is None else self.flights.tolist()
         return [Result(*row) for row in zip(*columns, optima, flights, self.ids or [None] * n, strict=True)]
 
-    def __repr__(self) -> str:
-        """Show the statistics in three lines."""
-        from drone_env.results.statistics import Summary, with_interval
-
-        figures, key = Summary.of(self), self.key
-        score = with_interval(figures.score, figures.score_ci95)
-        best = "unknown" if figures.optimum is None else f"{figures.optimum:.4f}"
-        return (
-            f"{key.agent} on {key.task} v{key.version}\n"
-            f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({figures.maps}, split {key.split})\n"
-            f"score {score}{'' if figures.score_ci95 is None else ' (95 %)'}, optimum {best}, "
-            f"success {figures.success_rate:.1%}, steps {figures.steps:.1f}"
-        )
-
 
 def concatenate(results: Sequence[Results], key: EpisodesKey) -> Results:
     """Join the rows of several results under one key."""
