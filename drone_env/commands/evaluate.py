@@ -9,7 +9,6 @@ import tyro
 
 from drone_env import __version__
 from drone_env.agents import NETWORK_AGENTS, Agent, file_of, make_agent
-from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import (
     TASK,
     AgentNames,
@@ -78,7 +77,9 @@ def evaluate(
     """
     chosen_split, maps = chosen_maps(seeds, split, episodes, 1000)
     if checkpoint is not None:
-        agents = _by_checkpoint(agents, checkpoint)
+        if not set(agents) & set(NETWORK_AGENTS):
+            raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
+        agents = tuple(f"{agent}:{checkpoint}" if agent in NETWORK_AGENTS else agent for agent in agents)
     json_file(json)
     flown = fly_grid(task, agents, maps, chosen_split, repeats, engine, address, out)
     report = {
@@ -101,17 +102,6 @@ def evaluate(
 
 def _figures(cell: Results | Cannot) -> dict[str, Any]:
     return summarise(cell) if isinstance(cell, Results) else {**dict.fromkeys(FIGURES), "unsupported": str(cell)}
-
-
-def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
-    """Return the agents; those of this kind of network use the file."""
-    if not set(agents) & set(NETWORK_AGENTS):
-        raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
-    network = network_of(file)
-    fits = [name for name, agent in NETWORK_AGENTS.items() if agent.network == network]
-    if not set(agents) & set(fits):
-        raise InvalidValueError(f"{file} is the network of {'|'.join(fits) or network}: name it with --agents")
-    return tuple(f"{agent}:{file}" if agent in fits else agent for agent in agents)
 
 
 def fly_grid(

@@ -60,11 +60,7 @@ def fly(
     film(episode, video)
     if record is not None:
         # Loads Pydantic, which only a record needs.
-        from drone_env.results.record import RecordWriter, record_of, save_record
+        from drone_env.results.record import record_of, save_record
 
-        if record.suffix == ".jsonl":
-            with RecordWriter(record) as writer:
-                writer.write(record_of(episode, agent))
-        else:
-            save_record(record_of(episode, agent), record)
+        save_record(record_of(episode, agent), record)
         print(f"record: {record}", file=sys.stderr)

@@ -195,14 +195,16 @@ def _load(path: Path, key: EpisodesKey) -> Results | None:
     try:
         with NpzFile(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as archive:
             zipped: Any = archive.zip
+            if archive.files != list(COLUMNS):
+                raise ValueError(f"its columns are not {', '.join(COLUMNS)}")
             # Guards against decompression bombs.
             if sum(entry.file_size for entry in zipped.infolist()) > MOST_BYTES or zipped.testzip():
                 raise ValueError("its checksums or sizes are wrong")
-            results = Results(key=key, **{name: archive[name] for name in archive.files})
+            columns: dict[str, Any] = {name: archive[name] for name in COLUMNS}
         task, shape = get_task(key.task, key.version), (key.seeds[1] - key.seeds[0],)
-        columns = {name: getattr(results, name) for name in COLUMNS}
         if any(columns[name].dtype != kind or columns[name].shape != shape for name, kind in COLUMNS.items()):
-            raise ValueError(f"its columns are not {', '.join(COLUMNS)} of {shape[0]} maps")
+            raise ValueError(f"its columns have other types or lengths than those of {shape[0]} maps")
+        results = Results(key, **columns)
         valid = (
             (results.seeds == np.arange(*key.seeds))
             & (results.scores >= LOWEST)
@@ -215,7 +217,7 @@ def _load(path: Path, key: EpisodesKey) -> Results | None:
         )
         if not valid.all():
             raise ValueError("seeds, scores, steps, deliveries or success are out of range")
-    except (ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
+    except (ValueError, KeyError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
         reason = str(error).removeprefix(f"{path} ")
         raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {reason}") from None
     return results

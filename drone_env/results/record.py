@@ -158,13 +158,27 @@ def _wrong_rewards(recorded: Sequence[float], paid: Sequence[float]) -> list[str
 
 
 def save_record(record: EpisodeRecord, path: str | Path) -> None:
-    """Write a record as JSON, on one line if the file ends in `.jsonl`. A partial file is never left.
+    """Write a record as JSON, or append it to a JSONL file (`.jsonl`), which is created if it is missing.
+
+    A JSON file is never left partial. If the process dies, at most the last line of a JSONL file is cut.
 
     Raises:
-        OSError: if it cannot be written.
+        OSError: if it cannot be written; the JSONL file may then end in a part of the line.
+        InvalidValueError: if the last line of the JSONL file is cut; the file is not changed.
     """
     path = Path(path)
-    write_text(path, record.to_json(None if path.suffix == ".jsonl" else 2) + "\n")
+    if path.suffix != ".jsonl":
+        write_text(path, record.to_json(2) + "\n")
+        return
+    with path.open("ab+", buffering=0) as file:
+        if path.is_file() and file.tell():
+            file.seek(-1, os.SEEK_END)
+            if file.read() != b"\n":
+                raise InvalidValueError(f"the last line of {path} is cut; remove it before more are appended")
+        line = f"{record.to_json()}\n".encode()
+        written = file.write(line)
+        if written != len(line):
+            raise OSError(f"only {written} of {len(line)} bytes could be written to {path}")
 
 
 def load_record(path: str | Path) -> EpisodeRecord:
@@ -188,47 +202,6 @@ def parse_record(text: str | bytes, name: str) -> EpisodeRecord:
         InvalidValueError: if it is not a record; the message names the invalid field.
     """
     return EpisodeRecord.read(text, f"{name} is not the record of a flight")
-
-
-class RecordWriter:
-    """Appends records to a JSONL file, which is created if it is missing. A context manager.
-
-    Each `write` reaches the file before it returns. If the process dies during a write, at most the last line is cut.
-
-    Raises:
-        OSError: if the file cannot be opened.
-        InvalidValueError: if its last line is cut; the file is not changed.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        self._file = self._path.open("ab+", buffering=0)
-        if self._path.is_file() and self._file.tell():
-            self._file.seek(-1, os.SEEK_END)
-            if self._file.read() != b"\n":
-                self._file.close()
-                raise InvalidValueError(f"the last line of {path} is cut; remove it before more are appended")
-
-    def write(self, record: EpisodeRecord) -> None:
-        """Append one record.
-
-        Raises:
-            OSError: if it cannot be written; the file may then contain a part of the line.
-        """
-        line = f"{record.to_json()}\n".encode()
-        written = self._file.write(line)
-        if written != len(line):
-            raise OSError(f"only {written} of {len(line)} bytes could be written to {self._path}")
-
-    def close(self) -> None:
-        """Close the file; a second call does nothing."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def read_records(path: str | Path) -> Iterator[EpisodeRecord]:

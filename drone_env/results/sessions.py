@@ -7,6 +7,7 @@ import re
 import secrets
 import sqlite3
 from dataclasses import dataclass, field
+from typing import Any
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -148,7 +149,9 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> Session:
         if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
             raise SessionGoneError("this session has ended or was idle for too long: open a new one")
         raise NoSessionError("there is no such session: open one first")
-    return Session(**{**row, "actions": tuple(row["actions"].encode().translate(TO_NUMBERS))})
+    columns: dict[str, Any] = {**row}
+    columns["actions"] = tuple(row["actions"].encode().translate(TO_NUMBERS))
+    return Session(**columns)
 
 
 def update_session(connection: sqlite3.Connection, session: Session, now: float) -> None:
