@@ -1,6 +1,6 @@
 """Physics and grading of the world through the public interface, with numbers by hand.
 
-Map 14 of easy_delivery: the drone starts at (6, 3), its parcel lies at (5, 1), roads in between.
+Map 14 of easy_delivery: the drone starts at (6, 3), the parcel is at (5, 1), with roads in between.
 """
 
 from importlib import import_module

@@ -74,10 +74,11 @@ CREATE TABLE IF NOT EXISTS own_tasks (
     PRIMARY KEY (task, task_version)
 ) WITHOUT ROWID;
 """
-"""`episodes.number` is the order of storing; `episode` is the JSON of a `StoredEpisode`, and the other columns are for
-queries. `optima.score` is null if the map is too large to be solved. `sessions.address` is the address whose callers
-share the session because they name none; it is null after somebody has named the session. `own_tasks` contains a digest
-of each task that is not one of the package's, since another task may be registered under its name later.
+"""`episodes.number` is the order of storing. `episode` contains a `StoredEpisode` as JSON; queries use the other columns.
+
+`optima.score` is null if the map is too large to be solved. `sessions.address` is the address whose callers share the
+session because they name none; it is null after somebody has named the session. `own_tasks` contains a digest of each
+task that is not one of the package's, since another task may be registered under its name later.
 """
 
 

@@ -139,7 +139,7 @@ class ResultsFolder:
             os.fsync(file.fileno())
 
 
-class NotWholeError(InvalidValueError):
+class IncompleteError(InvalidValueError):
     """An evaluation is incomplete."""
 
 
@@ -155,7 +155,7 @@ def stored_results(
 
     Raises:
         OSError: if it cannot be read.
-        NotWholeError: if chunks are missing.
+        IncompleteError: if chunks are missing.
         TooLargeError: if there are more maps.
         InvalidValueError: if it is not an evaluation, or is damaged.
         UnknownNameError: if a task is not registered.
@@ -180,7 +180,7 @@ def _whole(folder: Path, key: EpisodesKey, size: int) -> Results:
     found = [chunk for chunk in chunks if chunk is not None]
     if len(found) < len(chunks):
         missing = len(chunks) - len(found)
-        raise NotWholeError(f"{missing} of {len(chunks)} pieces of {key.agent} on {key.task} are not flown yet")
+        raise IncompleteError(f"{missing} of {len(chunks)} pieces of {key.agent} on {key.task} are not flown yet")
     return concatenate(found, key)
 
 

@@ -62,12 +62,12 @@ def evaluation_entries(
         task: Read only this task; None for all.
         most: Maximum number of maps.
     """
-    from drone_env.results.folder import NotWholeError, stored_results  # loads Pydantic
+    from drone_env.results.folder import IncompleteError, stored_results  # loads Pydantic
 
     try:
         return [LeaderboardEntry(path, _report(agent, repeats)) for agent, repeats in stored_results(path, task, most)]
     except (DroneEnvError, OSError) as error:
-        incomplete = isinstance(error, (NotWholeError, TooLargeError, UnknownNameError))
+        incomplete = isinstance(error, (IncompleteError, TooLargeError, UnknownNameError))
         return [NotRanked(path, str(error), damaged=not incomplete)]
 
 

@@ -1,6 +1,6 @@
 """The store: finished episodes, open sessions and optima in one SQLite file.
 
-Several processes and threads may use one folder at once. Everything that a method has written survives SIGKILL. Power
+Several processes and threads may use one folder at once. Each finished call survives SIGKILL. Power
 loss may undo the last transactions, but never leaves a broken file. The folder must be on a local disk. Open a store in
 each process: it does not survive a fork.
 """
@@ -138,14 +138,11 @@ class Store:
         if isinstance(episode, EpisodeRecord):
             agent, episode = episode.agent, replay(episode)
         stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
-        with self._database.writing() as connection:
-            self._database.check_task(connection, episode.task, claim=True)
-            insert_episode(connection, stored)
-        self._noted([stored])
+        self._add([stored])
         return stored.id
 
     def episode(self, episode_id: str) -> StoredEpisode:
-        """The episode of this id.
+        """Return the episode of an id.
 
         Raises:
             UnknownNameError: if there is none; the message names no other episode, since ids are not public.
@@ -204,7 +201,7 @@ class Store:
         where, values = _where(task)
         return results_by_agent(self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds", patience))
 
-    def kept(self, episode_ids: Iterable[str]) -> set[str]:
+    def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
         """Return the ids that the store contains."""
         return {id_ for id_ in episode_ids if self._read("SELECT 1 FROM episodes WHERE id = ?", (id_,))}
 
@@ -309,11 +306,7 @@ class Store:
         Raises:
             StoreError: if they could not be written; the session then still contains them.
         """
-        with self._database.writing() as connection:
-            for stored in session.finished:
-                self._database.check_task(connection, get_task(stored.record.task), claim=True)
-                insert_episode(connection, stored)
-        self._noted(session.finished)
+        self._add(session.finished)
         session.finished = []
 
     def read_session(self, session_id: str) -> Session:
@@ -377,6 +370,15 @@ class Store:
         """
         return self._read(COUNT)[0][0]
 
+    def _add(self, finished: Sequence[StoredEpisode]) -> None:
+        """Store finished episodes in one transaction."""
+        with self._database.writing() as connection:
+            for stored in finished:
+                task = get_task(stored.record.task, stored.record.task_version)
+                self._database.check_task(connection, task, claim=True)
+                insert_episode(connection, stored)
+        self._noted(finished)
+
     def _noted(self, stored: Sequence[StoredEpisode]) -> None:
         """Show new episodes in `memory.json` and start to solve their maps."""
         if stored:
@@ -420,7 +422,7 @@ class Store:
 
 
 def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:
-    """Return the WHERE clause of the episodes of a task and of all filters that are not None, and its values.
+    """Return a WHERE clause for a task and for the filters that are not None, with its values.
 
     Raises:
         UnknownNameError: if there is no such task.

@@ -1,4 +1,4 @@
-"""Who flew, as sessions and records say it."""
+"""Names of pilots in sessions and records."""
 
 import pytest
 from hypothesis import given, settings
@@ -25,12 +25,12 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
         ("human", 0, "pathqnet", "human"),
         ("human", 0, "human from step 20 of pathqnet", "human"),
         ("human", 0, "human with values", "human with values"),
-        # On a flight of its own it goes on.
+        # A pilot may continue its own flight.
         ("human", 5, "human", "human with undo"),
         ("human", 5, "human with values", "human with values and undo"),
         ("greedy", 5, "greedy", "greedy"),
         ("human", 30, "human with values from step 20 of greedy", "human with values and undo from step 20 of greedy"),
-        # What was flown after the step is of no account.
+        # The fork ignores all steps after it.
         ("human", 20, "human with undo from step 20 of greedy", "human from step 20 of greedy"),
         ("greedy", 9, "human from step 20 of greedy from step 10 of random", "greedy from step 9 of random"),
         ("optimal", 30, "human from step 20 of greedy", "optimal from step 30 of human from step 20 of greedy"),

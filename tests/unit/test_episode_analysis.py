@@ -1,4 +1,4 @@
-"""What is known of the finished episodes of a task, with optima that are worked out meanwhile."""
+"""Statistics of the finished episodes of a task, with optima that are solved in the background."""
 
 import threading
 from pathlib import Path
