@@ -74,7 +74,7 @@ CREATE TABLE IF NOT EXISTS own_tasks (
     PRIMARY KEY (task, task_version)
 ) WITHOUT ROWID;
 """
-"""`episodes.number` is the order of storing. `episode` contains a `StoredEpisode` as JSON; queries use the other columns.
+"""`episodes.number` is the order of storing; `episodes.episode` is a `StoredEpisode` as JSON.
 
 `optima.score` is null if the map is too large to be solved. `sessions.address` is the address whose callers share the
 session because they name none; it is null after somebody has named the session. `own_tasks` contains a digest of each

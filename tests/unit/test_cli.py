@@ -70,9 +70,9 @@ def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
     (tmp_path / "full.toml").write_text(f"format = 1\n[task]\n{numbers}\n[terrain]\nrows = [{rows}]", "utf-8")
     task = ["--task", str(tmp_path / "full.toml")]
     assert main(["solve", *task, "--seed", "7"]) == 2
-    told = capsys.readouterr().err
-    assert "GB are allowed" in told
-    low, high = map(float, re.findall(r"0\.\d{4}", told))
+    output = capsys.readouterr().err
+    assert "GB are allowed" in output
+    low, high = map(float, re.findall(r"0\.\d{4}", output))
     assert 0.8 < low < high < 0.99
     assert main(["evaluate", *task, "--agents", "greedy", "optimal", "--episodes", "2", "--json", "-"]) == 0
     (figures,) = json.loads(capsys.readouterr().out)["tasks"].values()
@@ -150,12 +150,12 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     assert captured.out == ""
 
 
-@pytest.mark.parametrize(("command", "said"), [([], "solve"), (["fly"], "Example: drone-env")])
-def test_help_is_a_manual(command: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("command", "text"), [([], "solve"), (["fly"], "Example: drone-env")])
+def test_help_is_a_manual(command: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:
         main([*command, "--help"])
     assert exit_.value.code == 0
-    assert said in capsys.readouterr().out
+    assert text in capsys.readouterr().out
 
 
 def test_the_output_may_be_cut_off() -> None:

@@ -90,14 +90,14 @@ def test_of_several_flights_over_a_map_the_mean_counts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["greedy", "greedy"], "each once; got greedy greedy"),
         (["greedy", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(
-    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["compare", *arguments]) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
+    assert message in " ".join(capsys.readouterr().err.split())

@@ -18,7 +18,7 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pilot", "step", "of", "said"),
+    ("pilot", "step", "of", "expected"),
     [
         ("human", 20, "pathqnet", "human from step 20 of pathqnet"),
         ("greedy", 3, "a model with values", "greedy from step 3 of a model with values"),
@@ -36,5 +36,5 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
         ("optimal", 30, "human from step 20 of greedy", "optimal from step 30 of human from step 20 of greedy"),
     ],
 )
-def test_a_fork_names_who_flew_each_part(pilot: str, step: int, of: str, said: str) -> None:
-    assert str(Credit.of_fork(pilot, step, of)) == said
+def test_a_fork_names_who_flew_each_part(pilot: str, step: int, of: str, expected: str) -> None:
+    assert str(Credit.of_fork(pilot, step, of)) == expected

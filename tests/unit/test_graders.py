@@ -67,6 +67,6 @@ def test_check_graders_fails_on_a_broken_manifest(
     file = tmp_path / "openenv.yaml"
     file.write_text(manifest)
     assert check_graders.main(str(file)) == 1
-    told = capsys.readouterr().out
-    assert complaint in told
-    assert "PASSED" not in told
+    output = capsys.readouterr().out
+    assert complaint in output
+    assert "PASSED" not in output

@@ -40,22 +40,22 @@ def test_an_older_view_that_overwrites_a_newer_one_is_put_right(tmp_path: Path) 
     path = tmp_path / "memory.json"
     stored = [StoredEpisode.of(f"{number:016x}", flown(), "ace") for number in range(3)]
     texts = [(number, one.model_dump_json()) for number, one in enumerate(stored, 1)]
-    kept = texts[:1]
+    rows = texts[:1]
     overtaken = threading.Event()
 
     def newer(after: int, n: int) -> list[tuple[int, str]]:
-        found = kept[after:][-n:]
-        if len(kept) == 2 and not overtaken.is_set():
+        found = rows[after:][-n:]
+        if len(rows) == 2 and not overtaken.is_set():
             # Another process stores one more, and writes its view, before this one writes what it has just read.
             overtaken.set()
-            kept.append(texts[2])
-            MemoryView(path, lambda after, n: kept[after:][-n:]).close()
+            rows.append(texts[2])
+            MemoryView(path, lambda after, n: rows[after:][-n:]).close()
             assert view(tmp_path) == stored
         return found
 
     memory_view = MemoryView(path, newer)
     assert view(tmp_path) == stored[:1]
-    kept.append(texts[1])
+    rows.append(texts[1])
     memory_view.refresh()
     memory_view.close()
     assert overtaken.is_set()

@@ -28,7 +28,7 @@ def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
         assert latest(store, 1)[0].id == row.episode_id
         assert store.episode(row.episode_id).record == record_of(episode, "someone")
         with store.session(session_id) as row:
-            assert advance(row, 4) == 0, "a step after the end pays nothing and is not kept"
+            assert advance(row, 4) == 0, "a step after the end pays nothing and is not stored"
         assert store.read_session(session_id).actions == tuple(episode.actions)
         with store.session(session_id) as row:
             row.begin(Episode("easy", "tiered", 8))
@@ -69,7 +69,7 @@ def test_a_full_disk_keeps_nothing_and_says_so(store: Store) -> None:
     with pytest.raises(StoreError, match="full"), store.session(session_id) as row:
         finish_in(row, flown("hard", actions="4"))
     assert store.read_session(session_id).actions == (1,)
-    assert [kept.id for kept in store.episodes()] == stored
+    assert [row.id for row in store.episodes()] == stored
 
 
 def test_ids_are_long_random_and_kept_from_others(store: Store) -> None:
@@ -104,7 +104,7 @@ def test_of_the_finished_the_one_that_was_not_used_for_longest_gives_way(tmp_pat
         opened(store, capacity=3)
         with pytest.raises(SessionGoneError):
             store.read_session(ids[1])
-        assert [store.read_session(kept).id for kept in (ids[0], ids[2])] == [ids[0], ids[2]]
+        assert [store.read_session(id_).id for id_ in (ids[0], ids[2])] == [ids[0], ids[2]]
 
 
 @pytest.mark.parametrize("session_id", ["", "nobody", "\ud800", "' OR 1=1"])

@@ -67,9 +67,9 @@ def test_a_store_opened_again_holds_what_it_held(tmp_path: Path) -> None:
         episode_id, session_id = store.add_episode(flown(), "ace"), opened(store)
         with store.session(session_id) as row:
             advance(row, 4)
-        kept = store.episode(episode_id)
+        stored = store.episode(episode_id)
     with Store(str(tmp_path)) as store:
-        assert store.episode(episode_id) == kept
+        assert store.episode(episode_id) == stored
         assert store.read_session(session_id).actions == (4,)
 
 
