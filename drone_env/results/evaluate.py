@@ -13,7 +13,6 @@ import numpy.typing as npt
 from drone_env.agents import Agent, BatchAgent, make_agent
 from drone_env.agents.base import begin, named_failures
 from drone_env.agents.named import as_agent
-from drone_env.core.actions import integer
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
@@ -169,10 +168,6 @@ def evaluate(
         UnsupportedTaskError, CheckpointError, OSError: from the agent.
     """
     task = get_task(task)
-    for count, least, argument in ((episodes, 1, "episodes"), (repeat, 0, "repeat")):
-        number = integer(count)
-        if number is None or number < least:
-            raise InvalidValueError(f"{argument} must be an integer of at least {least}, got {count!r}")
     maps, name = split_seeds(split, episodes) if seeds is None else seeds, f"{policy}"
     if isinstance(policy, str):
         agent = make_agent(policy, task)
