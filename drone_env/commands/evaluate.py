@@ -1,14 +1,13 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS, Agent, file_of, make_agent
+from drone_env.agents import NETWORK_AGENTS, file_of, make_agent
 from drone_env.commands.arguments import (
     TASK,
     AgentNames,
@@ -138,29 +137,26 @@ def fly_grid(
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
     say_trusted(agents)
     chosen = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
-    made: dict[tuple[str, str], Agent] = {}
-    grid = {t: {a: _cell(t, a, maps, split, repeats, made) for a in agents} for t in dict.fromkeys(chosen)}
+    grid = {t: {a: _cell(t, a, maps, split, repeats) for a in agents} for t in dict.fromkeys(chosen)}
     # At least one agent must support a task, and so must every agent of a file.
     for required in (agents, *([agent] for agent in agents if file_of(agent))):
         cells = [row[agent] for row in grid.values() for agent in required]
         if not any(isinstance(cell, tuple) for cell in cells):
             raise cast(Cannot, cells[0])
     keys = [key for row in grid.values() for cell in row.values() if isinstance(cell, tuple) for key in cell]
-    flown = _fly(keys, made, engine, address, out)
+    flown = _fly(keys, engine, address, out)
     return {
         t: {a: repeated([flown[key] for key in cell]) if isinstance(cell, tuple) else cell for a, cell in row.items()}
         for t, row in grid.items()
     }
 
 
-def _cell(
-    task: TaskConfig, name: str, maps: range, split: str, repeats: int, made: dict[tuple[str, str], Agent]
-) -> tuple[EpisodesKey, ...] | Cannot:
-    """Return the keys of an agent on a task, or why it cannot fly it, and add the agent to `made`."""
+def _cell(task: TaskConfig, name: str, maps: range, split: str, repeats: int) -> tuple[EpisodesKey, ...] | Cannot:
+    """Return the keys of an agent on a task, or why it cannot fly it."""
     try:
         if name == "optimal":
             require_solvable(task)
-        agent = made[task.id, name] = make_agent(name, task)
+        agent = make_agent(name, task)
         return repeats_of(episodes_key(task, name, maps, split, made=agent), repeats, agent)
     except (TooLargeError, UnsupportedTaskError) as error:
         return error
@@ -171,11 +167,7 @@ def _cell(
 
 
 def _fly(
-    keys: Sequence[EpisodesKey],
-    made: dict[tuple[str, str], Agent],
-    engine: EngineName,
-    address: str | None,
-    out: Path | None,
+    keys: Sequence[EpisodesKey], engine: EngineName, address: str | None, out: Path | None
 ) -> dict[EpisodesKey, Results]:
     folder = None
     if out is not None:
@@ -188,7 +180,7 @@ def _fly(
             advance(len(chunk.seeds), f"{get_task(chunk.key.task).short_name} {chunk.key.agent}")
 
         if engine == "local":
-            return evaluate_keys(keys, partial(local_engine, agents=made), folder, arrived)
+            return evaluate_keys(keys, local_engine, folder, arrived)
         from drone_env.cluster.connect import connect
 
         with connect(address):

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -207,11 +207,9 @@ def summarise(results: Results, *again: Results) -> dict[str, Any]:
     return figures if summary.regret_maps == summary.maps else figures | {"mean_regret": None}
 
 
-def local_engine(
-    keys: Sequence[EpisodesKey], agents: Mapping[tuple[str, str], Agent] | None = None
-) -> Iterator[Results]:
-    """Fly one key after another in this process; `agents` contains existing agents by task and name."""
-    return (run_episodes(key, (agents or {}).get((key.task, key.agent))) for key in keys)
+def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
+    """Fly one key after another in this process."""
+    return map(run_episodes, keys)
 
 
 def evaluate_keys(
