@@ -1,6 +1,7 @@
 """Shared types of arguments, and the parser of a command line."""
 
 import io
+import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager, redirect_stderr
@@ -87,13 +88,13 @@ def parse_seeds(text: str) -> range:
     Raises:
         InvalidValueError: if the text has another form, or the range is empty.
     """
-    start, colon, stop = text.partition(":")
-    numbers = [number for number in (start, stop) if number.isdecimal() and len(number) <= len(str(N_SEEDS))]
-    if not (colon and len(numbers) == 2 and int(start) < int(stop) <= N_SEEDS):
+    numbers = re.fullmatch(r"(\d{1,16}):(\d{1,16})", text)
+    seeds = range(*map(int, numbers.groups())) if numbers else range(0)
+    if not seeds or seeds.stop > N_SEEDS:
         raise InvalidValueError(
             f"--seeds takes A:B with integers 0 <= A < B <= 2^53, such as 0:100; got {shortened(text)}"
         )
-    return range(int(start), int(stop))
+    return seeds
 
 
 def chosen_maps(seeds: str | None, split: str | None, episodes: int | None, default: int) -> tuple[str, range]:
