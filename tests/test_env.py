@@ -1,6 +1,6 @@
 """Physics and grading of the world through the public interface, with numbers by hand.
 
-Map 14 of easy_delivery: the drone starts at (6, 3), its parcel lies at (5, 1), roads in between.
+Map 14 of easy_delivery: the drone starts at (6, 3), the parcel is at (5, 1), with roads in between.
 """
 
 from importlib import import_module
@@ -67,15 +67,15 @@ def test_maps_come_from_a_seeded_torch_generator() -> None:
 def test_seven_cell_types_with_emoji_name_and_effect() -> None:
     episode, seen = started("medium_delivery", 7), set[str]()
     for action in solve("medium_delivery", 7).actions:
-        observation = DroneObservation.of(episode)
-        for row, names in zip(observation.grid, observation.cell_types, strict=True):
+        obs = DroneObservation.of(episode)
+        for row, names in zip(obs.grid, obs.cell_types, strict=True):
             assert [CELL_TYPES[emoji] for emoji in row] == names
             seen.update(names)
         episode.step(action)
     assert seen == set(CELL_TYPES.values())
     for emoji, name in CELL_TYPES.items():
-        told, effect = observation.legend[emoji].split(": ", 1)
-        assert (told, bool(effect)) == (name, True)
+        label, effect = obs.legend[emoji].split(": ", 1)
+        assert (label, bool(effect)) == (name, True)
 
 
 @pytest.mark.feature("E3")
@@ -101,11 +101,11 @@ def test_an_observation_has_typed_fields_that_openapi_documents(tmp_path: Path) 
     for field in documented["properties"].values():
         assert "description" in field
         assert field.keys() & {"type", "anyOf"}
-    seen = DroneObservation.of(started("easy_delivery", 14))
-    assert (seen.drone_x, seen.drone_y, seen.current_target, seen.distance_to_target) == (6, 3, (5, 1), 3)
-    assert (seen.battery, seen.battery_steps_remaining, seen.step_count, seen.max_steps) == (1, 60, 0, 60)
-    assert (seen.deliveries_total, seen.deliveries_done, seen.score, seen.done) == (1, 0, 0.20, False)
-    assert list(seen.model_dump(mode="json")) == OBSERVATION
+    obs = DroneObservation.of(started("easy_delivery", 14))
+    assert (obs.drone_x, obs.drone_y, obs.current_target, obs.distance_to_target) == (6, 3, (5, 1), 3)
+    assert (obs.battery, obs.battery_steps_remaining, obs.step_count, obs.max_steps) == (1, 60, 0, 60)
+    assert (obs.deliveries_total, obs.deliveries_done, obs.score, obs.done) == (1, 0, 0.20, False)
+    assert list(obs.model_dump(mode="json")) == OBSERVATION
 
 
 @pytest.mark.feature("E5")

@@ -1,4 +1,4 @@
-"""`drone-env analyse-flight`: a flight move by move, beside the exact value of every state."""
+"""`drone-env analyse-flight`: the exact regret of each move of a flight."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,23 +20,23 @@ def analyse_flight(
 ) -> None:
     """Print the exact score that each move of a flight lost, and the better moves.
 
-    The flight is a recorded one, or flown first: name a file or a task. Value: the highest score that could still be
-    reached before the move. Regret: by how much the move lowered it. Better: all moves that would not have. Marks: ??
-    blunder (a parcel lost), ? mistake, ?! inaccuracy, !! the only move that was not a blunder. Accuracy: the share of
-    best moves among those on which anything could be lost.
+    Name the file of a recorded flight, or a task to fly. Value: the highest attainable score before the move. Regret:
+    the loss of value. Better: all moves without regret. Marks: ?? blunder (a parcel lost), ? mistake, ?! inaccuracy,
+    !! the only move that was not a blunder. Accuracy: the share of best moves among those on which anything could be
+    lost.
 
     Example: drone-env analyse-flight --task hard --agent greedy --seed 7
 
     Example: drone-env analyse-flight flight.json --json
 
     Args:
-        file: The record of the flight, as `fly --record` saves it.
-        task: The task of a flight to be flown, by its short name, id or grader.
-        agent: Who flies it, greedy if nothing is said.
-        seed: Number of its map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
+        file: A record of `fly --record`.
+        task: The task to fly, by short name, id or grader.
+        agent: The agent that flies. Default: greedy.
+        seed: Number of the map, 0 to 2^53 - 1. Default: a random train map.
         json: Print JSON instead: positions are [x, y].
     """
-    # These load Pydantic and Numba, which nobody should wait for who does not need them.
+    # Imported lazily: Pydantic and Numba are slow to load.
     from drone_env.results import analysis
     from drone_env.results.record import load_record
 

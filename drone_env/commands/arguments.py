@@ -1,6 +1,7 @@
-"""Arguments that several commands share, and how the arguments of a command become its call."""
+"""Shared types of arguments, and the parser of a command line."""
 
 import io
+import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager, redirect_stderr
@@ -42,17 +43,17 @@ REGISTERED: dict[str, Callable[[str], Any]] = {
     "--reward-profile": register_reward_file,
     "--reward": register_reward_file,
 }
-"""Of the options that take a name or a TOML file, what makes the file known by a name."""
+"""Functions that register a TOML file, by the options that take a name or such a file."""
 
 
 def with_names(arguments: Sequence[str]) -> list[str]:
     """Register the files of cities and reward profiles, and replace them by their names.
 
     Raises:
-        OSError: if the file cannot be read.
-        InvalidTaskError: if it is none, or its name is that of another one.
+        OSError: if a file cannot be read.
+        InvalidTaskError: if it is invalid, or its name is taken.
     """
-    named: list[str] = []
+    names: list[str] = []
     option = ""
     for argument in arguments:
         if argument.startswith("-"):
@@ -60,13 +61,13 @@ def with_names(arguments: Sequence[str]) -> list[str]:
         if option in REGISTERED and argument.endswith(".toml"):
             file = argument.partition("=")[2] if argument.startswith("-") else argument
             argument = argument.removesuffix(file) + REGISTERED[option](file).id
-        named.append(argument)
-    return named
+        names.append(argument)
+    return names
 
 
 @contextmanager
 def own_profiles_forgotten() -> Generator[None, None, None]:
-    """The reward profiles that a command's arguments register are known up to the end of the `with`."""
+    """Forget at the end of the block the reward profiles that a command has registered."""
     before = dict(REWARD_PROFILES)
     try:
         yield
@@ -76,37 +77,37 @@ def own_profiles_forgotten() -> Generator[None, None, None]:
 
 
 def say_trusted(agents: Iterable[str]) -> None:
-    """Say on standard error of each file that is about to be unpickled that it is trusted."""
+    """Warn on standard error that files of Stable-Baselines3 are unpickled."""
     for file in dict.fromkeys(filter(None, map(sb3_file, agents))):
-        print(f"{file}: reading it runs code that it holds; it is trusted, since you name it", file=sys.stderr)
+        print(f"{file}: reading it runs code that it contains; name only files that you trust", file=sys.stderr)
 
 
 def parse_seeds(text: str) -> range:
-    """The seeds of `A:B`, from A up to and not including B.
+    """Return the seeds A to B - 1 of `A:B`.
 
     Raises:
-        InvalidValueError: if it is not of that form, or empty.
+        InvalidValueError: if the text has another form, or the range is empty.
     """
-    start, colon, stop = text.partition(":")
-    numbers = [number for number in (start, stop) if number.isdecimal() and len(number) <= len(str(N_SEEDS))]
-    if not (colon and len(numbers) == 2 and int(start) < int(stop) <= N_SEEDS):
+    numbers = re.fullmatch(r"(\d{1,16}):(\d{1,16})", text)
+    seeds = range(*map(int, numbers.groups())) if numbers else range(0)
+    if not seeds or seeds.stop > N_SEEDS:
         raise InvalidValueError(
             f"--seeds takes A:B with integers 0 <= A < B <= 2^53, such as 0:100; got {shortened(text)}"
         )
-    return range(int(start), int(stop))
+    return seeds
 
 
 def chosen_maps(seeds: str | None, split: str | None, episodes: int | None, default: int) -> tuple[str, range]:
-    """The split and the seeds that `--seeds`, `--split` and `--episodes` name; the split of `--seeds` is `custom`.
+    """Return split and seeds of `--seeds`, `--split` and `--episodes`; the split of `--seeds` is `custom`.
 
     Args:
         seeds: `A:B`.
         split: A split; None for test.
-        episodes: How many of its first maps.
-        default: The same, where nothing is said.
+        episodes: Number of its first maps.
+        default: The default of `episodes`.
 
     Raises:
-        InvalidValueError: if they contradict each other, or one is out of range.
+        InvalidValueError: if the options contradict each other, or one is out of range.
     """
     if seeds is None:
         if episodes is not None and episodes < 1:
@@ -118,10 +119,10 @@ def chosen_maps(seeds: str | None, split: str | None, episodes: int | None, defa
 
 
 def parsed(command: Callable[..., int | None], program: str, arguments: Sequence[str]) -> Callable[[], int | None]:
-    """The call of a command with these arguments; `--help` prints its manual and exits.
+    """Return the call of a command with these arguments; `--help` prints its manual and exits.
 
     Raises:
-        InvalidValueError: if an option is unknown or missing, or has no such value.
+        InvalidValueError: if an option is unknown, missing or invalid.
     """
 
     @wraps(command)
@@ -137,8 +138,8 @@ def parsed(command: Callable[..., int | None], program: str, arguments: Sequence
             raise
     # The message is between the title and the next rule; without UTF-8 a rule follows the title.
     lines = dropwhile(_is_rule, (line.strip("│╰╯ ") for line in box.getvalue().splitlines()[1:]))
-    told = " ".join(" ".join(takewhile(lambda line: not _is_rule(line), lines)).split())
-    raise InvalidValueError(f"{told.partition(' Got errors')[0].rstrip('.')}; see {program} --help")
+    message = " ".join(" ".join(takewhile(lambda line: not _is_rule(line), lines)).split())
+    raise InvalidValueError(f"{message.partition(' Got errors')[0].rstrip('.')}; see {program} --help")
 
 
 def _is_rule(line: str) -> bool:

@@ -1,4 +1,4 @@
-"""`drone-env compare`: agents on the same maps, and how sure it is which of them is better."""
+"""`drone-env compare`: agents on the same maps, paired map by map."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +11,7 @@ from drone_env.commands.evaluate import JsonFile, TaskNames, fly_grid, json_file
 from drone_env.commands.leaderboard import required_entries
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.results.result import Results
+from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import compared, with_interval
 from drone_env.results.tables import Table, percent, print_table
 
@@ -27,84 +27,79 @@ def compare(
     repeats: int = 1,
     json: JsonFile = None,
 ) -> None:
-    """Fly the same maps with two agents or more, and say how sure it is which of them is better.
+    """Fly the same maps with two agents or more and compare their scores.
 
-    All others are compared with the first, map by map. Difference: score of the other less that of the first. Better:
-    share of maps on which the other scores more, where equal scores count half. Detectable: the smallest true
-    difference that as many maps would show in four of five cases. Narrower: how many times wider the interval of the
-    difference would be if each had flown maps of its own. Intervals (95 %) are Student's t over maps; IQM is the mean
-    of the middle half of the maps. docs/agents.md says more.
+    All others are compared with the first, map by map. Difference: mean score minus that of the first. Better: share of
+    maps with a higher score; ties count half. Detectable: the smallest true difference that as many maps would show in
+    four of five cases. Narrower: how many times wider the interval would be on different maps. Intervals (95 %) are
+    Student's t over maps; IQM is the mean of the middle half of the maps. See docs/agents.md.
 
     Example: drone-env compare greedy optimal --task hard --episodes 200
 
     Args:
-        agents: Two agents or more, named as `evaluate --agents` takes them; or folders of `evaluate --out` and of
-            `infer`, whose maps the others then fly.
+        agents: Two or more agents as in `evaluate --agents`, or folders of `evaluate --out` and of `infer`. The other
+            agents fly the maps of the folders.
         task: One or more tasks; `all` for every registered task.
-        split: Whose first maps to fly: test if nothing is said.
-        episodes: How many maps of the split, 200 if nothing is said.
-        seeds: Fly the maps from A up to and not including B instead of a split's.
-        repeats: How often an agent that draws lots flies each map; the mean counts.
-        json: Write the figures to this file; - prints only the JSON on standard output.
+        split: Fly the first maps of this split. Default: test.
+        episodes: Number of maps of the split. Default: 200.
+        seeds: Fly maps A to B - 1 instead.
+        repeats: Flights per map of stochastic agents; their mean counts.
+        json: Write the statistics to this file; - prints only JSON to standard output.
     """
     stored = {
         agent: [(f"{entry.agent} ({Path(agent)})", entry) for entry in required_entries(Path(agent))]
         for agent in agents
         if Path(agent).is_dir()
     }
-    contenders = len(agents) - len(stored) + sum(len({name for name, _ in entries}) for entries in stored.values())
-    if contenders < 2 or len(set(agents)) < len(agents):
+    entries = [named for of_folder in stored.values() for named in of_folder]
+    names = [agent for agent in agents if agent not in stored]
+    if len({*names, *(name for name, _ in entries)}) < 2 or len(set(agents)) < len(agents):
         raise InvalidValueError(f"compare takes two agents or more, each once; got {' '.join(agents) or 'none'}")
     if stored:
         if task != ("all",) or (split, episodes, seeds) != (None, None, None):
             raise InvalidValueError("folders name task and maps themselves: leave --task, --split and so on out")
-        task, chosen_split, maps = _same_maps([(name, entry.results) for of in stored.values() for name, entry in of])
+        task, chosen_split, maps = _same_maps([(name, entry.results.key) for name, entry in entries])
     else:
         chosen_split, maps = chosen_maps(seeds, split, episodes, 200)
     json_file(json)
-    names = [agent for agent in agents if agent not in stored]
     flown = fly_grid(task, names, maps, chosen_split, repeats) if names else {}
     rows: dict[TaskConfig, dict[str, Results]] = {}
-    unusable: dict[str, Any] = {}
+    missing: list[str] = []
     for agent in agents:
         for name, entry in stored.get(agent, ()):
-            key = entry.results.key
-            rows.setdefault(get_task(key.task, key.version), {})[name] = entry.results
-            if "unusable" in entry.report:
-                unusable[name] = entry.report["unusable"]
+            rows.setdefault(get_task(entry.results.key.task), {})[name] = entry.results
         for t, row in flown.items():
             cell = row.get(agent)
             if isinstance(cell, Results):
                 rows.setdefault(t, {})[agent] = cell
+            elif cell is not None:
+                missing.append(f"{t.short_name}, {agent}: {cell}")
     report = {
         "package": __version__,
         "split": chosen_split,
         "seeds": [maps.start, maps.stop],
         "repeats": repeats,
         "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
-        "unusable": unusable,
+        "unusable": {name: entry.report["unusable"] for name, entry in entries if "unusable" in entry.report},
     }
     if write_report(report, json):
         _print(report)
-        for t, row in flown.items():
-            for agent, cell in row.items():
-                if not isinstance(cell, Results):
-                    print(f"{t.short_name}, {agent}: {cell}")
+        for line in missing:
+            print(line)
 
 
-def _same_maps(stored: list[tuple[str, Results]]) -> tuple[tuple[str, ...], str, range]:
-    """The tasks, the split and the maps of all folders."""
-    first, one = stored[0]
-    maps = range(*one.key.seeds)
-    for name, other in stored:
-        key = other.key
-        same = (key.split, key.seeds) == (one.key.split, one.key.seeds)
+def _same_maps(keys: list[tuple[str, EpisodesKey]]) -> tuple[tuple[str, ...], str, range]:
+    """Return tasks, split and maps of all folders."""
+    first, one = keys[0]
+    maps = range(*one.seeds)
+    for name, key in keys:
+        same = (key.split, key.seeds) == (one.split, one.seeds)
         if not same or get_task(key.task) != get_task(key.task, key.version):
             raise InvalidValueError(
                 f"folders are compared over the same maps of the present version of a task: {name} has "
                 f"{key.task} v{key.version}, {range(*key.seeds)}, {first} {maps}"
             )
-    return tuple(dict.fromkeys(other.key.task for _, other in stored)), one.key.split, maps
+    return tuple(dict.fromkeys(key.task for _, key in keys)), one.split, maps
 
 
 def _print(report: dict[str, Any]) -> None:

@@ -1,15 +1,13 @@
-"""`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
+"""`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS, Agent, file_of, make_agent
-from drone_env.agents.weights_file import network_of
+from drone_env.agents import NETWORK_AGENTS, file_of, make_agent
 from drone_env.commands.arguments import (
     TASK,
     AgentNames,
@@ -34,9 +32,9 @@ TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
 EngineName = Literal["local", "ray"]
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 Cannot = CheckpointError | TooLargeError | UnsupportedTaskError
-"""Why an agent cannot fly a task."""
+"""The reason why an agent cannot fly a task."""
 Grid = dict[TaskConfig, dict[str, Results | Cannot]]
-"""By task and agent: all flights, or why there are none."""
+"""By task and agent: the results, or the reason why there are none."""
 
 
 def evaluate(
@@ -52,35 +50,35 @@ def evaluate(
     engine: EngineName = "local",
     address: ClusterAddress = None,
 ) -> None:
-    """Fly many maps with several agents and compare them, each beside the exact optimum of the same maps.
+    """Fly many maps with several agents and compare their scores with the exact optimum of the same maps.
 
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % interval
-    (Student's t over maps). Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps
-    beyond the optimal flight, on delivered maps; below zero where the best flight takes its time to charge.
-    docs/quoting.md says what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there,
-    and the reason below.
+    (Student's t over maps). Ratio: mean score / mean optimal score. Regret: mean of optimum - score. Excess: steps
+    beyond the optimal flight, on delivered maps; negative if the optimal flight spends steps on charging. See
+    docs/quoting.md. If an agent cannot fly a task, its row contains dashes, and the reason follows the table.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
     Args:
         task: One or more tasks; `all` for every registered task.
-        agents: One or more agents: names, `MODULE:NAME` for one of your own, `FILE.zip:WRAPPER` for a policy of
-            Stable-Baselines3 and the wrapper that it was trained behind (docs/agents.md).
-        split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
-        episodes: How many maps of the split, 1000 if nothing is said.
-        seeds: Fly the maps from A up to and not including B instead of a split's.
-        checkpoint: Fly by the network in this file (.safetensors) instead of the shipped one: `pathqnet`, or `tournet`,
-            as the file says.
-        json: Write the figures to this file; - prints only the JSON on standard output.
-        out: Keep the results of each 1,000 maps in this folder as they arrive; the same command goes on from there.
-        repeats: How often an agent that draws lots flies each map; the mean counts.
-        engine: Fly in this process, or on a Ray cluster (extra `cluster`); the figures are the same.
-        address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
-            HOST:PORT joins that one.
+        agents: One or more agents: names, `MODULE:NAME` for your own, `FILE.zip:WRAPPER` for a policy of
+            Stable-Baselines3 and its observation wrapper (docs/agents.md).
+        split: Fly the first maps of this split. Default: test. Training never uses validation and test.
+        episodes: Number of maps of the split. Default: 1000.
+        seeds: Fly maps A to B - 1 instead.
+        checkpoint: Use the network in this file (.safetensors) instead of the shipped one, for `pathqnet` or `tournet`.
+        json: Write the statistics to this file; - prints only JSON to standard output.
+        out: Store the results of each 1,000 maps in this folder; the same command resumes from it.
+        repeats: Flights per map of stochastic agents; their mean counts.
+        engine: Fly in this process, or on a Ray cluster (extra `cluster`); the results are the same.
+        address: The cluster: local starts one on this machine (the default), auto joins the one that runs here,
+            HOST:PORT joins another.
     """
     chosen_split, maps = chosen_maps(seeds, split, episodes, 1000)
     if checkpoint is not None:
-        agents = _by_checkpoint(agents, checkpoint)
+        if not set(agents) & set(NETWORK_AGENTS):
+            raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
+        agents = tuple(f"{agent}:{checkpoint}" if agent in NETWORK_AGENTS else agent for agent in agents)
     json_file(json)
     flown = fly_grid(task, agents, maps, chosen_split, repeats, engine, address, out)
     report = {
@@ -105,17 +103,6 @@ def _figures(cell: Results | Cannot) -> dict[str, Any]:
     return summarise(cell) if isinstance(cell, Results) else {**dict.fromkeys(FIGURES), "unsupported": str(cell)}
 
 
-def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
-    """The agents, those that can fly by the network in a file by that one."""
-    if not set(agents) & set(NETWORK_AGENTS):
-        raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
-    network = network_of(file)
-    fits = [name for name, agent in NETWORK_AGENTS.items() if agent.network == network]
-    if not set(agents) & set(fits):
-        raise InvalidValueError(f"{file} is the network of {'|'.join(fits) or network}: name it with --agents")
-    return tuple(f"{agent}:{file}" if agent in fits else agent for agent in agents)
-
-
 def fly_grid(
     tasks: Sequence[str],
     agents: Sequence[str],
@@ -126,22 +113,21 @@ def fly_grid(
     address: str | None = None,
     out: Path | None = None,
 ) -> Grid:
-    """Fly the same maps of each task with each agent, with a progress bar.
+    """Fly the same maps of each task with each agent and show a progress bar.
 
     Args:
         tasks: Names of tasks; `all` for every registered task.
         agents: Names of agents.
         maps: The maps.
-        split: The split that they were chosen from.
+        split: The split of the maps, or `custom`.
         repeats: Flights of a stochastic agent over each map.
         engine: Where to fly.
         address: The cluster.
         out: The folder that stores the results.
 
     Raises:
-        UnknownNameError, InvalidValueError, OSError: for names, seeds, files and folders that are wrong.
-        CheckpointError, TooLargeError, UnsupportedTaskError: if nobody can fly anything, or a file that is named
-            fits no task.
+        UnknownNameError, InvalidValueError, OSError: for invalid names, seeds, files and folders.
+        CheckpointError, TooLargeError, UnsupportedTaskError: if no agent, or not the agent of a file, can fly any task.
         ClusterError: from the cluster.
         AgentError: if an agent fails.
     """
@@ -150,49 +136,38 @@ def fly_grid(
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
     say_trusted(agents)
-    named = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
-    made: dict[tuple[str, str], Agent] = {}
-    cells = {t: {a: _cell(t, a, maps, split, repeats, made) for a in agents} for t in dict.fromkeys(named)}
-    # At least one agent must support a task, and so must every file that is named.
+    chosen = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
+    grid = {t: {a: _cell(t, a, maps, split, repeats) for a in agents} for t in dict.fromkeys(chosen)}
+    # At least one agent must support a task, and so must every agent of a file.
     for required in (agents, *([agent] for agent in agents if file_of(agent))):
-        all_cells = [row[agent] for row in cells.values() for agent in required]
-        reasons = [cell for cell in all_cells if not isinstance(cell, tuple)]
-        if len(reasons) == len(all_cells):
-            raise reasons[0]
-    keys = [key for row in cells.values() for cell in row.values() if isinstance(cell, tuple) for key in cell]
-    flown = _fly(keys, made, engine, address, out)
+        cells = [row[agent] for row in grid.values() for agent in required]
+        if not any(isinstance(cell, tuple) for cell in cells):
+            raise cast(Cannot, cells[0])
+    keys = [key for row in grid.values() for cell in row.values() if isinstance(cell, tuple) for key in cell]
+    flown = _fly(keys, engine, address, out)
     return {
-        t: {
-            agent: repeated([flown[key] for key in cell]) if isinstance(cell, tuple) else cell
-            for agent, cell in row.items()
-        }
-        for t, row in cells.items()
+        t: {a: repeated([flown[key] for key in cell]) if isinstance(cell, tuple) else cell for a, cell in row.items()}
+        for t, row in grid.items()
     }
 
 
-def _cell(
-    task: TaskConfig, name: str, maps: range, split: str, repeats: int, made: dict[tuple[str, str], Agent]
-) -> tuple[EpisodesKey, ...] | Cannot:
-    """The flights of an agent on a task, or why it cannot fly it; the agent goes into `made`."""
+def _cell(task: TaskConfig, name: str, maps: range, split: str, repeats: int) -> tuple[EpisodesKey, ...] | Cannot:
+    """Return the keys of an agent on a task, or why it cannot fly it."""
     try:
         if name == "optimal":
             require_solvable(task)
-        agent = made[task.id, name] = make_agent(name, task)
+        agent = make_agent(name, task)
         return repeats_of(episodes_key(task, name, maps, split, made=agent), repeats, agent)
     except (TooLargeError, UnsupportedTaskError) as error:
         return error
     except CheckpointError as error:
         if file_of(name) is None:
-            raise  # a file of the package is damaged
+            raise  # a shipped file is damaged
         return error
 
 
 def _fly(
-    keys: Sequence[EpisodesKey],
-    made: dict[tuple[str, str], Agent],
-    engine: EngineName,
-    address: str | None,
-    out: Path | None,
+    keys: Sequence[EpisodesKey], engine: EngineName, address: str | None, out: Path | None
 ) -> dict[EpisodesKey, Results]:
     folder = None
     if out is not None:
@@ -201,11 +176,11 @@ def _fly(
         folder = ResultsFolder(out, keys)
     with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
 
-        def arrived(piece: Results) -> None:
-            advance(len(piece.seeds), f"{get_task(piece.key.task).short_name} {piece.key.agent}")
+        def arrived(chunk: Results) -> None:
+            advance(len(chunk.seeds), f"{get_task(chunk.key.task).short_name} {chunk.key.agent}")
 
         if engine == "local":
-            return evaluate_keys(keys, partial(local_engine, agents=made), folder, arrived)
+            return evaluate_keys(keys, local_engine, folder, arrived)
         from drone_env.cluster.connect import connect
 
         with connect(address):
@@ -215,10 +190,10 @@ def _fly(
 
 
 def json_file(json: str | None) -> Path | None:
-    """The file that `--json` names; None for standard output, or for none.
+    """Return the file of `--json`; None for standard output and without the option.
 
     Raises:
-        InvalidValueError: if it cannot be written there.
+        InvalidValueError: if its folder is missing.
     """
     target = None if json in (None, "-") else Path(json)
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
@@ -227,10 +202,10 @@ def json_file(json: str | None) -> Path | None:
 
 
 def write_report(report: dict[str, Any], json: str | None) -> bool:
-    """Write a report to what `--json` names; whether to print it for people as well.
+    """Write a report as `--json` requests, and return whether to print tables too.
 
     Raises:
-        InvalidValueError, OSError: if it cannot be written there.
+        InvalidValueError, OSError: if it cannot be written.
     """
     target = json_file(json)
     if json == "-":

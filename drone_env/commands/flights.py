@@ -1,4 +1,4 @@
-"""A flight as log lines, and where its files go: what several subcommands share."""
+"""Log lines and files of a flight, for several commands."""
 
 import sys
 from collections.abc import Iterable
@@ -14,11 +14,10 @@ from drone_env.results.log_lines import end_line, start_line, step_line
 
 
 def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], render: bool) -> None:
-    """Fly actions from the start of an episode.
+    """Fly actions from the start of an episode and print its log lines.
 
-    Standard output receives the log lines and nothing else; the maps, where they are asked for, and the comparison with
-    the optimum go to standard error. A flight that has not ended after its last action counts as if it waited to its
-    end.
+    The maps (`render`) and the comparison with the optimum go to standard error. An unfinished flight counts as if it
+    waited to the end.
     """
     if render:
         print(draw_text(episode), file=sys.stderr)
@@ -32,18 +31,18 @@ def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], r
     print(end_line(episode.success, score, episode.rewards))
     optimum = best_of(episode.task, episode.seed)
     known = f"the optimum is {optimum.score:.4f} in {optimum.steps}" if optimum else "the optimum is not known"
-    steps = (
-        f"{episode.steps} steps" if episode.ended else f"{episode.steps} steps, unfinished and counted as waiting on"
+    unfinished = "" if episode.ended else ", unfinished and counted as waiting to the end"
+    print(
+        f"map {episode.seed}: {agent} scored {score:.4f} in {episode.steps} steps{unfinished}; {known}", file=sys.stderr
     )
-    print(f"map {episode.seed}: {agent} scored {score:.4f} in {steps}; {known}", file=sys.stderr)
 
 
 def prepare_file(option: str, path: Path) -> None:
-    """Make the folder of a file that an option names, so that it need not fail after the flight.
+    """Create the folder of a file before the flight.
 
     Raises:
-        InvalidValueError: if it names a folder.
-        OSError: if the folder cannot be made.
+        InvalidValueError: if the path is a folder.
+        OSError: if the folder cannot be created.
     """
     if path.is_dir():
         raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
@@ -51,10 +50,10 @@ def prepare_file(option: str, path: Path) -> None:
 
 
 def prepare_film(path: Path | None) -> None:
-    """See that the film that `--video` names can be made, where it names one.
+    """Check before the flight that the film of `--video` can be created; None for no film.
 
     Raises:
-        InvalidValueError, OSError: if its suffix names no film, and as `prepare_file`.
+        InvalidValueError, OSError: if its suffix is unknown, and as `prepare_file`.
     """
     if path is None:
         return
@@ -65,7 +64,7 @@ def prepare_film(path: Path | None) -> None:
 
 
 def film(episode: Episode, path: Path | None) -> None:
-    """Write a flight as a film, where `--video` names one, and say so on standard error.
+    """Write the film of `--video` and print its path on standard error; None for no film.
 
     Raises:
         OSError: if it cannot be written.

@@ -58,12 +58,8 @@ def fly(
         print(f"picture: {picture}", file=sys.stderr)
     film(episode, video)
     if record is not None:
-        # Imported lazily: loads Pydantic.
-        from drone_env.results.record import RecordWriter, record_of, save_record
+        # Loads Pydantic, which only a record needs.
+        from drone_env.results.record import record_of, save_record
 
-        if record.suffix == ".jsonl":
-            with RecordWriter(record) as writer:
-                writer.write(record_of(episode, agent))
-        else:
-            save_record(record_of(episode, agent), record)
+        save_record(record_of(episode, agent), record)
         print(f"record: {record}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""How several subcommands print: JSON, progress bars, commands to type."""
+"""Print errors, JSON and progress bars."""
 
 import json
 import sys
@@ -13,33 +13,30 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from drone_env.errors import UnknownNameError
 
 WIDTH = 80
-"""Columns of a terminal, if nothing else is known."""
+"""Columns of a terminal of unknown width."""
 
 
 def print_error(error: object) -> None:
-    """An error on standard error, in two lines of 80 columns where its message allows that.
-
-    Of a long list of names that are allowed, as many are printed as fit.
-    """
+    """Print an error on standard error; shorten a long list of allowed names to fit two lines of 80 columns."""
     text = f"drone-env: {error}"
     if isinstance(error, UnknownNameError):
-        text += ", CITY.toml" if error.kind == "task" else ""  # which commands take, and calls do not
+        text += ", CITY.toml" if error.kind == "task" else ""  # only commands accept a file
         start, _, names = text.partition("allowed: ")
-        shown = names.split(", ")
-        while len(wrap(text, WIDTH)) > 2 and len(shown) > 1:
-            shown.pop()
-            text = f"{start}allowed: {', '.join(shown)} and {names.count(', ') + 1 - len(shown)} more"
+        listed = names.split(", ")
+        while len(wrap(text, WIDTH)) > 2 and len(listed) > 1:
+            listed.pop()
+            text = f"{start}allowed: {', '.join(listed)} and {names.count(', ') + 1 - len(listed)} more"
     print(text, file=sys.stderr)
 
 
 def print_json(report: dict[str, Any]) -> None:
-    """A report on standard output; a number that is none in JSON is a fault of ours."""
+    """Print a report as JSON on standard output."""
     print(json.dumps(report, indent=2, allow_nan=False))
 
 
 @contextmanager
 def progress_bar(name: str, total: int) -> Generator[Callable[..., None], None, None]:
-    """A bar on standard error, if that is a terminal; what it yields takes `advance=1` and another `name`."""
+    """Show a bar on standard error if it is a terminal; yields `advance(n=1, name=None)`."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.file.isatty()) as progress:

@@ -1,4 +1,4 @@
-"""`drone-env solve`: the best flight over a map."""
+"""`drone-env solve`: an optimal flight over a map."""
 
 import json as json_format
 
@@ -10,21 +10,21 @@ from drone_env.planning.optimal import solve_episode
 
 
 def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> None:
-    """Show a map, a best flight over it and what that scores: the highest that any flight can.
+    """Show a map, an optimal flight over it and its score.
 
     Example: drone-env solve --task hard --seed 7
 
     Args:
-        task: The task, by its short name, id or grader.
-        seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
-        json: Print JSON instead: positions are [x, y], `path` starts with the drone's start.
+        task: The task, by short name, id or grader.
+        seed: Number of the map, 0 to 2^53 - 1. Default: a random train map.
+        json: Print JSON instead: positions are [x, y]; `path` starts at the start of the drone.
     """
     episode = Episode(task)
     episode.reset(seed)
     try:
         solution = solve_episode(episode)
     except TooLargeError as error:
-        from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
+        from drone_env.planning.bounds import bounds  # imported lazily: compiling takes seconds
 
         between = bounds(episode)
         raise TooLargeError(f"{error}; the optimum lies between {between.lower:.4f} and {between.upper:.4f}") from None

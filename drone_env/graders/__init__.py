@@ -1,4 +1,4 @@
-"""Graders: from the state of an episode to its score. Every task in `TASKS` has one."""
+"""Graders compute the score of an episode from its state. Every task in `TASKS` has one."""
 
 from drone_env.core.tasks import TASKS
 from drone_env.graders.easy import grade_easy
@@ -11,13 +11,13 @@ GRADERS: dict[str, Grader] = {task.id: make_grader(task.id) for task in TASKS.va
     "medium_delivery": grade_medium,
     "hard_delivery": grade_hard,
 }
-"""Every grader, by the id of its task."""
+"""Graders by task id."""
 
 __all__ = ["GRADERS", "Grader", "grade", "grade_easy", "grade_hard", "grade_medium", "make_grader"]
 
 
 def __getattr__(name: str) -> Grader:
-    """The grader that a task names as `drone_env.graders:name`."""
+    """Return the grader that a task refers to as `drone_env.graders:name`."""
     for task in TASKS.values():
         if task.grader == f"{__name__}:{name}":
             return GRADERS[task.id]

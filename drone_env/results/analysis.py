@@ -1,12 +1,11 @@
-"""A flight move by move, as a chess engine would annotate a game: what each move gave away, exactly.
+"""The exact regret of each move of a flight, annotated like a chess game.
 
-    regret(move) = V*(before it) - V*(after it)
+    regret(move) = V*(before) - V*(after)
 
-V* is the highest score that can still be reached (`planning.solver`), and after the end of a flight the score itself.
-V*(after a) and Q*(before, a) are the same float, since values are only compared and never summed. So every regret is
-the difference of two neighbours in `FlightAnalysis.values`, and along the flight the regrets telescope: taken as exact
-numbers they add up to optimum - score, with nothing left over. As floats each is rounded once, so their sum may be off
-in the last digits; `FlightAnalysis.regret` is therefore optimum - score, rounded once.
+V* is the highest score that is still attainable (`planning.solver`); after the end it is the score. V*(after a) and
+Q*(before, a) are the same float, since values are compared and never summed. So every regret is the difference of two
+neighbours in `FlightAnalysis.values`, and the exact regrets add up to optimum - score. Each float regret is rounded
+once, so their sum may differ in the last digits; `FlightAnalysis.regret` is optimum - score, rounded once.
 """
 
 import math
@@ -32,29 +31,29 @@ SEVERITIES: dict[Label, tuple[float, str]] = {
     "mistake": (0.05, "?"),
     "blunder": (0.5, "??"),
 }
-"""The smallest regret of each label, in parcels, and its mark; best is a regret of exactly 0.
+"""The smallest regret of each label, in parcels, and its mark. The label "best" means a regret of exactly 0.
 
-The unit is what one parcel adds to the score, 0.8 / parcels of the map, so that a label means the same on every task.
+One parcel adds 0.8 / (parcels of the map) to the score; this unit gives a label the same meaning on every task.
 
-- 0.5: a parcel that could be delivered no longer can be. That costs about a whole parcel, but the score is clamped at
-  both ends (losing the only parcel may cost 0.793 instead of 0.8), and a task that pays for battery and steps without
-  all parcels gives some of it back. A mere detour costs less: even a charge lost in the skyline tasks is below 0.3.
-- 0.05: a detour that costs much of the 0.2 for battery and steps: 7 steps on hard, 12 on easy; in the skyline tasks a
-  few battery units, which have to be charged again.
-- 0.008: one wrong turn, which costs the step there and the step back: 0.0083 parcels on easy, 0.0156 on hard. A single
-  step lost is below it on easy, medium and hard (0.0042 to 0.0078).
+- 0.5: a parcel can no longer be delivered. That costs about one parcel, but less if the score is clamped (0.793
+  instead of 0.8 for an only parcel) or the task pays for battery and steps without all parcels. A detour costs less:
+  a lost charge in the skyline tasks costs below 0.3.
+- 0.05: a detour that costs much of the 0.2 for battery and steps: 7 steps on hard, 12 on easy. In the skyline tasks, a
+  few battery units that must be charged again.
+- 0.008: one wrong turn, which costs two steps: 0.0083 parcels on easy, 0.0156 on hard. A single lost step is below it
+  on easy, medium and hard (0.0042 to 0.0078).
 """
 MARKS: dict[Label, str] = {"best": "", **{label: mark for label, (_, mark) in SEVERITIES.items()}}
 ONLY_MOVE = "!!"
 
 
 def parcel_value(task: TaskConfig) -> float:
-    """What one parcel adds to the score."""
+    """Return the score of one parcel."""
     return 0.8 / task.deliveries
 
 
 def label_of(regret: float, task: TaskConfig) -> Label:
-    """What a move with this regret is called, see `SEVERITIES`."""
+    """Return the label of a regret, see `SEVERITIES`."""
     if regret == 0:
         return "best"
     parcels = regret / parcel_value(task)
@@ -67,17 +66,15 @@ class Move:
 
     Attributes:
         step: Its number, from 1.
-        action: What was flown.
-        position: (x, y) after it.
-        event: What happened.
-        value: V* before it: the highest score that could still be reached.
-        regret: What it gave away for good, in score: 0 or more.
-        label: The regret in a word.
-        best_actions: All actions that give nothing away, by number; the one that was flown is among them if it is best.
-        margin: What the next best action gives away, in score; 0 where all five are equally good, so that nothing could
-            be lost.
-        mark: As beside a move of chess: `?!`, `?` or `??` by the label, `!!` for the only best action where every other
-            one is a blunder, else empty.
+        action: The action.
+        position: (x, y) after the move.
+        event: The event.
+        value: V* before the move, the highest attainable score.
+        regret: The loss of score, 0 or more.
+        label: The label of the regret.
+        best_actions: All actions without regret, by number.
+        margin: The regret of the second-best action; 0 if all five actions are equally good.
+        mark: `?!`, `?` or `??` by the label; `!!` for the only best action if all others are blunders; else empty.
     """
 
     step: int
@@ -94,13 +91,13 @@ class Move:
 
 @dataclass(frozen=True)
 class GivingUp:
-    """The end of a flight that was not flown to its end: it counts as if it had waited (`Episode.counted_score`).
+    """The last state of an unfinished flight, which counts as if it had waited to the end (`Episode.counted_score`).
 
     Attributes:
-        value: V* where the flight stopped: the highest score that could still be reached.
-        regret: What giving up gave away, in score: `value` minus the score that waiting to the end earns.
-        label: The regret in a word.
-        best_actions: All actions with which the flight could have gone on without a loss, by number.
+        value: V* of the state, the highest attainable score.
+        regret: `value` minus the score after waiting to the end.
+        label: The label of the regret.
+        best_actions: All actions without regret, by number.
     """
 
     value: float
@@ -111,16 +108,16 @@ class GivingUp:
 
 @dataclass(frozen=True)
 class FlightAnalysis:
-    """A flight beside the exact values of all its states.
+    """A flight with the exact value of each state.
 
     Attributes:
         task: The task.
-        seed: The number of the map.
-        agent: Who flew.
-        outcome: How the flight stands after its last move.
-        score: The score that counts: of an unfinished flight what waiting to its end would earn.
+        seed: The map.
+        agent: Name of the pilot.
+        outcome: The outcome after the last move.
+        score: The graded score; for an unfinished flight, the score after waiting to the end.
         moves: One entry per move, in order.
-        giving_up: What not flying on gave away; None for a flight that has ended.
+        giving_up: The last state of an unfinished flight; None if the flight has ended.
     """
 
     task: TaskConfig
@@ -132,63 +129,55 @@ class FlightAnalysis:
     giving_up: GivingUp | None
 
     @property
-    def ended(self) -> bool:
-        """Whether the flight was flown to its end."""
-        return self.giving_up is None
-
-    @property
     def values(self) -> tuple[float, ...]:
-        """V* before each move, V* where an unfinished flight stopped, and the score: none higher than the one before.
+        """V* before each move, V* of the last state of an unfinished flight, and the score; they never rise.
 
-        The differences of neighbours are the regrets of the moves and, in an unfinished flight, of giving up: there is
-        one value more than regrets.
+        The regrets are the differences of neighbours.
         """
         stopped = () if self.giving_up is None else (self.giving_up.value,)
         return (*(move.value for move in self.moves), *stopped, self.score)
 
     @property
     def optimum(self) -> float:
-        """V* at the start: the highest score that any flight from there can reach."""
+        """V* at the start, the highest attainable score."""
         return self.values[0]
 
     @property
     def regret(self) -> float:
-        """Optimum less score: the exact sum of all regrets, rounded once."""
+        """Optimum - score: the exact sum of all regrets, rounded once."""
         return self.optimum - self.score
 
     @property
     def counts(self) -> dict[Label, int]:
-        """Moves by label, all labels."""
+        """Number of moves for each label."""
         return {label: sum(move.label == label for move in self.moves) for label in LABELS}
 
     @property
     def decisive(self) -> int:
-        """Moves where something could be lost, because not all five actions were equally good."""
+        """Number of moves at which the five actions were not equally good."""
         return sum(move.margin > 0 for move in self.moves)
 
     @property
     def decisive_best(self) -> int:
-        """Best moves among the decisive ones."""
+        """Number of best moves among the decisive ones."""
         return sum(move.margin > 0 and move.regret == 0 for move in self.moves)
 
     @property
     def accuracy(self) -> float | None:
-        """Share of best moves among the decisive ones, None if there are none.
+        """Share of best moves among the decisive ones; None if there are none.
 
-        The other moves are left out because they would all count as best: a flight on which nothing can be delivered
-        any more gives nothing away however it goes on.
+        All other moves would count as best, for example after the last parcel is out of reach.
         """
         return self.decisive_best / self.decisive if self.decisive else None
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as JSON values; positions are [x, y], actions and events names."""
-        giving_up = self.giving_up
+        """Return the analysis as JSON values; positions are [x, y]; actions and events are names."""
         return {
             "task": self.task.id,
             "task_version": self.task.version,
             "seed": self.seed,
             "agent": self.agent,
-            "ended": self.ended,
+            "ended": self.giving_up is None,
             "outcome": self.outcome.name.lower(),
             "score": self.score,
             "optimum": self.optimum,
@@ -198,24 +187,25 @@ class FlightAnalysis:
             "counts": self.counts,
             "values": list(self.values),
             "moves": [_plain(vars(move)) for move in self.moves],
-            "giving_up": giving_up and _plain(vars(giving_up)),
+            "giving_up": self.giving_up and _plain(vars(self.giving_up)),
         }
 
     def to_text(self) -> str:
-        """All of it for a terminal or a file: a title, one line per move, the summary."""
-        losses = self.moves if self.giving_up is None else (*self.moves, self.giving_up)
-        title = f"{self.task.id}, map {self.seed}, flown by {self.agent}"
-        return "\n".join([title, "", HEADING, *map(_line, losses), "", *self.summary_lines()])
-
-    def summary_lines(self) -> list[str]:
-        """The moves by label and what they lost together, the score beside the optimum, the accuracy."""
-        rows: list[tuple[str, str, float, str]] = []
-        for label, count in self.counts.items():
-            lost = math.fsum(move.regret for move in self.moves if move.label == label)
-            rows.append((label, str(count), lost, MARKS[label] if count else ""))
+        """Return the analysis for a terminal: a title, one line per move, the moves by label, score and accuracy."""
+        rows = [
+            (
+                label,
+                str(count),
+                math.fsum(move.regret for move in self.moves if move.label == label),
+                bool(count) * mark,
+            )
+            for (label, count), mark in zip(self.counts.items(), MARKS.values(), strict=True)
+        ]
+        lines = [f"{self.task.id}, map {self.seed}, flown by {self.agent}", "", HEADING, *map(_line, self.moves)]
         if self.giving_up is not None:
             rows.append(("giving up", "", self.giving_up.regret, MARKS[self.giving_up.label]))
-        lines = [f"{'':<10} {'moves':>6}  {'lost':>7}"]
+            lines.append(_line(self.giving_up))
+        lines += ["", f"{'':<10} {'moves':>6}  {'lost':>7}"]
         lines += [f"{name:<10} {count:>6}  {lost:7.5f}  {mark}".rstrip() for name, count, lost, mark in rows]
         lines += ["", f"Score {self.score:.4f}, optimum {self.optimum:.4f}, regret {self.regret:.5f}"]
         if self.giving_up is not None:
@@ -225,19 +215,18 @@ class FlightAnalysis:
         else:
             best = f"{self.decisive_best} best moves of {self.decisive}"
             lines.append(f"Accuracy {self.accuracy:.1%}: {best} on which anything could be lost")
-        return lines
+        return "\n".join(lines)
 
 
 HEADING = f"{'step':>4}  {'move':<8} {'to':>8}  {'event':<12}  {'value':>6}  {'regret':>7}  better"
-"""The heading of the moves; `value` is `Move.value`."""
 
 
 def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solver] | None" = None) -> FlightAnalysis:
-    """The regret of every move of a recorded flight, which is flown again and checked first.
+    """Verify a recorded flight and return the regret of every move.
 
     Args:
         record: The flight.
-        solver_from: As of `analyse_actions`.
+        solver_from: As in `analyse_actions`.
 
     Raises:
         UnknownNameError: if there is no such task, version or reward profile.
@@ -252,13 +241,13 @@ def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solv
 def analyse_actions(
     start: Episode, actions: Iterable[int], agent: str, solver_from: "Callable[[Episode], Solver] | None" = None
 ) -> FlightAnalysis:
-    """The regret of every one of `actions`, flown from where an episode stands; the episode is left as it is.
+    """Return the regret of every action, flown from the state of an episode, which is not changed.
 
     Args:
-        start: In flight.
-        actions: Of which none comes after the end.
-        agent: Who flew.
-        solver_from: Gives the solver of an episode, which may have been made before; None to make one.
+        start: An episode that has not ended.
+        actions: The actions.
+        agent: Name of the pilot.
+        solver_from: Returns the solver of an episode; None to create one.
 
     Raises:
         EpisodeError: if the episode has not begun, or there are actions after its end.
@@ -286,7 +275,7 @@ def analyse_actions(
 
 
 def _move(flight: Episode, values: list[float]) -> Move:
-    """The last step of `flight`, before which Q* was `values`."""
+    """Return the last step of `flight`; `values` is Q* before it."""
     step = flight.last_step
     assert step is not None
     best = max(values)
@@ -310,7 +299,7 @@ def _move(flight: Episode, values: list[float]) -> Move:
 
 
 def _line(lost: Move | GivingUp) -> str:
-    """One line below `HEADING`."""
+    """Return one line below `HEADING`."""
     if isinstance(lost, Move):
         move, mark, event = lost.action.name, lost.mark, lost.event.name.lower()
         number, to = str(lost.step), str(lost.position)
@@ -326,7 +315,7 @@ def _line(lost: Move | GivingUp) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """As a JSON value: actions and events by their names."""
+    """Return a JSON value; actions and events become names."""
     if isinstance(value, dict):
         return {name: _plain(item) for name, item in cast(dict[str, Any], value).items()}
     if isinstance(value, tuple):

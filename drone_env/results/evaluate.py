@@ -1,8 +1,8 @@
-"""Evaluation: `run_episodes(key)` is the one unit of work, `summarise` the figures of a report."""
+"""Evaluation: `run_episodes(key)` is the unit of work; `summarise` returns the statistics of a report."""
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,6 @@ import numpy.typing as npt
 from drone_env.agents import Agent, BatchAgent, make_agent
 from drone_env.agents.base import begin, named_failures
 from drone_env.agents.named import as_agent
-from drone_env.core.actions import integer
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from drone_env.results.folder import ResultsFolder
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[Results]]
-"""Returns the results of all keys, in any order; some may come twice."""
+"""Returns the results of all keys in any order; it may repeat some."""
 
 
 def episodes_key(
@@ -37,20 +36,20 @@ def episodes_key(
     repeat: int = 0,
     made: Agent | None = None,
 ) -> EpisodesKey:
-    """The key of flying consecutive seeds of a task with an agent.
+    """Return the key of an agent on consecutive seeds of a task.
 
     Args:
         task: A task or its name.
         agent: The name of the agent.
         seeds: The maps.
-        split: The split that they were chosen from.
-        repeat: Which flight over these maps it is, of a stochastic agent.
-        made: The agent, if it exists already; else it is made by its name.
+        split: The split of the seeds, or `custom`.
+        repeat: The number of the repeat, for a stochastic agent.
+        made: The agent, if it exists already; None to make it by its name.
 
     Raises:
         UnknownNameError: if there is no such task, agent or split.
-        InvalidValueError: if the seeds are not consecutive integers in [0, 2^53), there are none, they are not of the
-            split, the task is not the registered one of its name, or the agent does not say what decides how it flies.
+        InvalidValueError: if the seeds are not one or more consecutive integers in [0, 2^53) and in the split, the task
+            differs from the registered one of its name, or the agent has no `config`.
     """
     task = get_task(task)
     made = made or make_agent(agent, task)
@@ -69,7 +68,7 @@ def episodes_key(
 
 
 def repeats_of(key: EpisodesKey, repeats: int, agent: Agent | None = None) -> tuple[EpisodesKey, ...]:
-    """The keys of several flights over the maps of a key; if the agent is not stochastic, that key alone.
+    """Return one key per repeat; only the given key if the agent is not stochastic.
 
     Raises:
         InvalidValueError: if `repeats` is below 1.
@@ -81,46 +80,43 @@ def repeats_of(key: EpisodesKey, repeats: int, agent: Agent | None = None) -> tu
 
 
 def config_hash(task: TaskConfig, name: str, agent: Agent) -> str:
-    """16 hex digits that change with any number of the task and with anything that decides how the agent flies.
+    """Return 16 hex digits that change with any number of the task and with the configuration of the agent.
 
     Raises:
-        InvalidValueError: if the agent does not say what decides how it flies.
+        InvalidValueError: if `agent.config` is not a mapping of JSON values.
     """
-    flies: Any = getattr(agent, "config", None)
+    config: Any = getattr(agent, "config", None)
     try:
-        text = json.dumps({"task": task.rules(), "agent": dict(flies)}, sort_keys=True)
+        text = json.dumps({"task": task.rules(), "agent": dict(config)}, sort_keys=True)
     except (TypeError, ValueError):
-        message = "a mapping of JSON values, of all that decides how it flies"
-        raise InvalidValueError(f"agent {name!r} must have `config`, {message}; got {flies!r}") from None
+        message = "a mapping of JSON values that determines its actions"
+        raise InvalidValueError(f"agent {name!r} must have `config`, {message}; got {config!r}") from None
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def run_episodes(key: EpisodesKey, agent: Agent | None = None) -> Results:
-    """Fly every episode of a key, each beside the exact optimum of its map.
+    """Fly every episode of a key and solve its map.
 
     Args:
-        key: What to fly.
-        agent: The agent of the key, if it exists already; else it is made by its name.
+        key: The task, maps and agent.
+        agent: The agent of the key, if it exists already; None to make it by its name.
 
     Raises:
-        UnknownNameError: if the key names a task, version or agent that does not exist.
-        InvalidValueError: if the key was made under another configuration than the one that would fly now, or has no
-            seeds.
+        UnknownNameError: if the key contains an unknown task, version or agent.
+        InvalidValueError: if the key was made under another configuration.
         AgentError, InvalidValueError: if the agent fails, as `evaluate`.
     """
     task = get_task(key.task, key.version)
-    if key.seeds[0] >= key.seeds[1]:
-        raise InvalidValueError(f"the key holds no seeds: {key.seeds}")
     agent = agent or make_agent(key.agent, task)
-    now = config_hash(task, key.agent, agent)
-    if now != key.config_hash:
+    digest = config_hash(task, key.agent, agent)
+    if digest != key.config_hash:
         raise InvalidValueError(
-            f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {now}"
+            f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {digest}"
         )
-    return _fly_beside_the_optimum(task, key, agent)
+    return _fly_and_solve(task, key, agent)
 
 
-def _fly_beside_the_optimum(task: TaskConfig, key: EpisodesKey, agent: Agent) -> Results:
+def _fly_and_solve(task: TaskConfig, key: EpisodesKey, agent: Agent) -> Results:
     seeds = np.arange(*key.seeds, dtype=np.int64)
     optimal = deepcopy(_fly_optimally(task, *key.seeds))  # the caller may change the arrays of the results
     if key.agent == "optimal" and optimal is not None:
@@ -149,32 +145,27 @@ def evaluate(
     repeat: int = 0,
     wrapper: Any = None,
 ) -> Results:
-    """Fly maps with anything that can fly, each beside the exact optimum; `summarise` makes figures of it.
+    """Fly maps with any policy and solve each map; pass the results to `summarise`.
 
-    An agent with `act_batch`, and a model, fly all maps together; anything else is asked drone by drone.
+    An agent with `act_batch` and a model fly all maps in one batch; other policies fly one map at a time.
 
     Args:
         policy: The name of an agent as `make_agent` takes it, an agent (`reset`, `act`), a class of one, a function
             from an observation to an action, or a model of Stable-Baselines3.
         task: A task or its name.
-        split: Whose first maps to fly.
-        episodes: How many.
-        seeds: The maps to fly instead.
-        repeat: Which flight over these maps it is, of an agent that draws lots: another number, other lots.
-        wrapper: The wrapper of observations that a model was trained behind, or its name.
+        split: The split.
+        episodes: Fly this many of its first maps.
+        seeds: Fly these maps instead of a split's.
+        repeat: The number of the repeat; it seeds a stochastic agent.
+        wrapper: The observation wrapper that a model was trained with, or its name.
 
     Raises:
         UnknownNameError: if there is no such task, split, version or agent.
-        InvalidValueError: if the maps or the policy are not as said above, or the policy names an action that there is
-            not.
-        AgentError: if the code of the policy fails; the message says on which map, at which step.
+        InvalidValueError: if the maps or the policy are invalid, or the policy returns an invalid action.
+        AgentError: if the code of the policy fails; the message contains the map and the step.
         UnsupportedTaskError, CheckpointError, OSError: from the agent.
     """
     task = get_task(task)
-    for count, least, said in ((episodes, 1, "episodes"), (repeat, 0, "repeat")):
-        number = integer(count)
-        if number is None or number < least:
-            raise InvalidValueError(f"{said} must be an integer of at least {least}, got {count!r}")
     maps, name = split_seeds(split, episodes) if seeds is None else seeds, f"{policy}"
     if isinstance(policy, str):
         agent = make_agent(policy, task)
@@ -182,7 +173,7 @@ def evaluate(
         agent = as_agent(policy, task, wrapper)
         name = f"{agent.config.get('agent', type(agent).__name__)}"
     key = episodes_key(task, name, maps, split if seeds is None else "custom", repeat=repeat, made=agent)
-    return _fly_beside_the_optimum(task, key, agent)
+    return _fly_and_solve(task, key, agent)
 
 
 FIGURES = {
@@ -195,13 +186,13 @@ FIGURES = {
     "mean_regret": "regret",
     "mean_excess_steps": "excess_steps",
 }
-"""The names of the figures of a report, and those of `Summary`."""
+"""The keys of a report, and the fields of `Summary` that they contain."""
 
 
 def summarise(results: Results, *again: Results) -> dict[str, Any]:
-    """The figures of a report, as JSON values; what could not be measured is null.
+    """Return the statistics of a report as JSON values; null if unknown.
 
-    Of several flights over each map, `again`, the mean counts, so that intervals are over maps. `score_ci95` (see
+    With repeats (`again`), the flights over each map are averaged first, so intervals are over maps. `score_ci95` (see
     `results.statistics`) is null for a single map. `score_ratio` is mean score / mean optimal score on the same maps.
     `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that delivered everything; null if
     there is none.
@@ -214,11 +205,9 @@ def summarise(results: Results, *again: Results) -> dict[str, Any]:
     return figures if summary.regret_maps == summary.maps else figures | {"mean_regret": None}
 
 
-def local_engine(
-    keys: Sequence[EpisodesKey], agents: Mapping[tuple[str, str], Agent] | None = None
-) -> Iterator[Results]:
-    """Fly one key after another in this process, with the agents that exist already, by task and name."""
-    return (run_episodes(key, (agents or {}).get((key.task, key.agent))) for key in keys)
+def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
+    """Fly one key after another in this process."""
+    return map(run_episodes, keys)
 
 
 def evaluate_keys(
@@ -227,21 +216,21 @@ def evaluate_keys(
     folder: "ResultsFolder | None" = None,
     arrived: Callable[[Results], None] | None = None,
 ) -> dict[EpisodesKey, Results]:
-    """The results of each key: those in the folder, and the rest from the engine.
+    """Return the results of each key from the folder, and from the engine if they are missing there.
 
-    They are put together in the order of the seeds, so that they are the same in any order of arrival.
+    The rows are in the order of the seeds, whatever the order of arrival.
 
     Args:
-        keys: What to fly.
-        engine: What flies it.
-        folder: Stores each piece before it counts.
-        arrived: Called once with each piece.
+        keys: The keys.
+        engine: Flies the missing chunks.
+        folder: Stores each chunk as it arrives.
+        arrived: Called once with each chunk.
 
     Raises:
         OSError, InvalidValueError: from the folder.
         ClusterError: from an engine on a cluster.
     """
-    pieces = {key: key.pieces() for key in keys}
+    chunks = {key: key.chunks() for key in keys}
     flown: dict[EpisodesKey, Results] = {}
 
     def count(results: Results) -> None:
@@ -250,10 +239,10 @@ def evaluate_keys(
             arrived(results)
 
     missing: list[EpisodesKey] = []
-    for piece in (piece for of_key in pieces.values() for piece in of_key):
-        stored = None if folder is None else folder.load(piece)
+    for chunk in (chunk for of_key in chunks.values() for chunk in of_key):
+        stored = None if folder is None else folder.load(chunk)
         if stored is None:
-            missing.append(piece)
+            missing.append(chunk)
         else:
             count(stored)
     for results in engine(missing) if missing else ():
@@ -261,7 +250,7 @@ def evaluate_keys(
             if folder is not None:
                 folder.save(results)
             count(results)
-    return {key: concatenate([flown[piece] for piece in of_key]) for key, of_key in pieces.items()}
+    return {key: concatenate([flown[chunk] for chunk in of_key], key) for key, of_key in chunks.items()}
 
 
 Flown = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]]
@@ -270,7 +259,7 @@ Flown = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int
 
 @lru_cache(maxsize=256)
 def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
-    """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
+    """Return the optimal flight over each map, None if a map is too large; cached for the comparison of all agents."""
     try:
         return _fly(task, "optimal", make_agent("optimal", task), np.arange(start, stop, dtype=np.int64))
     except TooLargeError:
@@ -280,15 +269,15 @@ def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
 def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> Flown:
     from drone_env.agents.together import fly_together  # compiles
 
-    agent_seeds, asked = _agent_seeds(seeds, repeat), 0
+    agent_seeds, step = _agent_seeds(seeds, repeat), 0
     if isinstance(agent, BatchAgent):
 
         def act_batch(grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-            nonlocal asked
-            asked += 1
+            nonlocal step
+            step += 1
             return agent.act_batch(grids, telemetry)
 
-        with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {asked}"):
+        with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {step}"):
             agent.reset_batch(agent_seeds)
             return fly_together(task, seeds, act_batch, getattr(agent, "stateless", False))
     flown: list[tuple[float, int, int]] = []
@@ -301,9 +290,9 @@ def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64]
 
 
 def _agent_seeds(seeds: npt.NDArray[np.int64], repeat: int) -> npt.NDArray[np.int64]:
-    """The seeds of an agent's random choices, int64[n] in [0, 2^53): at first the map seeds, then others."""
+    """Return the seeds of an agent's random numbers, int64[n] in [0, 2^53): the map seeds at repeat 0."""
     if repeat == 0:
         return seeds
-    as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
+    as_integers: Any = seeds  # arrays of 64-bit integers wrap like compiled code
     keys: Any = map_key(task_key("evaluation/repeat", repeat), as_integers)
     return keys & (N_SEEDS - 1)

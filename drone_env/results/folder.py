@@ -1,4 +1,4 @@
-"""The folder of an evaluation: its configuration, and one file per piece of its results."""
+"""The folder of an evaluation: its configuration, and one file per chunk of its results."""
 
 import os
 import zlib
@@ -21,35 +21,35 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError, shown
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
 from drone_env.models import Message
-from drone_env.results.result import COLUMNS, PIECE, EpisodesKey, Results, concatenate
+from drone_env.results.result import CHUNK, COLUMNS, EpisodesKey, Results, concatenate
 
-CONFIG, PIECES = "evaluation.json", "pieces"
+CONFIG, CHUNKS = "evaluation.json", "pieces"
 MOST_BYTES = 1 << 20
-"""Bytes of a configuration, and of a piece: 1,000 episodes take 38,000."""
-MOST_PIECES = 1_000_000
+"""Maximum bytes of a configuration and of a chunk; 1,000 episodes take 38,000."""
+MOST_CHUNKS = 1_000_000
 Name = Annotated[str, Field(max_length=1000)]
 
 
 class EvaluationConfig(Message):
-    """What decides the results of an evaluation. A network's file is named by its digest, not by its path."""
+    """Everything that determines the results of an evaluation. `agents` contains digests of networks, not paths."""
 
     format: Literal["drone_env/evaluation"] = "drone_env/evaluation"
     format_version: Literal[1] = 1
     package: Name
-    piece: int = Field(ge=1, le=MOST_PIECES)
+    piece: int = Field(ge=1, le=MOST_CHUNKS)
     split: Name
     seeds: list[Annotated[int, Field(ge=0, le=N_SEEDS)]] = Field(min_length=2, max_length=2)
-    repeats: dict[Name, Annotated[int, Field(ge=2, le=MOST_PIECES)]] = Field(default_factory=dict)
+    repeats: dict[Name, Annotated[int, Field(ge=2, le=MOST_CHUNKS)]] = Field(default_factory=dict)
     tasks: list[Annotated[Name, Field(pattern="^.+ v[0-9]{1,9}$")]]
     agents: dict[Name, Annotated[str, Field(pattern="^[0-9a-f]{16}$")]]
 
     @classmethod
     def of(cls, keys: Sequence[EpisodesKey]) -> Self:
-        """The configuration of an evaluation of all keys."""
+        """Return the configuration of an evaluation of all keys."""
         first, labels = keys[0], {key: f"{(network_file(key.agent) or [key.agent])[0]} on {key.task}" for key in keys}
         return cls(
             package=__version__,
-            piece=PIECE,
+            piece=CHUNK,
             split=first.split,
             seeds=list(first.seeds),
             repeats={label: key.repeat + 1 for key, label in labels.items() if key.repeat},
@@ -59,7 +59,7 @@ class EvaluationConfig(Message):
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """The configuration in a folder.
+        """Read the configuration in a folder.
 
         Raises:
             OSError: if it cannot be read.
@@ -69,39 +69,46 @@ class EvaluationConfig(Message):
         return cls.read(read_file(path, MOST_BYTES), f"{path} is not the configuration of an evaluation")
 
     @model_validator(mode="after")
-    def _flyable(self) -> Self:
+    def _check(self) -> Self:
         start, stop = self.seeds
-        if not 0 < stop - start <= MOST_PIECES * self.piece:
-            raise ValueError(f"seeds {start}:{stop} are not 1 to {MOST_PIECES:,} pieces of {self.piece} maps")
-        versions = self.versions()
-        for label in self.agents:
-            if label.rpartition(" on ")[2] not in versions:
-                raise ValueError(f"agents: {shown(label)} does not end in ' on TASK', with a task of `tasks`")
+        if not 0 < stop - start <= MOST_CHUNKS * self.piece:
+            raise ValueError(f"seeds {start}:{stop} are not 1 to {MOST_CHUNKS:,} chunks of {self.piece} maps")
+        self.episodes_keys()
         return self
 
-    def versions(self) -> dict[str, int]:
-        """The version of each task by its id."""
-        named = [task.rpartition(" v") for task in self.tasks]
-        return {task: int(version) for task, _, version in named}
+    def episodes_keys(self) -> list[EpisodesKey]:
+        """Return the key of each agent on each of its tasks, at its first repeat.
+
+        Raises:
+            ValueError: if a label in `agents` does not end in " on TASK" with a task of `tasks`.
+        """
+        versions = {task: int(version) for task, _, version in (name.rpartition(" v") for name in self.tasks)}
+        keys: list[EpisodesKey] = []
+        for label, digest in self.agents.items():
+            agent, _, task = label.rpartition(" on ")
+            if task not in versions:
+                raise ValueError(f"agents: {shown(label)} does not end in ' on TASK', with a task of `tasks`")
+            keys.append(EpisodesKey(task, versions[task], self.split, (self.seeds[0], self.seeds[1]), agent, digest))
+        return keys
 
 
 class ResultsFolder:
-    """The results of an evaluation, piece by piece; a stopped evaluation continues from there.
+    """The results of an evaluation in chunks, from which a stopped evaluation resumes.
 
-    A piece is one file, whole or not at all, named by its key.
+    A chunk is one file, named by its key and written atomically.
 
     Args:
         path: The folder; it is created if it is missing.
-        keys: What is evaluated.
+        keys: The keys of the evaluation.
 
     Raises:
-        OSError: if it cannot be made or read.
-        InvalidValueError: if it holds another evaluation, one of another version of this package, or anything else;
-            the message says what differs.
+        OSError: if it cannot be created or read.
+        InvalidValueError: if it contains another evaluation, one of another version of this package, or other files;
+            the message names the differences.
     """
 
     def __init__(self, path: Path, keys: Sequence[EpisodesKey]) -> None:
-        self._pieces, config = path / PIECES, EvaluationConfig.of(keys)
+        self._chunks, config = path / CHUNKS, EvaluationConfig.of(keys)
         if is_begun(path, CONFIG, "an evaluation"):
             changed = differences(EvaluationConfig.load(path).model_dump(), config.model_dump())
             if changed:
@@ -109,112 +116,108 @@ class ResultsFolder:
         else:
             path.mkdir(parents=True, exist_ok=True)
             write_json(path / CONFIG, config.model_dump())
-        self._pieces.mkdir(exist_ok=True)
+        self._chunks.mkdir(exist_ok=True)
 
     def load(self, key: EpisodesKey) -> Results | None:
-        """The results of a piece; None if it has not been flown yet.
+        """Return the results of a chunk; None if it is missing.
 
         Raises:
             OSError: if the file cannot be read.
             InvalidValueError: if it is damaged.
         """
-        return _load(_file(self._pieces, key), key)
+        return _load(_file(self._chunks, key), key)
 
     def save(self, results: Results) -> None:
-        """Store the results of a piece.
+        """Write the results of a chunk.
 
         Raises:
             OSError: if they cannot be written.
         """
-        with replacing(_file(self._pieces, results.key)) as temporary, temporary.open("wb") as file:
+        with replacing(_file(self._chunks, results.key)) as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, **{name: getattr(results, name) for name in COLUMNS})
             file.flush()
             os.fsync(file.fileno())
 
 
-class NotWholeError(InvalidValueError):
-    """An evaluation that has not been flown to its end."""
+class IncompleteError(InvalidValueError):
+    """An evaluation is incomplete."""
 
 
 def stored_results(
     path: Path, task: str | None = None, most: int | None = None
 ) -> list[tuple[str, tuple[Results, ...]]]:
-    """The results in the folder of a complete evaluation: for each agent and task its name and its repeats.
+    """Return the results in the folder of a complete evaluation: agent and repeats, for each agent and task.
 
     Args:
         path: The folder.
-        task: Leave out other tasks than this one.
-        most: Read at most so many maps.
+        task: Read only this task; None for all.
+        most: Maximum number of maps.
 
     Raises:
         OSError: if it cannot be read.
-        NotWholeError: if pieces are missing.
+        IncompleteError: if chunks are missing.
         TooLargeError: if there are more maps.
-        InvalidValueError: if there is no evaluation, or it is damaged.
-        UnknownNameError: if it is of a task that does not exist, or no longer.
+        InvalidValueError: if it is not an evaluation, or is damaged.
+        UnknownNameError: if a task is not registered.
     """
     config = EvaluationConfig.load(path)
-    versions, (start, stop) = config.versions(), config.seeds
-    flown: list[tuple[str, tuple[Results, ...]]] = []
-    for label, digest in config.agents.items():
-        agent, _, of_task = label.rpartition(" on ")
-        if task not in (None, of_task):
+    n = config.seeds[1] - config.seeds[0]
+    results: list[tuple[str, tuple[Results, ...]]] = []
+    for key in config.episodes_keys():
+        if task not in (None, key.task):
             continue
-        if most is not None and stop - start > most:
-            raise TooLargeError(f"{stop - start} maps are more than the {most} that are looked at here")
-        get_task(of_task, versions[of_task])
-        key = EpisodesKey(of_task, versions[of_task], config.split, (start, stop), agent, digest)
-        repeats = [key._replace(repeat=repeat) for repeat in range(config.repeats.get(label, 1))]
-        flown.append((agent, tuple(_whole(path / PIECES, of, config.piece) for of in repeats)))
-    return flown
+        if most is not None and n > most:
+            raise TooLargeError(f"{n} maps are more than the {most} that are looked at here")
+        get_task(key.task, key.version)
+        repeats = range(config.repeats.get(f"{key.agent} on {key.task}", 1))
+        chunks = [key._replace(repeat=repeat) for repeat in repeats]
+        results.append((key.agent, tuple(_whole(path / CHUNKS, chunk, config.piece) for chunk in chunks)))
+    return results
 
 
-def _whole(pieces: Path, key: EpisodesKey, size: int) -> Results:
-    parts = [_load(_file(pieces, part), part) for part in key.pieces(size)]
-    missing = sum(part is None for part in parts)
-    if missing:
-        raise NotWholeError(f"{missing} of {len(parts)} pieces of {key.agent} on {key.task} are not flown yet")
-    return concatenate([part for part in parts if part is not None])
+def _whole(folder: Path, key: EpisodesKey, size: int) -> Results:
+    chunks = [_load(_file(folder, chunk), chunk) for chunk in key.chunks(size)]
+    found = [chunk for chunk in chunks if chunk is not None]
+    if len(found) < len(chunks):
+        missing = len(chunks) - len(found)
+        raise IncompleteError(f"{missing} of {len(chunks)} pieces of {key.agent} on {key.task} are not flown yet")
+    return concatenate(found, key)
 
 
-def _file(pieces: Path, key: EpisodesKey) -> Path:
+def _file(folder: Path, key: EpisodesKey) -> Path:
     again = f"-again{key.repeat}" if key.repeat else ""
-    return pieces / f"{key.task}-v{key.version}-{key.config_hash}-{key.seeds[0]}-{key.seeds[1]}{again}.npz"
-
-
-def _columns(content: bytes) -> dict[str, Any]:
-    with NpzFile(BytesIO(content), allow_pickle=False) as archive:
-        zipped: Any = archive.zip
-        # Checked first: an entry that is packed may be many times as large as the file.
-        if sum(entry.file_size for entry in zipped.infolist()) > MOST_BYTES:
-            raise ValueError(f"unpacked it would have more than {MOST_BYTES} bytes")
-        if zipped.testzip():
-            raise ValueError("a checksum is wrong")
-        if archive.files != list(COLUMNS):
-            raise ValueError(f"it holds {shown(archive.files)} instead of {', '.join(COLUMNS)}")
-        return {name: archive[name] for name in COLUMNS}
+    return folder / f"{key.task}-v{key.version}-{key.config_hash}-{key.seeds[0]}-{key.seeds[1]}{again}.npz"
 
 
 def _load(path: Path, key: EpisodesKey) -> Results | None:
     if not path.exists():
         return None
     try:
-        columns = _columns(read_file(path, MOST_BYTES))
-        for name, kind in COLUMNS.items():
-            column = columns[name]
-            if column.dtype != kind or column.shape != (key.seeds[1] - key.seeds[0],):
-                raise ValueError(f"{name} is {shown(column.dtype)}{list(column.shape)}")
-        results = Results(key=key, **columns)
-        if not np.array_equal(results.seeds, np.arange(*key.seeds)):
-            raise ValueError("it holds other episodes")
-        task = get_task(key.task, key.version)
-        # NaN compares as False.
-        scores = ((results.scores >= LOWEST) & (results.scores <= HIGHEST)).all()
-        steps = ((results.steps >= 0) & (results.steps <= task.max_steps)).all()
-        done = ((results.deliveries >= 0) & (results.deliveries <= task.deliveries)).all()
-        if not (scores and steps and done and (results.success == (results.deliveries == task.deliveries)).all()):
-            raise ValueError("scores, steps, deliveries or success are out of range")
+        with NpzFile(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as archive:
+            zipped: Any = archive.zip
+            if archive.files != list(COLUMNS):
+                raise ValueError(f"its columns are not {', '.join(COLUMNS)}")
+            # Guards against decompression bombs.
+            if sum(entry.file_size for entry in zipped.infolist()) > MOST_BYTES or zipped.testzip():
+                raise ValueError("its checksums or sizes are wrong")
+            columns: dict[str, Any] = {name: archive[name] for name in COLUMNS}
+        task, shape = get_task(key.task, key.version), (key.seeds[1] - key.seeds[0],)
+        if any(columns[name].dtype != kind or columns[name].shape != shape for name, kind in COLUMNS.items()):
+            raise ValueError(f"its columns have other types or lengths than those of {shape[0]} maps")
+        results = Results(key, **columns)
+        valid = (
+            (results.seeds == np.arange(*key.seeds))
+            & (results.scores >= LOWEST)
+            & (results.scores <= HIGHEST)
+            & (results.steps >= 0)
+            & (results.steps <= task.max_steps)
+            & (results.deliveries >= 0)
+            & (results.deliveries <= task.deliveries)
+            & (results.success == (results.deliveries == task.deliveries))
+        )
+        if not valid.all():
+            raise ValueError("seeds, scores, steps, deliveries or success are out of range")
     except (ValueError, KeyError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
-        why = str(error).removeprefix(f"{path} ")
-        raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {why}") from None
+        reason = str(error).removeprefix(f"{path} ")
+        raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {reason}") from None
     return results

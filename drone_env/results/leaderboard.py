@@ -1,4 +1,4 @@
-"""Leaderboards: complete results of agents and of language models over the same maps of a task."""
+"""Leaderboards of agents and language models over the same maps of a task."""
 
 from collections import defaultdict
 from collections.abc import Iterable
@@ -20,7 +20,7 @@ class NotRanked(NamedTuple):
     path: Path
     reason: str
     damaged: bool
-    """Whether its content contradicts itself; else it is incomplete, invalid, or of an unknown task."""
+    """Whether it is damaged or forged; otherwise it is incomplete, too large, or of an unknown task."""
 
 
 class LeaderboardEntry(NamedTuple):
@@ -28,8 +28,8 @@ class LeaderboardEntry(NamedTuple):
 
     path: Path
     report: dict[str, Any]
-    """The figures, as JSON values; with `config` (`task`, `task_version`, `seeds`, `split`), `maps`, `score` and
-    `normalised` among them."""
+    """JSON values; they include `config` (`task`, `task_version`, `seeds`, `split`), `maps`, `score` and
+    `normalised`."""
 
     @property
     def agent(self) -> str:
@@ -38,12 +38,12 @@ class LeaderboardEntry(NamedTuple):
 
     @property
     def results(self) -> Results:
-        """Its results, one row per map."""
+        """One row per map."""
         return Results.of_report(self.agent, self.report)
 
 
-class Board(NamedTuple):
-    """Entries over the same maps of the same task, best first: by (score - random) / (optimal - random), then score."""
+class Leaderboard(NamedTuple):
+    """Entries over the same maps of a task, best first: by (score - random) / (optimal - random), then score."""
 
     task: str
     maps: str
@@ -53,28 +53,28 @@ class Board(NamedTuple):
 def evaluation_entries(
     path: Path, task: str | None = None, most: int | None = None
 ) -> list[LeaderboardEntry | NotRanked]:
-    """The entries of an evaluation's folder, or why it is not ranked.
+    """Return the entries of an evaluation's folder, or why it is not ranked.
 
     Evaluations store no actions, so scores are only checked against the optima of their maps.
 
     Args:
         path: The folder.
-        task: Leave out other tasks than this one.
-        most: Refuse evaluations of more maps.
+        task: Read only this task; None for all.
+        most: Maximum number of maps.
     """
-    from drone_env.results.folder import NotWholeError, stored_results  # loads Pydantic
+    from drone_env.results.folder import IncompleteError, stored_results  # loads Pydantic
 
     try:
         return [LeaderboardEntry(path, _report(agent, repeats)) for agent, repeats in stored_results(path, task, most)]
     except (DroneEnvError, OSError) as error:
-        incomplete = isinstance(error, (NotWholeError, TooLargeError, UnknownNameError))
+        incomplete = isinstance(error, (IncompleteError, TooLargeError, UnknownNameError))
         return [NotRanked(path, str(error), damaged=not incomplete)]
 
 
 def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
     key = repeats[0].key
     random = run_episodes(episodes_key(key.task, "random", range(*key.seeds), key.split))
-    best = random.optimal_scores  # NaN where they are not known
+    best = random.optimal_scores  # NaN if unknown
     for results in repeats:
         known = np.array_equal(results.optimal_scores, best, equal_nan=True)
         if not known or (results.scores > best).any():
@@ -112,17 +112,17 @@ def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
     }
 
 
-def boards_of(entries: Iterable[LeaderboardEntry]) -> list[Board]:
-    """All entries, on the board of their maps."""
+def boards_of(entries: Iterable[LeaderboardEntry]) -> list[Leaderboard]:
+    """Return one leaderboard for each set of maps."""
     boards: dict[tuple[str, str], list[LeaderboardEntry]] = defaultdict(list)
     for entry in entries:
         config = entry.report["config"]
         task = f"{config['task']} version {config['task_version']}"
         maps = f"maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']})"
         boards[task, maps].append(entry)
-    return [Board(*key, sorted(rows, key=_merit, reverse=True)) for key, rows in sorted(boards.items())]
+    return [Leaderboard(*key, sorted(rows, key=_rank, reverse=True)) for key, rows in sorted(boards.items())]
 
 
-def _merit(entry: LeaderboardEntry) -> tuple[float, float]:
+def _rank(entry: LeaderboardEntry) -> tuple[float, float]:
     normalised = entry.report["normalised"]
     return float("-inf") if normalised is None else normalised, entry.report["score"]

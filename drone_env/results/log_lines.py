@@ -18,17 +18,17 @@ ENV_NAME = "drone_env_v1"
 
 
 def start_line(task: TaskConfig, model: str) -> str:
-    """The line before the first step; `model` is the pilot's name."""
+    """Return the line before the first step; `model` is the name of the pilot."""
     return f"[START] task={task.grader} env={ENV_NAME} model={model}"
 
 
 def step_line(step: int, action: Action, reward: float, done: bool, error: str | None = None) -> str:
-    """The line of one step, counted from 1; `error` is null where the step went well."""
+    """Return the line of one step, counted from 1; `error` is null if the step succeeded."""
     return f"[STEP] step={step} action={action.name} reward={reward:.2f} done={_flag(done)} error={error or 'null'}"
 
 
 def end_line(success: bool, score: float, rewards: Sequence[float]) -> str:
-    """The line after the last step."""
+    """Return the line after the last step."""
     listed = ",".join(f"{reward:.2f}" for reward in rewards)
     return f"[END] success={_flag(success)} steps={len(rewards)} score={score:.3f} rewards={listed}"
 

@@ -1,4 +1,4 @@
-"""The optima of the maps that were flown: each map is solved once, and its optimum stored."""
+"""The optima of flown maps: each map is solved once, and its optimum is stored."""
 
 import logging
 import threading
@@ -15,32 +15,32 @@ from drone_env.results.database import Database
 
 SOLVE_SECONDS = 0.1
 CHUNK = 100
-"""Most maps of one job."""
+"""Maximum number of maps per job."""
 WAITING = 4
-"""Most callers that wait for optima at once; others get what is known, so that they hold up no threads."""
+"""Maximum number of callers that wait at once; others return without waiting, so that threads stay free."""
 log = logging.getLogger(__name__)
 Scores = list[float | None]
 Submit = Callable[[TaskConfig, Sequence[int]], "Future[Scores]"]
-"""Starts `solve_maps` elsewhere."""
+"""Starts `solve_maps` in another process."""
 Map = tuple[TaskConfig, int]
 
 
 def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> Scores:
-    """The optima of the first maps, as many as `SOLVE_SECONDS` allow and at least one; None where it is unknown."""
-    until, scores = time.monotonic() + SOLVE_SECONDS, Scores()
+    """Return the optima of the first maps, at least one, until `SOLVE_SECONDS` have passed; None if unknown."""
+    deadline, scores = time.monotonic() + SOLVE_SECONDS, Scores()
     for seed in seeds:
         best = best_of(task, seed)
         scores.append(None if best is None else best.score)
-        if time.monotonic() > until:
+        if time.monotonic() > deadline:
             break
     return scores
 
 
 class Optima:
-    """Has maps solved, of each task one job after another, and stores their optima.
+    """Solves maps, one job per task at a time, and stores their optima.
 
     Args:
-        database: Where to store them.
+        database: The database of the store.
         submit: Starts a job; None for a thread of this object.
     """
 
@@ -48,15 +48,13 @@ class Optima:
         self._database = database
         self._thread = ThreadPoolExecutor(1, "drone_env-optima")
         self._submit = submit or partial(self._thread.submit, solve_maps)
-        self._wanted: dict[TaskConfig, dict[int, None]] = {}
-        """The maps to solve, by task."""
-        self._solving: set[TaskConfig] = set()
+        self._unsolved: dict[TaskConfig, dict[int, None]] = {}
         self._changed = threading.Condition()
         self._waiting = threading.Semaphore(WAITING)
         self._closed = False
 
-    def want(self, maps: Collection[Map], patience: float = 0) -> None:
-        """Have maps solved that have no stored optimum, and wait for them, unless `WAITING` callers wait already.
+    def solve(self, maps: Collection[Map], patience: float = 0) -> None:
+        """Start to solve maps and wait for them, unless `WAITING` callers are waiting.
 
         Errors are logged; the next call for the same map tries again.
 
@@ -65,37 +63,37 @@ class Optima:
             patience: Seconds to wait.
         """
         with self._changed:
+            idle = {task for task, _ in maps} - self._unsolved.keys()
             for task, seed in maps:
-                self._wanted.setdefault(task, {})[seed] = None
-            for task in {task for task, _ in maps} - self._solving:
+                self._unsolved.setdefault(task, {})[seed] = None
+            for task in idle:
                 self._start(task)
         if patience and self._waiting.acquire(blocking=False):
             try:
                 with self._changed:
                     self._changed.wait_for(
-                        lambda: not any(seed in self._wanted.get(task, ()) for task, seed in maps), patience
+                        lambda: not any(seed in self._unsolved.get(task, ()) for task, seed in maps), patience
                     )
             finally:
                 self._waiting.release()
 
     def close(self) -> None:
-        """Stop; what is being solved is not stored."""
+        """Stop without storing unfinished jobs."""
         self._closed = True
         self._thread.shutdown(cancel_futures=True)
 
     def _start(self, task: TaskConfig) -> None:
-        """Start the next job of a task, holding the lock."""
-        seeds = list(islice(self._wanted[task], CHUNK))
-        self._solving.add(task)
+        """Start the next job of a task; the caller holds the lock."""
+        seeds = list(islice(self._unsolved[task], CHUNK))
         try:
             job = self._submit(task, seeds)
-        except (DroneEnvError, RuntimeError) as error:  # such as too many jobs, or a pool that is closed
+        except (DroneEnvError, RuntimeError) as error:  # too many jobs, or a closed pool
             job = Future[Scores]()
             job.set_exception(error)
         job.add_done_callback(partial(self._store, task, seeds))
 
     def _store(self, task: TaskConfig, seeds: Sequence[int], job: "Future[Scores]") -> None:
-        """Store what a job has found, and start the next."""
+        """Store the optima of a finished job and start the next."""
         scores: Scores = []
         try:
             try:
@@ -110,15 +108,14 @@ class Optima:
         except (CancelledError, Exception) as error:
             scores = []
             if not self._closed:
-                foreseen = isinstance(error, DroneEnvError | CancelledError)
+                expected = isinstance(error, DroneEnvError | CancelledError)
                 message = "optima of %s could not be solved or stored: %s"
-                log.warning(message, task.id, error, exc_info=None if foreseen else error)
+                log.warning(message, task.id, error, exc_info=None if expected else error)
         with self._changed:
-            left = self._wanted.pop(task)
+            left = self._unsolved.pop(task)
             for seed in seeds[: len(scores)]:
                 del left[seed]
-            self._solving.remove(task)
             if left and scores and not self._closed:
-                self._wanted[task] = left
+                self._unsolved[task] = left
                 self._start(task)
             self._changed.notify_all()

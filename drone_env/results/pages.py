@@ -1,4 +1,4 @@
-"""Pages from the templates beside this module. What is filled in stays text, wherever it comes from."""
+"""Pages from the templates in this package. All values are escaped."""
 
 import re
 from collections.abc import Mapping
@@ -17,13 +17,13 @@ ENTITIES = {letter: f"&#{ord(letter)};" for letter in "|`*\\"} | {"&": "&amp;", 
 
 
 def render(template: str, **values: Any) -> str:
-    """The page that a template in `templates/` makes of values: of HTML or of Markdown, as its name ends."""
+    """Render a template in `templates/` as HTML or Markdown, by its suffix."""
     html, markdown = _environments()
     return (html if template.endswith(".html") else markdown).get_template(template).render(values)
 
 
 def write_pages(folder: Path, figures: Mapping[str, Any], pages: Mapping[str, str]) -> None:
-    """Write figures as `report.json`, and pages by their file names, each whole or not at all.
+    """Write figures as `report.json`, and pages by file name. A partial file is never left.
 
     Raises:
         OSError: if they cannot be written.
@@ -34,11 +34,11 @@ def write_pages(folder: Path, figures: Mapping[str, Any], pages: Mapping[str, st
 
 
 def as_markdown(text: object) -> str:
-    """A text that Markdown shows as it is, in one line: names and errors come from elsewhere."""
+    """Escape a text for Markdown, in one line: names and errors may come from others."""
     if isinstance(text, Markup):
         return text
     line = re.sub(r"[&<|`*\\]", lambda found: ENTITIES[found[0]], " ".join(str(text).split()))
-    # Only what a bracket with an address follows becomes a link.
+    # A link needs a second bracket.
     return re.sub(r"\[(?=.*\][(\[])", "&#91;", line)
 
 

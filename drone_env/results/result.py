@@ -1,8 +1,7 @@
-"""Results: what came out of flights over maps, one row per flight or per map, in columns."""
+"""Results of flights over maps in columns: one row per flight or per map."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -12,8 +11,8 @@ from typing_extensions import Self
 
 from drone_env.errors import InvalidValueError
 
-PIECE = 1000
-"""Episodes that the command line flies together, on any engine."""
+CHUNK = 1000
+"""Episodes per unit of work, on any engine."""
 COLUMNS: dict[str, type[np.generic]] = {
     "seeds": np.int64,
     "scores": np.float64,
@@ -23,15 +22,15 @@ COLUMNS: dict[str, type[np.generic]] = {
     "optimal_scores": np.float64,
     "optimal_steps": np.int32,
 }
-"""The columns that an evaluation stores, and the types of their arrays."""
+"""The columns that an evaluation stores, and their dtypes."""
 
 
 class EpisodesKey(NamedTuple):
     """Identifies results: equal keys give equal results.
 
-    `seeds` are [start, stop); `split` is the split that they were chosen from, or `custom`. `config_hash` is empty if
-    nobody knows how the agent was configured. `repeat` numbers the flights of a stochastic agent over one map, from 0:
-    each has other random numbers.
+    `seeds` is [start, stop); `split` is the split of the seeds, or `custom`. `config_hash` is empty if the
+    configuration of the agent is unknown. `repeat` numbers the flights of a stochastic agent over one map from 0; each
+    has other random numbers.
     """
 
     task: str
@@ -42,14 +41,14 @@ class EpisodesKey(NamedTuple):
     config_hash: str = ""
     repeat: int = 0
 
-    def pieces(self, size: int = PIECE) -> list[Self]:
-        """The keys of neighbouring pieces of at most `size` episodes each."""
+    def chunks(self, size: int = CHUNK) -> list[Self]:
+        """Return the keys of consecutive chunks of at most `size` episodes."""
         start, stop = self.seeds
         return [self._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
 
 
 class Result(NamedTuple):
-    """One row of `Results`, as Python values; None if a value is not known."""
+    """One row of `Results` as Python values; None if a value is unknown."""
 
     seed: int
     score: float
@@ -67,18 +66,18 @@ class Results:
     A row is a flight; after `by_map` it is a map, with the means of the flights over it.
 
     Attributes:
-        key: What was flown.
+        key: The task, maps and agent.
         seeds: int64[n], the maps.
-        scores: float64[n], the graded scores.
+        scores: float64[n], graded scores.
         steps: int32[n], steps flown.
         deliveries: int32[n], parcels delivered.
-        success: bool[n], whether all were.
-        optimal_scores: float64[n], the exact optimum of each map; NaN if no planner knows it.
-        optimal_steps: int32[n], steps of the optimal flight; -1 if no planner knows it.
-        rewards: float64[n], total rewards; None if they are unknown.
+        success: bool[n], whether all parcels were delivered.
+        optimal_scores: float64[n], the exact optimum of each map; NaN if unknown.
+        optimal_steps: int32[n], steps of the optimal flight; -1 if unknown.
+        rewards: float64[n], total rewards; None if unknown.
         reward_profile: The profile of all rewards; None if it is unknown or they differ.
         flights: int64[n], flights behind each row; None if each row is one flight.
-        ids: The newest flight behind each row in the store; empty if none is stored.
+        ids: The id of the newest stored flight behind each row; empty if none is stored.
     """
 
     key: EpisodesKey
@@ -98,7 +97,7 @@ class Results:
     def of_rows(
         cls, key: EpisodesKey, reward_profile: str | None = None, ids: Sequence[str] = (), **columns: Sequence[Any]
     ) -> Self:
-        """Results from columns of Python values; deliveries and optimal steps are not known."""
+        """Create results from columns of Python values; deliveries and optimal steps are unknown."""
         arrays: dict[str, Any] = {
             name: np.array(values, np.float64 if name == "optimal_scores" else None) for name, values in columns.items()
         }
@@ -107,7 +106,7 @@ class Results:
 
     @classmethod
     def of_report(cls, agent: str, report: Mapping[str, Any]) -> Self:
-        """The maps of a report of an evaluation or of a language model: one row per map."""
+        """Create results from the report of an evaluation or of a language model: one row per map."""
         config, maps = report["config"], report["maps"]
         return cls.of_rows(
             EpisodesKey(config["task"], config["task_version"], config["split"], tuple(config["seeds"]), agent),
@@ -120,7 +119,7 @@ class Results:
         )
 
     def by_map(self) -> "Results":
-        """One row per map, by seed: the means of the flights over it."""
+        """Return one row per map, sorted by seed: the means of the flights over it."""
         if self.flights is not None:
             return self
         seeds, first, row, flights = np.unique(self.seeds, return_index=True, return_inverse=True, return_counts=True)
@@ -133,63 +132,35 @@ class Results:
         return replace(self, seeds=seeds, **means, **best, rewards=rewards, flights=flights, ids=())
 
     def take(self, rows: npt.NDArray[np.intp]) -> "Results":
-        """Some of the rows."""
+        """Return some of the rows."""
         columns = {name: getattr(self, name)[rows] for name in COLUMNS}
         flights, rewards = (None if column is None else column[rows] for column in (self.flights, self.rewards))
         ids = [self.ids[row] for row in rows] if self.ids else ()
         return replace(self, **columns, flights=flights, rewards=rewards, ids=ids)
 
     def rows(self) -> list[Result]:
-        """Each row as Python values."""
+        """Return each row as Python values."""
         n = len(self.seeds)
         columns = (self.seeds.tolist(), self.scores.tolist(), self.success.tolist(), self.steps.tolist())
         optima = [None if np.isnan(optimum) else optimum for optimum in self.optimal_scores.tolist()]
         flights = [1] * n if self.flights is None else self.flights.tolist()
         return [Result(*row) for row in zip(*columns, optima, flights, self.ids or [None] * n, strict=True)]
 
-    def __repr__(self) -> str:
-        """The figures in three lines."""
-        from drone_env.results.statistics import Summary, with_interval
 
-        figures, key = Summary.of(self), self.key
-        score = with_interval(figures.score, figures.score_ci95)
-        best = "unknown" if figures.optimum is None else f"{figures.optimum:.4f}"
-        return (
-            f"{key.agent} on {key.task} v{key.version}\n"
-            f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({figures.maps}, split {key.split})\n"
-            f"score {score}{'' if figures.score_ci95 is None else ' (95 %)'}, optimum {best}, "
-            f"success {figures.success_rate:.1%}, steps {figures.steps:.1f}"
-        )
-
-
-def concatenate(pieces: Sequence[Results]) -> Results:
-    """One result from the results of neighbouring pieces.
-
-    Raises:
-        InvalidValueError: if there are none, or they are not neighbours of one configuration.
-    """
-    keys = [piece.key for piece in pieces]
-    if not keys:
-        raise InvalidValueError("there are no results to put together")
-    for left, right in pairwise(keys):
-        if left._replace(seeds=right.seeds) != right or left.seeds[1] != right.seeds[0]:
-            raise InvalidValueError(f"these results are not neighbours: {left} and {right}")
-    return _stacked(pieces, keys[0]._replace(seeds=(keys[0].seeds[0], keys[-1].seeds[1])))
+def concatenate(results: Sequence[Results], key: EpisodesKey) -> Results:
+    """Join the rows of several results under one key."""
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in results]) for name in COLUMNS}
+    return Results(key, **columns)
 
 
 def repeated(repeats: Sequence[Results]) -> Results:
-    """The flights of one agent over the same maps, all repeats in one table.
+    """Join the repeats of one agent over the same maps.
 
     Raises:
         InvalidValueError: if they are not flights of one agent over the same maps.
     """
     first = repeats[0].key
-    for one in repeats:
-        if one.key._replace(repeat=first.repeat) != first:
-            raise InvalidValueError(f"these are not flights of one agent over the same maps: {first} and {one.key}")
-    return _stacked(repeats, first)
-
-
-def _stacked(parts: Sequence[Results], key: EpisodesKey) -> Results:
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
-    return Results(key, **columns)
+    for results in repeats:
+        if results.key._replace(repeat=first.repeat) != first:
+            raise InvalidValueError(f"these are not flights of one agent over the same maps: {first} and {results.key}")
+    return concatenate(repeats, first)

@@ -1,4 +1,4 @@
-"""Sessions: which map, which actions so far. Flying them again gives the episode.
+"""Sessions: a map and the actions flown so far, from which the episode is flown again.
 
 The functions at the end read and write the row of a session, inside a transaction of the store.
 """
@@ -6,9 +6,8 @@ The functions at the end read and write the row of a session, inside a transacti
 import re
 import secrets
 import sqlite3
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from typing import Any
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -16,11 +15,11 @@ from drone_env.errors import NoSessionError, SessionGoneError
 from drone_env.results.finished import StoredEpisode, check_agent
 
 FINISHED_SECONDS = 30.0
-"""For so long a finished session keeps its place even where others have none: its owner still asks for the score."""
+"""A finished session is not evicted for this long: its owner still needs the score."""
 GONE_SECONDS = 7 * 24 * 3600.0
-CHARACTERS = bytes.maketrans(bytes(range(10)), b"0123456789")
-NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
-"""Actions are kept as a text of digits; these turn bytes with their numbers into it, and back."""
+TO_DIGITS = bytes.maketrans(bytes(range(10)), b"0123456789")
+TO_NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
+"""The store writes actions as digits; these tables translate bytes of numbers to digits and back."""
 EPISODE_ID = re.compile(r"[0-9a-f]{16}")
 """Form of the id of a stored episode."""
 Flight = tuple[str, int, int, str]
@@ -29,22 +28,22 @@ Flight = tuple[str, int, int, str]
 
 @dataclass
 class Session:
-    """A caller's place on the server. Inside `Store.session` its changes are kept together when the block ends.
+    """A caller's place on the server. `Store.session` writes all its changes in one transaction.
 
     Attributes:
-        id: Names the session; who knows it may fly it. Empty for the session of a connection, which has no row.
+        id: The secret id. Empty for the session of a connection, which has no row.
         task: Id of the task.
         task_version: Version of the task.
         seed: Number of the map.
         reward_profile: Id of the reward profile.
-        agent: Who flies.
-        actions: The actions flown on this map, as numbers, in order.
-        episode_id: The finished episode of this map in the store, None while it has not ended.
+        agent: Name of the pilot.
+        actions: The actions flown on this map, in order.
+        episode_id: Id of the finished episode in the store; None before the end.
         opened_at: When the session was opened, in seconds since 1970.
-        touched_at: When it was last used, before this use.
-        address: Where those are who fly it without naming it; None for a session that has been named.
-        episode: The episode in memory, which has flown all actions; None if it is not in memory.
-        finished: The episodes that have ended and are to be stored.
+        touched_at: When it was last used.
+        address: The address whose callers share it without naming it; None after somebody has named it.
+        episode: The episode in memory after all actions; None if it is not in memory.
+        finished: Episodes that have ended and are not stored yet.
     """
 
     id: str
@@ -63,24 +62,24 @@ class Session:
 
     @property
     def flight(self) -> Flight:
-        """What is flown: task, its version, seed, reward profile."""
+        """Task, its version, seed, reward profile."""
         return self.task, self.task_version, self.seed, self.reward_profile
 
     def follows(self, other: "Session") -> bool:
-        """Whether this session flies the map of another, and begins with its actions."""
+        """Whether this session flies the map of another and begins with its actions."""
         return self.flight == other.flight and self.actions[: len(other.actions)] == other.actions
 
     def go_on_from(self, other: "Session | None") -> None:
-        """Take over the episode in memory of this session as it was before, and fly what has been flown since."""
+        """Reuse the episode in memory of an earlier state of this session, and fly the actions since."""
         if other is not None and other.episode is not None and self.follows(other):
             self.episode = other.episode.fly(self.actions[len(other.actions) :])
 
     def begin(self, episode: Episode, agent: str | None = None) -> None:
-        """Start an episode in this session; one that has not ended is dropped.
+        """Start an episode in this session. An unfinished one is dropped.
 
         Args:
             episode: The episode, at its start.
-            agent: Who flies from now on; None for the present one.
+            agent: Name of the new pilot; None for the present one.
 
         Raises:
             InvalidValueError: if the agent's name is not one printable line.
@@ -91,10 +90,10 @@ class Session:
         self.actions, self.episode_id, self.episode = (), None, episode
 
     def fly(self) -> Episode:
-        """The episode with all actions flown.
+        """Return the episode after all actions.
 
         Raises:
-            UnknownNameError: if there is no such task or profile any more.
+            UnknownNameError: if its task or profile is no longer registered.
         """
         if self.episode is None:
             task = get_task(self.task, self.task_version)
@@ -102,13 +101,8 @@ class Session:
         return self.episode
 
 
-COLUMNS = [column.name for column in fields(Session) if column.name not in ("episode", "finished")]
-ACTIONS = COLUMNS.index("actions")
-SELECT = f"SELECT {', '.join(COLUMNS)} FROM sessions WHERE id = ?"
-
-
 def advance(session: Session, action: int) -> float:
-    """Fly one action in a session and note it: the one step of HTTP, OpenEnv and the live page.
+    """Fly one action in a session: the one step of HTTP, OpenEnv and the live page.
 
     After the end of the episode nothing changes.
 
@@ -132,76 +126,63 @@ def advance(session: Session, action: int) -> float:
 
 
 def flight_of(episode: Episode) -> Flight:
-    """What an episode flies, as `Session.flight`."""
+    """Return `Session.flight` of an episode."""
     return episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id
 
 
 def new_episode_id() -> str:
-    """A new id for a finished episode."""
+    """Return a new id for a finished episode."""
     return secrets.token_hex(8)
 
 
-def steady_clock(
-    wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
-) -> Callable[[], float]:
-    """The time by which sessions are idle: right when the clock is made, in seconds since 1970, then never set.
-
-    Args:
-        wall: The machine's time, which people and programs set.
-        steady: Seconds since any start.
-    """
-    offset = wall() - steady()
-    return lambda: steady() + offset
-
-
 def session_row(connection: sqlite3.Connection, session_id: str) -> Session:
-    """A session.
+    """Read a session.
 
     Raises:
         NoSessionError: if there never was such a session.
         SessionGoneError: if it has ended or expired.
     """
-    # What is not ASCII cannot be an id, and may be no text for SQLite either.
+    # Ids are ASCII, and SQLite rejects lone surrogates.
     known = session_id if session_id.isascii() else ""
-    found = connection.execute(SELECT, (known,)).fetchone()
-    if found is None:
+    row = connection.execute("SELECT * FROM sessions WHERE id = ?", (known,)).fetchone()
+    if row is None:
         if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
             raise SessionGoneError("this session has ended or was idle for too long: open a new one")
         raise NoSessionError("there is no such session: open one first")
-    session = Session(*found)
-    session.actions = tuple(found[ACTIONS].encode().translate(NUMBERS))
-    return session
+    columns: dict[str, Any] = {**row}
+    columns["actions"] = tuple(row["actions"].encode().translate(TO_NUMBERS))
+    return Session(**columns)
 
 
 def update_session(connection: sqlite3.Connection, session: Session, now: float) -> None:
-    """Write a session as it stands, used just now."""
+    """Write a session and count it as used now."""
     connection.execute(
         "UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent, "
         "reward_profile = :reward_profile, actions = :actions, episode_id = :episode_id, touched_at = :now, "
         "address = :address WHERE id = :id",
-        {**vars(session), "actions": bytes(session.actions).translate(CHARACTERS).decode(), "now": now},
+        {**vars(session), "actions": bytes(session.actions).translate(TO_DIGITS).decode(), "now": now},
     )
 
 
 def end_session(connection: sqlite3.Connection, session_id: str, now: float) -> None:
-    """Take a session out, and remember since when it is gone."""
+    """Delete a session and remember that it is gone."""
     connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
     connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, now))
 
 
 def end_finished(connection: sqlite3.Connection, now: float) -> bool:
-    """End the finished session that was not used for longest, if it may give way by now; whether there was one."""
-    found = connection.execute(
+    """End the finished session that was idle longest, if it may be evicted. Return whether there was one."""
+    row = connection.execute(
         "SELECT id FROM sessions WHERE episode_id IS NOT NULL AND touched_at <= ? ORDER BY touched_at LIMIT 1",
         (now - FINISHED_SECONDS,),
     ).fetchone()
-    if found is not None:
-        end_session(connection, found[0], now)
-    return found is not None
+    if row is not None:
+        end_session(connection, row["id"], now)
+    return row is not None
 
 
 def end_idle(connection: sqlite3.Connection, now: float, idle_seconds: float) -> list[str]:
-    """End the sessions that were not used for so long, and return their ids; forget those that are gone for a week."""
+    """End the sessions that are idle for this long and return their ids. Forget those that are gone for a week."""
     idle = connection.execute("SELECT id FROM sessions WHERE touched_at <= ?", (now - idle_seconds,)).fetchall()
     for (session_id,) in idle:
         end_session(connection, session_id, now)

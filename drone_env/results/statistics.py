@@ -1,9 +1,9 @@
-"""The statistics of results: means over maps, their 95 % intervals, and comparisons of two agents map by map.
+"""Statistics of results: means over maps, their 95 % intervals, and paired comparisons of two agents.
 
-Flights over one map are averaged first, then the maps. An interval is Student's t over maps, cut to the range that the
-figure can have. Interquartile mean and probability of improvement are those of rliable (Agarwal et al., "Deep
-Reinforcement Learning at the Edge of the Statistical Precipice", 2021); rliable samples runs of given tasks, we sample
-maps, and two agents fly the same ones.
+Flights over one map are averaged first, then the maps. An interval is Student's t over maps, clipped to the range of
+the statistic. Interquartile mean and probability of improvement follow rliable (Agarwal et al., "Deep Reinforcement
+Learning at the Edge of the Statistical Precipice", 2021). rliable samples runs of given tasks; we sample maps, and two
+agents fly the same ones.
 """
 
 import math
@@ -32,12 +32,12 @@ SHARES: Range = (0.0, 1.0)
 SAME = 1e-9
 """Scores that differ by less are equal: a mean of equal scores may be rounded."""
 LEAST_EFFECT = 1.96 + 0.84
-"""Standard errors of a difference that a test at 5 %, two-sided, sees in 80 % of cases (Bloom, "Minimum Detectable
-Effects", 1995)."""
+"""The smallest difference, in standard errors, that a two-sided test at 5 % detects in 80 % of cases (Bloom, "Minimum
+Detectable Effects", 1995)."""
 
 
 class Interval(NamedTuple):
-    """A figure and its 95 % interval."""
+    """A mean and its 95 % interval."""
 
     mean: float
     low: float
@@ -45,7 +45,7 @@ class Interval(NamedTuple):
 
 
 def interval(values: Values, within: Range) -> Interval:
-    """The mean of one value per map, with its interval.
+    """Return the mean of one value per map, with its interval.
 
     Raises:
         InvalidValueError: if there are fewer than two maps.
@@ -56,12 +56,12 @@ def interval(values: Values, within: Range) -> Interval:
 
 
 def ci95(values: Values, within: Range) -> Bounds:
-    """Both ends of `interval`; None for fewer than two maps."""
+    """Return both ends of `interval`; None for fewer than two maps."""
     return None if len(values) < 2 else list(interval(values, within)[1:])
 
 
 def crossed(scores: Floats, within: Range) -> Interval | None:
-    """The mean of float64[seeds, maps], where every seed flies the same maps, with its interval; None for one map.
+    """Return the mean of float64[seeds, maps] with its interval; None for one map. All seeds fly the same maps.
 
     The variances of the means by seed and by map add up. With one seed the interval covers the maps alone.
     """
@@ -72,10 +72,10 @@ def crossed(scores: Floats, within: Range) -> Interval | None:
 
 
 def interquartile_mean(scores: Floats) -> Interval:
-    """The mean of the middle half of float64[n]: n // 4 scores are left out at each end.
+    """Return the mean of the middle half of float64[n], without n // 4 scores at each end.
 
-    The interval is the one of Tukey and McLaughlin (1963) for a trimmed mean: its variance comes from all scores, and
-    each score that is left out counts as the nearest that is not.
+    The interval is that of Tukey and McLaughlin (1963) for a trimmed mean. Its variance comes from all scores, with the
+    trimmed ones replaced by the nearest of the middle half.
     """
     ordered, n = np.sort(scores), len(scores)
     cut = n // 4
@@ -87,17 +87,17 @@ def interquartile_mean(scores: Floats) -> Interval:
 
 
 def _error_of(values: Values) -> tuple[float, int]:
-    """The variance of the mean of independent values, and its degrees of freedom."""
+    """Return the variance of the mean of independent values, and its degrees of freedom."""
     return float(np.var(values, ddof=1)) / len(values), len(values) - 1
 
 
 def _of_errors(mean: float, errors: Sequence[tuple[float, int]], within: Range) -> Interval:
-    """The interval of a figure with independent errors (Welch and Satterthwaite).
+    """Return the interval of a mean with independent errors (Welch and Satterthwaite).
 
     Args:
-        mean: The figure.
-        errors: The variance that each adds to it, and its degrees of freedom.
-        within: The range of the figure.
+        mean: The mean.
+        errors: Variance and degrees of freedom of each error.
+        within: The range of the mean.
     """
     variance = math.fsum(error for error, _ in errors)
     if variance == 0:
@@ -109,9 +109,9 @@ def _of_errors(mean: float, errors: Sequence[tuple[float, int]], within: Range) 
 
 
 def student(freedom: float) -> float:
-    """The 97.5 % quantile of Student's t, to 0.2 %.
+    """Return the 97.5 % quantile of Student's t, to 0.2 %.
 
-    From 3 degrees of freedom on by the expansion in Abramowitz and Stegun (26.7.5); below that, of whole degrees.
+    Uses the expansion in Abramowitz and Stegun (26.7.5) from 3 degrees of freedom; below, whole degrees.
     """
     if freedom < 3:
         return 12.7062 if round(freedom, 9) < 2 else 4.3027
@@ -126,7 +126,7 @@ def student(freedom: float) -> float:
 
 
 def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
-    """Write a mean with half the width of its interval; with both ends if the range of the figure cuts one off."""
+    """Format a mean with half the width of its interval, or with both ends if the interval is clipped."""
     if mean is None or interval is None:
         return "-" if mean is None else format(mean, form)
     low, high = interval
@@ -136,28 +136,28 @@ def with_interval(mean: float | None, interval: Sequence[float] | None, form: st
 
 
 def mean_of(values: Values) -> float | None:
-    """The exactly rounded mean: the same in any order; None if there are no values."""
+    """Return the exactly rounded mean, which does not depend on the order; None without values."""
     return fmean(values) if len(values) else None
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The statistics of results; None if a figure is not known.
+    """The statistics of results; None if unknown.
 
     Attributes:
-        maps: Different maps.
-        flights: Flights over them.
+        maps: Number of different maps.
+        flights: Number of flights.
         score: Mean graded score.
-        score_ci95: Its interval, as all intervals None for a single map.
+        score_ci95: Its interval; all intervals are None for a single map.
         success_rate: Share of flights that delivered everything.
         success_ci95: Its interval.
         steps: Mean length.
-        reward: Mean total reward; None if the flights were paid by different profiles.
+        reward: Mean total reward; None if the reward profiles differ.
         optimum: Mean optimum; None if the optimum of any map is unknown.
         ratio: The optimality ratio, mean score / mean optimum.
-        regret: Mean of optimum - score, over the maps whose optimum is known.
+        regret: Mean of optimum - score, over the maps with a known optimum.
         regret_ci95: Its interval.
-        regret_maps: How many maps these are.
+        regret_maps: Number of these maps.
         excess_steps: Mean steps beyond the optimal flight's, over flights that delivered everything.
     """
 
@@ -178,17 +178,17 @@ class Summary:
 
     @classmethod
     def of(cls, results: Results, by_map: bool = True) -> Self:
-        """The statistics of results.
+        """Return the statistics of results.
 
         Args:
             results: The results.
-            by_map: Whether to average the flights over each map first; else each flight counts as a map of its own.
+            by_map: Whether to average the flights over each map first; otherwise each flight counts as a map.
         """
         rows = results.by_map() if by_map else results
         n, flights = len(rows.seeds), len(results.seeds)
         if results.flights is not None:
             flights = int(results.flights.sum())
-        # If every map has as many flights, the mean over flights is the mean over maps, and rounded once.
+        # If all maps have equally many flights, the mean over flights equals the mean over maps and is rounded once.
         even = results if rows.flights is None or len(set(rows.flights.tolist())) == 1 else rows
         known = ~np.isnan(rows.optimal_scores)
         regret = (rows.optimal_scores - rows.scores)[known]
@@ -214,17 +214,17 @@ class Summary:
 
 
 def normalised(score: float | None, floor: float | None, optimum: float | None) -> float | None:
-    """(score - floor) / (optimum - floor), with the mean score of random flights over the same maps as floor."""
+    """Return (score - floor) / (optimum - floor); `floor` is the mean score of random flights over the same maps."""
     if score is None or floor is None or optimum is None or optimum == floor:
         return None
     return (score - floor) / (optimum - floor)
 
 
 def ranked(agents: Mapping[str, Results]) -> list[tuple[str, Summary]]:
-    """Agents by mean regret, the lowest first, then by number of maps.
+    """Sort agents by mean regret, then by number of maps.
 
-    Each agent chose its own maps, and on some maps little can be won: so only regret compares. An agent whose maps all
-    lack an optimum comes last.
+    Agents choose their own maps, and attainable scores differ by map, so only regret is comparable. Agents without a
+    known optimum come last.
     """
 
     def rank(row: tuple[str, Summary]) -> tuple[float, int, str]:
@@ -236,11 +236,11 @@ def ranked(agents: Mapping[str, Results]) -> list[tuple[str, Summary]]:
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """Two agents over the maps that both flew, positive where `a` is better.
+    """Two agents over the maps that both flew.
 
     Attributes:
         a: The results of one agent, one row per map.
-        b: Those of the other, over the same maps.
+        b: The results of the other over the same maps.
     """
 
     a: Results
@@ -255,22 +255,21 @@ class PairedComparison:
 
     @cached_property
     def differences(self) -> Floats:
-        """The score of a less that of b, by map."""
+        """Score of `a` minus score of `b`, by map."""
         return self.a.scores - self.b.scores
 
     @property
     def outcomes(self) -> tuple[int, int, int]:
-        """Maps that a won, ties, and maps that a lost."""
+        """Number of maps that `a` won, tied and lost."""
         wins, ties = (self.differences >= SAME).sum(), (np.abs(self.differences) < SAME).sum()
         return int(wins), int(ties), int(len(self.differences) - wins - ties)
 
     def figures(self) -> dict[str, Any]:
-        """How sure it is which agent is better, as JSON values.
+        """Return the statistics of the comparison as JSON values.
 
-        `difference` has the interval of pairs, `unpaired` the one that two agents over maps of their own would have,
-        which is `narrower` times as wide (null if the pairs never differ). `improvement` is the share of maps on which
-        a is better; equal scores count half. `detectable` is the smallest true difference that as many pairs would
-        show in four of five cases.
+        `difference` has the interval of pairs, `unpaired` the interval over different maps, which is `narrower` times
+        as wide (null if the pairs never differ). `improvement` is the share of maps on which `a` is better; ties count
+        half. `detectable` is the smallest true difference that as many pairs would show in four of five cases.
 
         Raises:
             InvalidValueError: if both flew fewer than two maps.
@@ -291,10 +290,10 @@ class PairedComparison:
 
 
 def compared(agents: Mapping[str, Results]) -> dict[str, Any]:
-    """The figures of agents over the same maps, and of all others beside the first, as JSON values.
+    """Return the statistics of each agent, and of the comparison of all others with the first, as JSON values.
 
     Raises:
-        InvalidValueError: if there are fewer than two maps that the first and another flew.
+        InvalidValueError: if the first and another agent have fewer than two maps in common.
     """
     first = next(iter(agents), None)
     alone: dict[str, Any] = {}

@@ -1,12 +1,14 @@
-"""All that outlives the process: finished episodes and open sessions, in one SQLite file.
+"""The store: finished episodes, open sessions and optima in one SQLite file.
 
-Several processes and threads may use one folder at once. What a method has returned survives the death of the process
-at any moment, SIGKILL included; power loss may take the last transactions, and never leaves a broken file. The folder
-must be on a local disk. A store must not be carried across a fork: open one in each process.
+Several processes and threads may use one folder at once. Each finished call survives SIGKILL. Power
+loss may undo the last transactions, but never leaves a broken file. The folder must be on a local disk. Open a store in
+each process: it does not survive a fork.
 """
 
 import secrets
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+import sqlite3
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,6 @@ from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
     SELECT_BY_MAP,
     SELECT_ROWS,
-    SELECT_STORED,
     Analysis,
     EpisodeSummary,
     StoredEpisode,
@@ -28,15 +29,12 @@ from drone_env.results.finished import (
     check_agent,
     insert_episode,
     results_by_agent,
-    selection,
-    stored_episode,
 )
 from drone_env.results.memory_view import MemoryView
 from drone_env.results.optima import Map, Optima, Submit
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.results.result import Results
 from drone_env.results.sessions import (
-    EPISODE_ID,
     Session,
     end_finished,
     end_idle,
@@ -44,7 +42,6 @@ from drone_env.results.sessions import (
     flight_of,
     new_episode_id,
     session_row,
-    steady_clock,
     update_session,
 )
 
@@ -55,27 +52,26 @@ PATIENCE = 0.5
 """Default time to wait for optima, in seconds."""
 MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
+SELECT_STORED = "SELECT number, episode FROM episodes"
 COUNT = "SELECT count(*) FROM sessions"
 
 
 class Store:
     """The store in `folder`: `drone_env.sqlite3`, and `memory.json` as a view of the last 100 finished episodes.
 
-    Safe to share between threads. `close` it, or use it in a `with`.
+    Threads may share it. A context manager.
 
     Args:
-        folder: Made where it is missing.
-        clock: Gives the time, in seconds since 1970: by it sessions are idle. None for one that starts at the
-            machine's time and runs on evenly, whatever that is set to. It never tells less than the newest use of a
-            session.
-        busy_seconds: For how long to wait while others write.
-        submit: Starts to solve maps elsewhere: the map of each episode that is stored, and those of a list. If None, a
-            thread of the store solves those of a list.
+        folder: Created if it is missing.
+        clock: Returns seconds since 1970, for the idle time of sessions; None for `time.time`.
+        busy_seconds: Maximum time to wait for other writers.
+        submit: Starts to solve maps in another process: the map of each stored episode, and the maps of a list. If
+            None, a thread of the store solves the maps of a list.
 
     Raises:
-        OSError: if the folder or the file cannot be made.
-        StoreError: if the file in it is no store of this version, cannot be opened, or
-            keeps flights of another task under the name of one that is registered.
+        OSError: if the folder or the file cannot be created.
+        StoreError: if the file is not a store of this version, cannot be opened, or contains flights of another task
+            under the name of a registered one.
     """
 
     def __init__(
@@ -92,11 +88,11 @@ class Store:
             with self._database.reading() as connection:
                 for task in list(TASKS.values()):
                     self._database.check_task(connection, task)
-            self._clock = self._continued(clock or steady_clock())
             self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
             self._database.close()
             raise
+        self._clock = clock or time.time
         self._solves_all = submit is not None
         self._optima = Optima(self._database, submit)
 
@@ -107,7 +103,7 @@ class Store:
         self._database.close()
 
     def check(self) -> None:
-        """See whether the file is still where it was opened; every method that writes does so, too."""
+        """Check that the file was not deleted or replaced; every method that writes does so too."""
         self._database.check()
 
     def __enter__(self) -> Self:
@@ -123,56 +119,39 @@ class Store:
     ) -> str:
         """Store a finished episode and return its id; `memory.json` shows it a moment later.
 
-        A record is flown again first, so that nothing is stored that is not so; an `Episode` is taken as it is.
+        A record is replayed and verified first.
 
         Args:
             episode: The flight.
-            agent: Who flew an `Episode`; a record says so itself.
-            episode_id: Its id, 16 hex digits, for one that may be stored already: the one of this id is then kept as it
-                is. None for a new one.
+            agent: Name of the pilot of an `Episode`; a record contains it.
+            episode_id: Its id, 16 hex digits; None for a new one. If the id is stored already, nothing changes.
 
         Raises:
             EpisodeError: if the episode has not ended.
-            InvalidValueError: if the record does not fit its flight, `agent` is given with a record or not given with
-                an `Episode`, is not one printable line, or task and profile are not the registered ones of their names.
+            InvalidValueError: if the record does not fit its flight, `agent` is given with a record, missing with an
+                `Episode` or not one printable line, or task or profile differ from the registered ones.
             UnknownNameError: if there is no such task, version or reward profile.
-            StoreError: if it could not be written; then nothing is stored.
+            StoreError: if it could not be written; nothing is stored then.
         """
         if (agent is None) != isinstance(episode, EpisodeRecord):
             raise InvalidValueError("agent belongs to an Episode; a record names its own")
         if isinstance(episode, EpisodeRecord):
             agent, episode = episode.agent, replay(episode)
-        if episode_id is not None and not EPISODE_ID.fullmatch(episode_id):
-            raise InvalidValueError(f"the id of an episode is 16 hex digits, got {episode_id!r}")
         stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
-        with self._database.writing() as connection:
-            self._database.check_task(connection, episode.task, claim=True)
-            insert_episode(connection, stored)
-        self._noted([stored])
+        self._add([stored])
         return stored.id
 
     def episode(self, episode_id: str) -> StoredEpisode:
-        """The episode of this id.
+        """Return the episode of an id.
 
         Raises:
-            UnknownNameError: if there is none; the message names no other, since anybody may ask.
+            UnknownNameError: if there is none; the message names no other episode, since ids are not public.
             StoreError: if the store cannot be read.
         """
         if episode_id.isascii():
-            for _, stored in self._stored("WHERE id = ?", (episode_id,)):
-                return stored
+            for row in self._read(f"{SELECT_STORED} WHERE id = ?", (episode_id,)):
+                return self._stored(row)
         raise UnknownNameError("episode", episode_id, ())
-
-    def latest(self, n: int, task: str | TaskConfig | None = None) -> list[StoredEpisode]:
-        """The last `n` finished episodes, of one task or of all, newest first.
-
-        Raises:
-            UnknownNameError: if there is no such task.
-            InvalidValueError: if n is negative.
-            StoreError: if the store cannot be read.
-        """
-        where, values = selection(task)
-        return [stored for _, stored in self._stored(f"{where} {NEWEST}", (*values, _at_most(n)))]
 
     def listed(
         self,
@@ -185,18 +164,19 @@ class Store:
         seed: int | None = None,
         patience: float | None = None,
     ) -> list[EpisodeSummary]:
-        """The last `n` finished episodes with the optima of their maps, newest first.
+        """Return the last `n` finished episodes with the optima of their maps, newest first.
 
-        Optima that are not known yet are solved as for `analysis`; those of tasks that are not registered stay unknown.
+        Unknown optima are solved as in `analysis`, except those of tasks that are not registered. All filters that are
+        not None must hold.
 
         Args:
             n: How many, 0 or more.
-            task: Of which task; None for all.
-            agent: By whom; None for all.
-            before: Only those that were stored before the one of this number.
-            after: Only those that were stored after the one of this number.
-            episode_id: Only the one of this id.
-            seed: Only those over the map of this number.
+            task: The task.
+            agent: The pilot.
+            before: The episode was stored before the one of this number.
+            after: The episode was stored after the one of this number.
+            episode_id: Its id.
+            seed: The map.
             patience: Seconds to wait for optima; None for `PATIENCE`.
 
         Raises:
@@ -204,45 +184,44 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read.
         """
-        where, values = selection(task, agent, before, after, episode_id, seed)
-        chosen = f"{where} {NEWEST}", (*values, _at_most(n))
-        found = self._rows(*chosen)
-        return self._rows(*chosen) if self._solve(_unsolved(found), patience) else found
+        if n < 0:
+            raise InvalidValueError(f"n must be at least 0, got {n}")
+        filters = {"agent =": agent, "number <": before, "number >": after, "id =": episode_id, "seed =": seed}
+        where, values = _where(task, filters)
+        query = f"{SELECT_ROWS} {where} {NEWEST}", (*values, min(n, MOST_ROWS))
+        return [EpisodeSummary(**row) for row in self._read_solved(*query, "seed", patience)]
 
     def by_map(self, task: str | TaskConfig, patience: float | None = None) -> dict[str, Results]:
-        """All finished episodes of a task by agent, one row per map; optima as for `listed`.
+        """Return the results of each agent on a task, one row per map; optima as in `listed`.
 
         Raises:
             UnknownNameError: if there is no such task.
             StoreError: if the store cannot be read.
         """
-        where, values = selection(task)
-        chosen = SELECT_BY_MAP.format(where=where), values
-        found = self._read(*chosen)
-        unsolved = [(name, version, row[0]) for _, name, version, solved, _, _, *row in found if not solved]
-        return results_by_agent(self._read(*chosen) if self._solve(unsolved, patience) else found)
+        where, values = _where(task)
+        return results_by_agent(self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds", patience))
 
-    def kept(self, episode_ids: Iterable[str]) -> set[str]:
-        """Those of these ids that the store has."""
+    def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
+        """Return the ids that the store contains."""
         return {id_ for id_ in episode_ids if self._read("SELECT 1 FROM episodes WHERE id = ?", (id_,))}
 
     def episodes(self) -> Iterator[StoredEpisode]:
-        """All finished episodes, oldest first, read as they are asked for.
+        """Yield all finished episodes, oldest first.
 
         Raises:
             StoreError: if the store cannot be read.
         """
         number = 0
-        # In pages, since a reader that stays open keeps the log of the file from being folded back.
-        while page := self._stored("WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
-            yield from (stored for _, stored in page)
-            number = page[-1][0]
+        # In pages, since an open reader prevents SQLite from truncating its log.
+        while page := self._read(f"{SELECT_STORED} WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
+            yield from map(self._stored, page)
+            number = page[-1]["number"]
 
     def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float | None = None) -> Analysis:
-        """Figures of the last episodes of a task.
+        """Return statistics of the last episodes of a task.
 
-        Optima are solved once per map, in a thread of the store's, and kept; this waits `patience` seconds for them.
-        The maps that are not solved by then are left out of `mean_regret` and are there in a later call.
+        Each map is solved once, in the background; this call waits up to `patience` seconds. `mean_regret` omits the
+        maps that are not solved by then.
 
         Raises:
             UnknownNameError: if there is no such task.
@@ -251,27 +230,26 @@ class Store:
         """
         if last < 1:
             raise InvalidValueError(f"last must be at least 1, got {last}")
-        known = get_task(task)
-        rows = self.listed(last, known, patience=patience)
-        where, values = selection(known)
+        rows = self.listed(last, task, patience=patience)
+        where, values = _where(task)
         ((total,),) = self._read(f"SELECT count(*) FROM episodes {where}", values)
-        return analyse(known, total, rows)
+        return analyse(get_task(task), total, rows)
 
     # Sessions
 
     def open_session(self, episode: Episode, agent: str, capacity: int, address: str | None = None) -> str:
-        """Open a session on an episode at its start, and return its id, which cannot be guessed.
+        """Open a session on an episode at its start and return its secret id.
 
-        If there is no room, the session that was finished first gives way, if it has not been used for 30 s.
+        If there is no room, the finished session that was idle longest, and for at least 30 s, is evicted.
 
         Args:
             episode: The episode.
-            agent: Who flies.
-            capacity: How many sessions may be open.
-            address: Where the callers are that share it without naming it (`unnamed_session`).
+            agent: Name of the pilot.
+            capacity: Maximum number of open sessions.
+            address: The address whose callers share it without naming it (`unnamed_session`).
 
         Raises:
-            CapacityError: if `capacity` sessions are open already; expire the idle ones first.
+            CapacityError: if `capacity` sessions are open; expire the idle ones first.
             InvalidValueError: if the agent's name is not one printable line.
             StoreError: if it could not be written.
         """
@@ -283,30 +261,29 @@ class Store:
             (taken,) = connection.execute(COUNT).fetchone()
             if taken >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
-            # One at most is of those who name none: where it is named, they are not to find one that they left before.
+            # An address has at most one unnamed session.
             connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
             connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
         return session_id
 
     @contextmanager
     def session(self, session_id: str, address: str | None = None) -> Generator[Session, None, None]:
-        """A session to be changed. Nobody else writes to the store meanwhile: keep the block short, without `await`.
+        """Yield a session to change. The block locks the store: keep it short, without `await`.
 
-        At the end of the block its changes and the finished episodes are kept together; if the block raises, nothing is
-        kept, and its `episode` must not be used again. Entering counts as use.
+        At its end the changes and the finished episodes are written in one transaction. If the block raises, nothing
+        is written, and its `episode` must not be used again. Entering counts as use.
 
             with store.session(id) as session:
                 reward = advance(session, action)
 
         Args:
             session_id: The session.
-            address: Of a caller who does not name the session; who names it has it alone from then on.
+            address: The address of a caller that does not name the session. A caller that names it makes it private.
 
         Raises:
             NoSessionError: if there never was such a session, or somebody has named that of the address.
             SessionGoneError: if it has ended or expired.
-            StoreError: if the store stays busy for 30 s, cannot be written, or the block is inside another one of the
-                same thread.
+            StoreError: if the store stays busy for 30 s, cannot be written, or the same thread is already in a block.
         """
         with self._database.writing() as connection:
             session = session_row(connection, session_id)
@@ -327,17 +304,13 @@ class Store:
         """Store the finished episodes of a session that has no row.
 
         Raises:
-            StoreError: if they could not be written; then the session still holds them.
+            StoreError: if they could not be written; the session then still contains them.
         """
-        with self._database.writing() as connection:
-            for stored in session.finished:
-                self._database.check_task(connection, get_task(stored.record.task), claim=True)
-                insert_episode(connection, stored)
-        self._noted(session.finished)
+        self._add(session.finished)
         session.finished = []
 
     def read_session(self, session_id: str) -> Session:
-        """A session as it stands, to be read only; does not wait for writers and does not count as use.
+        """Return a session to read only. This does not wait for writers and does not count as use.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -348,7 +321,7 @@ class Store:
             return session_row(connection, session_id)
 
     def unnamed_session(self, address: str) -> str | None:
-        """The session of those at an address who name none; None where they have none, or somebody has named it.
+        """Return the session that the callers of an address share; None if there is none, or somebody has named it.
 
         Raises:
             StoreError: if the store cannot be read.
@@ -357,7 +330,7 @@ class Store:
         return found[0][0] if found else None
 
     def end_session(self, session_id: str) -> None:
-        """End a session: from now on it is gone.
+        """End a session.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -369,7 +342,7 @@ class Store:
             end_session(connection, session_id, self._clock())
 
     def touch_sessions(self, session_ids: Iterable[str]) -> None:
-        """Count sessions as used just now; those that are gone stay so.
+        """Count sessions as used now; this does not bring back sessions that are gone.
 
         Raises:
             StoreError: if it could not be written.
@@ -381,9 +354,7 @@ class Store:
             )
 
     def expire_sessions(self, idle_seconds: float) -> list[str]:
-        """End the sessions that were not used for so long, and return their ids.
-
-        They are remembered as gone for a week.
+        """End the sessions that are idle for this long and return their ids. The store remembers them for a week.
 
         Raises:
             StoreError: if it could not be written.
@@ -392,57 +363,71 @@ class Store:
             return end_idle(connection, self._clock(), idle_seconds)
 
     def count_sessions(self) -> int:
-        """How many sessions are open.
+        """Return the number of open sessions.
 
         Raises:
             StoreError: if the store cannot be read.
         """
         return self._read(COUNT)[0][0]
 
+    def _add(self, finished: Sequence[StoredEpisode]) -> None:
+        """Store finished episodes in one transaction."""
+        with self._database.writing() as connection:
+            for stored in finished:
+                task = get_task(stored.record.task, stored.record.task_version)
+                self._database.check_task(connection, task, claim=True)
+                insert_episode(connection, stored)
+        self._noted(finished)
+
     def _noted(self, stored: Sequence[StoredEpisode]) -> None:
-        """Show new episodes in `memory.json`, and have their maps solved."""
+        """Show new episodes in `memory.json` and start to solve their maps."""
         if stored:
             self._view.refresh()
             if self._solves_all:
                 for one in stored:
-                    self._solve(_unsolved(self._rows("WHERE id = ?", (one.id,))), 0.0)
+                    self._read_solved(f"{SELECT_ROWS} WHERE id = ?", (one.id,), "seed", 0)
 
-    def _solve(self, unsolved: Iterable[tuple[str, int, int]], patience: float | None) -> bool:
-        """Have maps solved, named by task, version and seed; whether there were any."""
+    def _read_solved(
+        self, query: str, values: tuple[object, ...], seed: str, patience: float | None
+    ) -> list[sqlite3.Row]:
+        """Run a query with a column `solved`; if maps are not solved, wait for the solver and run it again.
+
+        Args:
+            query: The query.
+            values: Its values.
+            seed: Its column with the number of the map.
+            patience: Seconds to wait; None for `PATIENCE`.
+        """
+        rows = self._read(query, values)
         maps: dict[Map, None] = {}
-        for name, version, seed in unsolved:
-            with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
-                maps[get_task(name, version), seed] = None
-        if maps:
-            self._optima.want(maps, PATIENCE if patience is None else patience)
-        return bool(maps)
+        for row in rows:
+            if not row["solved"]:
+                with suppress(UnknownNameError):  # the plugin of the task is gone
+                    maps[get_task(row["task"], row["task_version"]), row[seed]] = None
+        if not maps:
+            return rows
+        self._optima.solve(maps, PATIENCE if patience is None else patience)
+        return self._read(query, values)
 
-    def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
-        """A clock that has gone back since the last start would let sessions live on: it begins where they are."""
-        ((used,),) = self._read("SELECT coalesce(max(touched_at), 0) FROM sessions")
-        ahead = max(0.0, used - clock())
-        return lambda: clock() + ahead
-
-    def _read(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
+    def _read(self, query: str, values: tuple[object, ...] = ()) -> list[sqlite3.Row]:
         with self._database.reading() as connection:
             return connection.execute(query, values).fetchall()
 
-    def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeSummary]:
-        return [EpisodeSummary.of(row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
+    def _stored(self, row: sqlite3.Row) -> StoredEpisode:
+        name = f"episode {row['number']} of {self._database.path} is damaged"
+        return StoredEpisode.read(row["episode"], name)
 
-    def _stored(self, where: str, values: tuple[object, ...]) -> list[tuple[int, StoredEpisode]]:
-        rows = self._read(f"{SELECT_STORED} {where}", values)
-        return [stored_episode(row, self._database.path) for row in rows]
-
-    def _newer(self, after: int, n: int) -> list[tuple[int, StoredEpisode]]:
-        return self._stored(f"WHERE number > ? {NEWEST}", (after, n))[::-1]
+    def _newer(self, after: int, n: int) -> list[tuple[int, str]]:
+        return [tuple(row) for row in self._read(f"{SELECT_STORED} WHERE number > ? {NEWEST}", (after, n))[::-1]]
 
 
-def _unsolved(rows: Iterable[EpisodeSummary]) -> list[tuple[str, int, int]]:
-    return [(row.task, row.task_version, row.seed) for row in rows if not row.solved]
+def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:
+    """Return a WHERE clause for a task and for the filters that are not None, with its values.
 
-
-def _at_most(n: int) -> int:
-    if n < 0:
-        raise InvalidValueError(f"n must be at least 0, got {n}")
-    return min(n, MOST_ROWS)
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+    known = None if task is None else get_task(task)
+    of_task = {} if known is None else {"task =": known.id, "task_version =": known.version}
+    given = {name: value for name, value in {**of_task, **(filters or {})}.items() if value is not None}
+    return f"WHERE {' AND '.join([f'{name} ?' for name in given])}" if given else "", tuple(given.values())

@@ -1,4 +1,4 @@
-"""Tables of figures, each made once and shown as HTML, as Markdown or on the terminal."""
+"""Tables as Markdown and on the terminal; templates show them as HTML."""
 
 import sys
 from collections.abc import Collection, Sequence
@@ -11,7 +11,7 @@ from rich.table import Table as RichTable
 
 
 class Table(NamedTuple):
-    """One table: its title, its headings (none where each row is a name and a value), its rows."""
+    """One table. It has no headings if each row is a name and a value."""
 
     title: str
     head: Sequence[str]
@@ -19,23 +19,23 @@ class Table(NamedTuple):
 
 
 def number(value: float | None, form: str = ".4f") -> str:
-    """A figure, with four decimals if nothing is said; `-` where it is not known."""
+    """Format a number; `-` if it is unknown."""
     return "-" if value is None else format(value, form)
 
 
 def percent(value: float | None) -> str:
-    """A share in percent; `-` where it is not known."""
+    """Format a share in percent; `-` if it is unknown."""
     return number(value, ".1%")
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown; the cells stand in it as they are."""
+    """Return a table in Markdown; cells are not escaped."""
     lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in (head, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
 
 
 def table_console(width: int) -> Console:
-    """Standard output, this many columns wide where it is no terminal."""
+    """Return a console on standard output; `width` applies if it is not a terminal."""
     return Console(width=None if sys.stdout.isatty() else width, highlight=False)
 
 
@@ -51,11 +51,11 @@ def print_table(
 
     Args:
         table: The table.
-        width: Columns of the page where standard output is no terminal.
-        names: How many of the first columns are names; the others are figures and stand to the right.
-        caption: A line below.
-        sections: Whether rows with another first cell than the one above stand apart.
-        alarming: Numbers of rows to show in red, from 0.
+        width: Columns of the page if standard output is not a terminal.
+        names: The first `names` columns are left-aligned; the others are numbers.
+        caption: A line below the table.
+        sections: Whether a new value in the first column starts a section.
+        alarming: Indices of rows to show in red.
     """
     shown = RichTable(
         title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from drone_env.errors import DroneEnvError
 from drone_env.files import stamp
-from drone_env.results.folder import CONFIG, PIECES
+from drone_env.results.folder import CHUNKS, CONFIG
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, evaluation_entries
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Evaluations(_Folders):
 
     def entries(self, path: Path, task: str) -> Entries:
         """The entry of each agent on a task, or why it is not ranked."""
-        files = (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))
+        files = (path / CONFIG, *sorted((path / CHUNKS).glob("*.npz")))
         return self._entries((path, task), path, files, lambda: evaluation_entries(path, task, MOST_MAPS))
 
 

@@ -157,7 +157,7 @@ def test_a_models_flight_has_its_prompts_and_answers_by_step(
 def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -> None:
     path = put_run(tmp_path, "cut", "greedy", range(14, 16))
     with Store(tmp_path) as store:
-        flight = store.latest(1)[0].id
+        flight = store.listed(1)[0].id
     (tmp_path / "llm" / "unread").mkdir()
     (tmp_path / "llm" / "unread" / "run.json").write_text("{}")
     with TestClient(create_app(Settings(data=tmp_path))) as client:

@@ -92,7 +92,7 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
             expect(where).to_contain_text(f"Step {len(flight.actions)} of")
             expect(dialog).to_be_hidden()
     with Store(data) as store:
-        episodes = store.latest(10)
+        episodes = list(store.episodes())
     assert {(episode.record.seed, *episode.record.actions) for episode in episodes} == {(7, *flight.actions)}
 
 

@@ -116,7 +116,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
 def test_the_command_says_that_it_trusts_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "model.zip"
     model_of(PPO, "flat").save(file)
-    told = f"{file}: reading it runs code that it holds; it is trusted, since you name it\n"
+    told = f"{file}: reading it runs code that it contains; name only files that you trust\n"
     maps = ["--task", "easy", "--seeds", "3:5"]
     for command in (
         ["fly", "--agent"],

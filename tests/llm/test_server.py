@@ -67,7 +67,7 @@ def test_a_server_in_the_same_folder_shows_the_flights(endpoint: Callable[..., E
     # Another run of the same flight is another flight.
     assert scripted.infer("--seeds", "14:15").status == 0
     with Store(scripted.folder / "data") as store:
-        assert len(store.latest(9)) == 3
+        assert len(store.listed(9)) == 3
 
 
 def test_a_store_that_fails_costs_no_paid_flight(

@@ -32,6 +32,11 @@ def finish_in(row: Session, episode: Episode) -> None:
         advance(row, action)
 
 
+def latest(store: Store, n: int = 9) -> list[StoredEpisode]:
+    """The last episodes, newest first."""
+    return list(store.episodes())[::-1][:n]
+
+
 def view(folder: Path) -> list[StoredEpisode]:
     content = json.loads((folder / "memory.json").read_bytes())
     assert (content["format"], content["format_version"]) == ("drone_env/memory", 1)

@@ -1,4 +1,4 @@
-"""Who flew, as sessions and records say it."""
+"""Names of pilots in sessions and records."""
 
 import pytest
 from hypothesis import given, settings
@@ -18,23 +18,23 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pilot", "step", "of", "said"),
+    ("pilot", "step", "of", "expected"),
     [
         ("human", 20, "pathqnet", "human from step 20 of pathqnet"),
         ("greedy", 3, "a model with values", "greedy from step 3 of a model with values"),
         ("human", 0, "pathqnet", "human"),
         ("human", 0, "human from step 20 of pathqnet", "human"),
         ("human", 0, "human with values", "human with values"),
-        # On a flight of its own it goes on.
+        # A pilot may continue its own flight.
         ("human", 5, "human", "human with undo"),
         ("human", 5, "human with values", "human with values and undo"),
         ("greedy", 5, "greedy", "greedy"),
         ("human", 30, "human with values from step 20 of greedy", "human with values and undo from step 20 of greedy"),
-        # What was flown after the step is of no account.
+        # The fork ignores all steps after it.
         ("human", 20, "human with undo from step 20 of greedy", "human from step 20 of greedy"),
         ("greedy", 9, "human from step 20 of greedy from step 10 of random", "greedy from step 9 of random"),
         ("optimal", 30, "human from step 20 of greedy", "optimal from step 30 of human from step 20 of greedy"),
     ],
 )
-def test_a_fork_names_who_flew_each_part(pilot: str, step: int, of: str, said: str) -> None:
-    assert str(Credit.of_fork(pilot, step, of)) == said
+def test_a_fork_names_who_flew_each_part(pilot: str, step: int, of: str, expected: str) -> None:
+    assert str(Credit.of_fork(pilot, step, of)) == expected

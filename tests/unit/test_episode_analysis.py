@@ -1,4 +1,4 @@
-"""What is known of the finished episodes of a task, with optima that are worked out meanwhile."""
+"""Statistics of the finished episodes of a task, with optima that are solved in the background."""
 
 import threading
 from pathlib import Path
@@ -92,7 +92,8 @@ def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog:
 def row(score: float, outcome: OutcomeName, actions: str, optimum: float | None) -> EpisodeSummary:
     done, steps = int(outcome == "delivered"), len(actions)
     flight = ("easy_delivery", 1, 7, "tiered", "someone", actions, done, 1, steps, 1.0, score, outcome)
-    return EpisodeSummary.of((1, "0123456789abcdef", 0.0, *flight, True, optimum))
+    values = (1, "0123456789abcdef", 0.0, *flight, True, optimum)
+    return EpisodeSummary(**dict(zip(EpisodeSummary.model_fields, values, strict=True)))
 
 
 def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:

@@ -19,15 +19,12 @@ from drone_env.results.result import COLUMNS, Results, concatenate
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:
     key = episodes_key("medium", "greedy", split_seeds("test", 23), "test")
-    whole, pieces = run_episodes(key), list(map(run_episodes, key.pieces(5)))
-    assert [len(piece.seeds) for piece in pieces] == [5, 5, 5, 5, 3]
-    together = concatenate(pieces)
-    assert together.key == key
+    whole, chunks = run_episodes(key), list(map(run_episodes, key.chunks(5)))
+    assert [len(chunk.seeds) for chunk in chunks] == [5, 5, 5, 5, 3]
+    together = concatenate(chunks, key)
     for name in COLUMNS:
         assert np.array_equal(getattr(whole, name), getattr(together, name))
         assert getattr(whole, name).dtype == getattr(together, name).dtype
-    with pytest.raises(InvalidValueError, match="neighbours"):
-        concatenate(pieces[::2])
 
 
 @pytest.mark.parametrize("agent", ["greedy", "optimal"])
@@ -64,11 +61,6 @@ def test_figures_by_hand() -> None:
     assert figures["score_ratio"] == pytest.approx(0.6)
     assert figures["mean_regret"] == pytest.approx(0.38)
     assert figures["mean_excess_steps"] == 3.5
-    assert repr(results).splitlines() == [
-        "greedy on easy_delivery v1",
-        "maps 0 to 2 (3, split custom)",
-        "score 0.5700 [0.0100, 0.9900] (95 %), optimum 0.9500, success 66.7%, steps 30.0",
-    ]
 
 
 def test_where_no_planner_knows_the_optimum_its_figures_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,9 +80,8 @@ def test_where_no_planner_knows_the_optimum_its_figures_are_missing(monkeypatch:
 
 def test_a_key_is_of_this_configuration_of_a_registered_task_and_of_its_split() -> None:
     key = episodes_key("easy", "greedy", range(2))
-    for wrong, told in (({"config_hash": "0" * 16}, "made under"), ({"seeds": (1, 1)}, "holds no seeds")):
-        with pytest.raises(InvalidValueError, match=told):
-            run_episodes(key._replace(**wrong))
+    with pytest.raises(InvalidValueError, match="made under"):
+        run_episodes(key._replace(config_hash="0" * 16))
     with pytest.raises(InvalidValueError, match="register it first"):
         episodes_key(replace(TASKS["easy_delivery"], max_steps=50, battery_capacity=50), "greedy", range(2))
     with pytest.raises(InvalidValueError, match="are not of the split 'train'"):

@@ -16,12 +16,12 @@ def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pyte
     whole = json.loads(figures.read_text())
     pieces = sorted((folder / "pieces").iterdir())
     assert len(pieces) == 3
-    kept = [piece.stat().st_mtime_ns for piece in pieces]
+    written = [piece.stat().st_mtime_ns for piece in pieces]
     pieces[1].unlink()
     assert main([*command, "--json", str(figures)]) == 0
     assert json.loads(figures.read_text()) == whole
     now = [piece.stat().st_mtime_ns for piece in pieces]
-    assert (now[0], now[2]) == (kept[0], kept[2])
+    assert (now[0], now[2]) == (written[0], written[2])
     capsys.readouterr()
     pieces[2].write_bytes(pieces[2].read_bytes()[:-30])
     assert main(command) == 2

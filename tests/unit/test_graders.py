@@ -42,7 +42,7 @@ def test_model_dictionary_and_episode_agree_on_a_whole_flight(task: str) -> None
 
 def test_only_counts_of_the_graders_own_task_are_graded() -> None:
     assert grade_easy(state_of("easy", score=0.99)) == 0.20
-    with pytest.raises(InvalidValueError, match="'easy_delivery' was given a state of 'hard_delivery'"):
+    with pytest.raises(InvalidValueError, match="'easy_delivery' got a state of 'hard_delivery'"):
         grade_easy(state_of("hard"))
     with pytest.raises(InvalidValueError, match="max_steps"):
         grade_easy(state_of("easy", max_steps=1000))
@@ -67,6 +67,6 @@ def test_check_graders_fails_on_a_broken_manifest(
     file = tmp_path / "openenv.yaml"
     file.write_text(manifest)
     assert check_graders.main(str(file)) == 1
-    told = capsys.readouterr().out
-    assert complaint in told
-    assert "PASSED" not in told
+    output = capsys.readouterr().out
+    assert complaint in output
+    assert "PASSED" not in output

@@ -1,7 +1,6 @@
 """memory.json, the view of the last episodes."""
 
 import logging
-import os
 import threading
 from pathlib import Path
 
@@ -9,14 +8,14 @@ import pytest
 
 from drone_env.results.memory_view import MemoryView
 from drone_env.results.store import FILE_NAME, Store, StoredEpisode
-from tests.unit.stores import eventually, finish_in, flown, opened, view
+from tests.unit.stores import eventually, finish_in, flown, latest, opened, view
 
 
 def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         assert view(tmp_path) == []
         store.add_episode(flown(seed=1), "ace")
-        eventually(lambda: view(tmp_path) == store.latest(1))
+        eventually(lambda: view(tmp_path) == latest(store, 1))
         # Until the thread that writes has looked for the last time: what follows has to wake it.
         store._view._thread.submit(lambda: None).result()
         session_id = opened(store, seed=3)
@@ -32,7 +31,7 @@ def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: P
     with Store(tmp_path) as first, Store(tmp_path) as second:
         for number in range(130):
             (first, second)[number % 2].add_episode(episode, f"ace {number}")
-        expected = first.latest(100)[::-1]
+        expected = latest(first, 100)[::-1]
         eventually(lambda: view(tmp_path) == expected)
     assert [stored.record.agent for stored in expected] == [f"ace {number}" for number in range(30, 130)]
 
@@ -40,22 +39,23 @@ def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: P
 def test_an_older_view_that_overwrites_a_newer_one_is_put_right(tmp_path: Path) -> None:
     path = tmp_path / "memory.json"
     stored = [StoredEpisode.of(f"{number:016x}", flown(), "ace") for number in range(3)]
-    kept = list(enumerate(stored[:1], 1))
+    texts = [(number, one.model_dump_json()) for number, one in enumerate(stored, 1)]
+    rows = texts[:1]
     overtaken = threading.Event()
 
-    def newer(after: int, n: int) -> list[tuple[int, StoredEpisode]]:
-        found = kept[after:][-n:]
-        if len(kept) == 2 and not overtaken.is_set():
+    def newer(after: int, n: int) -> list[tuple[int, str]]:
+        found = rows[after:][-n:]
+        if len(rows) == 2 and not overtaken.is_set():
             # Another process stores one more, and writes its view, before this one writes what it has just read.
             overtaken.set()
-            kept.append((3, stored[2]))
-            MemoryView(path, lambda after, n: kept[after:][-n:]).close()
+            rows.append(texts[2])
+            MemoryView(path, lambda after, n: rows[after:][-n:]).close()
             assert view(tmp_path) == stored
         return found
 
     memory_view = MemoryView(path, newer)
     assert view(tmp_path) == stored[:1]
-    kept.append((2, stored[1]))
+    rows.append(texts[1])
     memory_view.refresh()
     memory_view.close()
     assert overtaken.is_set()
@@ -72,25 +72,6 @@ def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:
         assert view(tmp_path) == whole
 
 
-def test_a_file_of_another_program_is_kept_under_another_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "memory.json"
-    others = [b'[{"task": "easy_delivery", "total_reward": 4.5}]', b"[]", b'{"episodes": []}']
-    path.write_bytes(others[0])
-    with Store(tmp_path) as store:
-        assert view(tmp_path) == []
-        path.write_bytes(others[1])
-        store.add_episode(flown(), "ace")
-    assert len(view(tmp_path)) == 1
-    path.write_bytes(others[2])
-    for _ in range(2):
-        Store(tmp_path).close()
-        assert len(view(tmp_path)) == 1
-    kept = sorted(tmp_path.glob("memory.kept-*.json"))
-    assert [one.read_bytes() for one in kept] == others
-    for one in kept:
-        assert f"{path} was not written by drone-env: it is kept as {one}" in caplog.text
-
-
 def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -100,12 +81,3 @@ def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
         assert store.episode(episode_id).id == episode_id
     assert "memory.json could not be written" in caplog.text
     assert list(tmp_path.glob("memory*")) == [tmp_path / "memory.json"]
-
-
-def test_leftovers_of_killed_processes_are_removed_but_not_what_is_being_written(tmp_path: Path) -> None:
-    old, fresh = tmp_path / "memory.json.1-2.part", tmp_path / "memory.json.3-4.part"
-    for path in (old, fresh):
-        path.write_text("[")
-    os.utime(old, (0, 0))
-    Store(tmp_path).close()
-    assert (old.exists(), fresh.exists()) == (False, True)

@@ -1,6 +1,5 @@
 """Sessions, rows of the store."""
 
-import sqlite3
 import stat
 from pathlib import Path
 from typing import cast
@@ -11,9 +10,9 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, SessionGoneError, StoreError
 from drone_env.planning.optimal import solve
 from drone_env.results.record import record_of
-from drone_env.results.sessions import Session, advance, steady_clock
+from drone_env.results.sessions import Session, advance
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import finish_in, flown, opened
+from tests.unit.stores import finish_in, flown, latest, opened
 
 
 def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
@@ -26,14 +25,14 @@ def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
                 assert advance(row, action) == episode.step(action)
         row = store.read_session(session_id)
         assert row.episode_id is not None
-        assert store.latest(1)[0].id == row.episode_id
+        assert latest(store, 1)[0].id == row.episode_id
         assert store.episode(row.episode_id).record == record_of(episode, "someone")
         with store.session(session_id) as row:
-            assert advance(row, 4) == 0, "a step after the end pays nothing and is not kept"
+            assert advance(row, 4) == 0, "a step after the end pays nothing and is not stored"
         assert store.read_session(session_id).actions == tuple(episode.actions)
         with store.session(session_id) as row:
             row.begin(Episode("easy", "tiered", 8))
-    assert len(store.latest(9)) == 2
+    assert len(latest(store, 9)) == 2
     row = store.read_session(session_id)
     assert (row.flight, row.agent) == (("easy_delivery", 1, 8, "tiered"), "someone")
     assert (row.actions, row.episode_id) == ((), None)
@@ -52,7 +51,7 @@ def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:
             finish_and_fly(row, action)
     with pytest.raises(InvalidValueError, match="one printable line"), store.session(session_id) as row:
         row.begin(Episode("medium", "tiered", 8), "two\nlines")
-    assert (store.read_session(session_id).actions, store.latest(1)) == ((), [])
+    assert (store.read_session(session_id).actions, latest(store, 1)) == ((), [])
     with pytest.raises(InvalidValueError, match="one printable line"):
         store.open_session(Episode("easy", "tiered", 7), "\ud800", 9)
 
@@ -70,7 +69,7 @@ def test_a_full_disk_keeps_nothing_and_says_so(store: Store) -> None:
     with pytest.raises(StoreError, match="full"), store.session(session_id) as row:
         finish_in(row, flown("hard", actions="4"))
     assert store.read_session(session_id).actions == (1,)
-    assert [kept.id for kept in store.episodes()] == stored
+    assert [row.id for row in store.episodes()] == stored
 
 
 def test_ids_are_long_random_and_kept_from_others(store: Store) -> None:
@@ -105,7 +104,7 @@ def test_of_the_finished_the_one_that_was_not_used_for_longest_gives_way(tmp_pat
         opened(store, capacity=3)
         with pytest.raises(SessionGoneError):
             store.read_session(ids[1])
-        assert [store.read_session(kept).id for kept in (ids[0], ids[2])] == [ids[0], ids[2]]
+        assert [store.read_session(id_).id for id_ in (ids[0], ids[2])] == [ids[0], ids[2]]
 
 
 @pytest.mark.parametrize("session_id", ["", "nobody", "\ud800", "' OR 1=1"])
@@ -116,48 +115,26 @@ def test_a_session_that_never_was(session_id: str, store: Store) -> None:
             call(session_id)
 
 
-def test_an_ended_session_is_gone_for_every_store(store: Store) -> None:
-    session_id = opened(store)
-    store.end_session(session_id)
-    with Store(store.folder) as other:
-        for one in (store, other):
-            for call in (one.read_session, one.end_session):
+def test_idle_and_ended_sessions_are_gone_for_every_store(tmp_path: Path) -> None:
+    now = 1_000_000.0
+    with Store(tmp_path, lambda: now) as store, Store(tmp_path, lambda: now) as other:
+        idle, used, ended = (opened(store) for _ in range(3))
+        store.end_session(ended)
+        now += 59
+        assert store.expire_sessions(60) == []
+        with store.session(used):
+            pass
+        now += 1
+        assert other.expire_sessions(60) == [idle]
+        for call in (store.read_session, store.end_session, other.read_session):
+            for session_id in (idle, ended):
                 with pytest.raises(SessionGoneError):
                     call(session_id)
-
-
-def test_idle_sessions_expire_and_used_ones_do_not(store: Store) -> None:
-    idle, used = opened(store), opened(store)
-    assert store.expire_sessions(60) == []
-    with sqlite3.connect(store.folder / FILE_NAME) as connection:
-        connection.execute("UPDATE sessions SET touched_at = touched_at - 100")
-    connection.close()
-    with store.session(used):
-        pass
-    assert store.expire_sessions(60) == [idle]
-    with pytest.raises(SessionGoneError):
-        store.read_session(idle)
-    assert store.read_session(used).id == used
-    with sqlite3.connect(store.folder / FILE_NAME) as connection:
-        connection.execute("UPDATE gone_sessions SET gone_at = gone_at - 8 * 24 * 3600")
-    connection.close()
-    assert store.expire_sessions(60) == []
-    with pytest.raises(NoSessionError):
-        store.read_session(idle)
-
-
-def test_sessions_are_idle_by_a_clock_that_nobody_sets(tmp_path: Path) -> None:
-    wall, steady = 1_000_000.0, 50.0
-    with Store(tmp_path, steady_clock(lambda: wall, lambda: steady)) as store:
-        session_id = opened(store)
-        assert store.read_session(session_id).touched_at == wall
-        for jump in (3600, -7200):
-            wall += jump
-            assert store.expire_sessions(60) == []
-        steady += 59
-        assert store.expire_sessions(60) == []
-        steady += 1
-        assert store.expire_sessions(60) == [session_id]
+        assert other.read_session(used).id == used
+        now += 8 * 24 * 3600
+        assert store.expire_sessions(9 * 24 * 3600) == []
+        with pytest.raises(NoSessionError):
+            store.read_session(idle)
 
 
 def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:

@@ -21,7 +21,7 @@ from drone_env.models import DIRECTIONS
 from drone_env.results.record import replay
 from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import eventually, opened, view
+from tests.unit.stores import eventually, latest, opened, view
 
 KILLS = max(2, int(os.environ.get("DRONE_ENV_EXAMPLES", "200")) // 100)
 
@@ -47,13 +47,13 @@ def worker(folder: Path, session_id: str, seed: int, output: Path) -> subprocess
         )
 
 
-def said(output: Path) -> list[tuple[int, tuple[int, ...], str | None]]:
+def printed(output: Path) -> list[tuple[int, tuple[int, ...], str | None]]:
     """The whole lines that a worker printed after each step."""
     lines = [json.loads(line) for line in output.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
     return [(seed, tuple(actions), finished) for seed, actions, finished in lines]
 
 
-def kept(store: Store, session_id: str) -> dict[int, tuple[int, ...]]:
+def flown_by(store: Store, session_id: str) -> dict[int, tuple[int, ...]]:
     """The actions that a session has flown on each map; its finished episodes are flown again."""
     episodes, row = list(store.episodes()), store.read_session(session_id)
     flown = [
@@ -86,16 +86,16 @@ def test_processes_on_one_session_lose_no_step_when_they_are_killed(tmp_path: Pa
                 process.send_signal(signal.SIGKILL)
                 process.wait()
         assert [process.returncode for process in workers] == [-signal.SIGKILL] * 2
-        steps += [step for output in outputs for step in said(output)]
+        steps += [step for output in outputs for step in printed(output)]
         with Store(tmp_path) as store:
-            flown = kept(store, session_id)
-            # Each step was kept once: no two processes saw the session in the same state.
+            flown = flown_by(store, session_id)
+            # Each step was stored once: no two processes saw the session in the same state.
             assert len({(seed, len(actions)) for seed, actions, _ in steps}) == len(steps)
             assert all(flown[seed][: len(actions)] == actions for seed, actions, _ in steps)
             assert {id_ for _, _, id_ in steps if id_} <= {stored.id for stored in store.episodes()}
-            # At most one step of each killed process is kept, but not yet told of.
+            # At most one step of each killed process is stored but not printed yet.
             assert 0 <= sum(map(len, flown.values())) - len(steps) <= 2 * kill
-            assert view(tmp_path) == store.latest(100)[::-1]
+            assert view(tmp_path) == latest(store, 100)[::-1]
         connection = sqlite3.connect(tmp_path / FILE_NAME)
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         connection.close()

@@ -113,7 +113,7 @@ async def run_boards(request: Request, shared: SharedParts, task_name: str) -> R
         flights += await shared.work(request, _check_run, path)
     for path in await shared.work(request, _evaluations):
         await shared.work(request, _check_evaluation, path, task.id)
-    stored = await run_in_threadpool(shared.store.kept, flights)
+    stored = await run_in_threadpool(shared.store.stored_ids, flights)
     return Response(await shared.work(request, _boards, task.id, stored), media_type="application/json")
 
 
