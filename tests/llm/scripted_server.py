@@ -48,11 +48,6 @@ def reply(pilot: str, prompt: str) -> str:
     return pilot
 
 
-def text_of(content: str | list) -> str:
-    """The text of a message, which may have a picture beside it."""
-    return content if isinstance(content, str) else "".join(part.get("text", "") for part in content)
-
-
 channels: dict[str, dict] = {}
 """The script of each endpoint, and how many requests it got (`count`)."""
 
@@ -104,7 +99,7 @@ async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
 
 def completion(script: dict, body: dict) -> dict:
     """What the pilot of the script says to a request."""
-    texts = [text_of(message["content"]) for message in body["messages"]]
+    texts = [message["content"] for message in body["messages"]]
     prompt = next(text for text in reversed(texts) if "Position:" in text)
     pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
     message = {"role": "assistant", "content": reply(pilot, prompt), **script.get("message", {})}

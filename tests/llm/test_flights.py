@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from drone_env.core.seeds import SPLITS
-from drone_env.llm.answers import Answer
-from drone_env.llm.content import ChatMessage
-from drone_env.llm.options import Options
+from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.limiter import Options
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes

@@ -10,11 +10,10 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.content import VALUES
-from drone_env.llm.prompt import FOLDER, first_messages, first_texts, get_prompt, prompt_ids, read_prompt, text_of_file
+from drone_env.llm.prompt import FOLDER, VALUES, get_prompt, prompt_ids, read_prompt, text_of_file
 
 from .conftest import Endpoint
-from .test_prompts_suffice import ODD
+from .test_prompts_suffice import ODD, texts_of
 
 SHOWN = [*TASKS.values(), *ODD]
 """The tasks of the package, and some with rules that none of those has."""
@@ -26,7 +25,6 @@ GOLDEN = {
     "plan-2": "64eb6be394325b81",
     "think-1": "e27f2caaaba530af",
     "think-plan-1": "55169846dc0b242f",
-    "vision-1": "6cf3b6841a5787c0",
     "fly-2": "d92d129353c1621d",
 }
 
@@ -38,9 +36,9 @@ def test_published_prompts_stay_as_they_were_to_the_byte() -> None:
         texts: list[str] = []
         for task in SHOWN:
             episode = Episode(task, seed=7)
-            texts += first_texts(prompt, episode)
+            texts += texts_of(prompt, episode)
             episode.fly([3, 1, 1, 2])
-            texts += first_texts(prompt, episode, ["1. RIGHT -> (1, 2). On the way."])
+            texts += texts_of(prompt, episode, ["1. RIGHT -> (1, 2). On the way."])
         shown[prompt.id] = hashlib.sha256("\n\n".join(texts).encode()).hexdigest()[:16]
     assert shown == GOLDEN
 
@@ -61,11 +59,11 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
         ("plan = ", "mine.toml: "),
         ("plan = 1", "mine.toml is not a prompt: format: Field required; plan: Input should be a valid boolean"),
         ("format = 2" + rest, "format: Input should be 1"),
-        ("format = 1" + rest, "user: unknown 'weather'; there are battery_percent, battery_steps, "),
+        ("format = 1" + rest, "user: unknown 'weather'; allowed: battery_percent, battery_steps, "),
         ("format = 1" + rest.replace("}}", ""), "user: unexpected end of template"),
         ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
         ("format = 1" + rest.replace('system = ""', "system = '{% include \"more.j2\" %}'"), r"unknown 'more\.j2'"),
-        ("format = 1" + rest.replace("weather", "x").replace('""', '"{{ x }}"'), "repair: unknown 'x'; there are"),
+        ("format = 1" + rest.replace("weather", "x").replace('""', '"{{ x }}"'), "repair: unknown 'x'; allowed: "),
     ]:
         path.write_text(text)
         with pytest.raises(InvalidValueError, match=why):
@@ -79,15 +77,15 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
 def test_a_template_that_cannot_be_filled_in_or_reaches_out_is_told(tmp_path: Path, template: str) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(f'format = 1\nplan = false\nsystem = ""\nuser = "{template}"\nrepair = ""')
-    with pytest.raises(InvalidValueError, match="prompt mine cannot be filled in: "):
-        first_messages(read_prompt(path), Episode("easy", seed=14))
+    with pytest.raises(InvalidValueError, match="prompt mine cannot be rendered: "):
+        read_prompt(path).messages(Episode("easy", seed=14))
 
 
 def test_a_template_may_name_every_value(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     told = "; ".join(f"{name}={{{{ {name} }}}}" for name in sorted(VALUES))
     path.write_text(f"format = 1\nplan = false\nsystem = ''\nuser = '{told}'\nrepair = '{{{{ reason }}}}'\n")
-    _, text = first_texts(read_prompt(path), Episode("easy", seed=14))
+    _, text = texts_of(read_prompt(path), Episode("easy", seed=14))
     filled = dict(part.partition("=")[::2] for part in text.split("; "))
     assert filled.keys() == VALUES
     assert (filled["x"], filled["y"], filled["steps_left"], filled["history"]) == ("6", "3", "60", "")
