@@ -29,6 +29,8 @@ PARTS = {
     "refusal": "refusal",
 }
 """The field of the answer for each type of content part. Other types are ignored."""
+TEXTS = ("text", "reasoning", "refusal", "tool_arguments")
+"""The fields of an answer that contain text from the model."""
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
     403: "the token may not use this model or endpoint",
@@ -58,14 +60,6 @@ class TryFailedError(DroneEnvError):
 
     def __str__(self) -> str:
         return f"{self.status or 'no answer'}: {self.reason}"
-
-
-class _SentError(Exception):
-    """A 200 response that contains an error, or no answer, as `value`."""
-
-    def __init__(self, value: Any) -> None:
-        super().__init__()
-        self.value = value
 
 
 class Endpoint:
@@ -127,10 +121,11 @@ class Endpoint:
             raise self._refusal(response.status_code, _error_text(data), response.headers)
         if not data.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
-        try:
-            fields = _answer(_json(data))
-        except _SentError as sent:
-            raise self._error_inside(sent.value, response.headers) from None
+        completion = _json(data)
+        error = _error_of(completion)
+        fields = {} if error else _answer(completion)
+        if error or not any(fields[name] for name in (*TEXTS, "finish_reason")):
+            raise self._error_inside(error or "the message is empty", response.headers)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
@@ -173,18 +168,21 @@ async def _read(response: httpx.Response) -> bytes:
     return bytes(data)
 
 
-def _answer(completion: Any) -> dict[str, Any]:
-    """The fields of the answer in a completion; many servers omit some."""
+def _error_of(completion: Any) -> Any:
+    """The error in a 200 response; None if it contains an answer."""
     choices: Any = completion.get("choices")
     if completion.get("error") or completion.get("object") == "error" or not choices:
-        raise _SentError(completion.get("error") or completion)
+        return completion.get("error") or completion
     choice: Any = choices[0] or {}
-    message: Any = choice.get("message")
-    reason: Any = choice.get("finish_reason")
-    if message is None:
-        raise _SentError({"message": "there is no message"})
-    if choice.get("error") or reason == "error":
-        raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
+    if choice.get("message") is None:
+        return "there is no message"
+    return choice.get("error") or (choice.get("finish_reason") == "error" and "the answer was cut off by an error")
+
+
+def _answer(completion: Any) -> dict[str, Any]:
+    """The fields of the answer in a completion; many servers omit some."""
+    choice: Any = completion["choices"][0]
+    message: Any = choice["message"]
     calls: list[Any] = message.get("tool_calls") or []
     texts: dict[str, list[str]] = {
         "text": [],
@@ -196,13 +194,16 @@ def _answer(completion: Any) -> dict[str, Any]:
     for name, part in _parts(message.get("content")):
         texts[name].append(part)
     joined = {name: "".join(found) or None for name, found in texts.items()}
-    if not any(joined.values()) and reason is None:
-        raise _SentError({"message": "the message is empty"})
     usage: Any = completion.get("usage") or {}
     counts: dict[str, Any] = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
     counted = {name: n if type(n) is int and 0 <= n < MAX_TOKENS else None for name, n in counts.items()}
-    joined["text"] = joined["text"] or ""
-    return {**joined, **counted, "finish_reason": reason, "model": completion.get("model")}
+    return {
+        **joined,
+        **counted,
+        "text": joined["text"] or "",
+        "finish_reason": choice.get("finish_reason"),
+        "model": completion.get("model"),
+    }
 
 
 def _parts(content: Any) -> Iterator[tuple[str, str]]:

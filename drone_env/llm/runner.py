@@ -264,22 +264,15 @@ def log_text(flight: Flight, model: str) -> str:
 
 
 def summary_lines(result: RunResult) -> list[str]:
-    """The result of a run as text: the score of the flights that count, the outcomes of answers, the verdict."""
+    """The result of a run as text: the score of the flights that count, and the verdict."""
     results = [FlightResult.of(flight) for flight in result.flights]
-    counted = [one for one in results if one.status != "errored"]
     turns: dict[TurnKind, int] = {name: sum(one.turns[name] for one in results) for name in TURN_KINDS}
     unusable, lines = Unusable.among(turns), list[str]()
     mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
-        success = sum(one.success for one in counted)
-        flights = f"{len(counted)} flights, {success} delivered everything"
+        counted = [one.success for one in results if one.status != "errored"]
+        flights = f"{len(counted)} flights, {sum(counted)} delivered everything"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
-    unfinished = sum(not one.ended for one in counted)
-    waits = sum(one.waits for one in results)
-    lines += [
-        f"errored and left out: {len(results) - len(counted)}; unfinished, counted as waiting to the end: {unfinished}",
-        f"answers: {', '.join(f'{name} {count}' for name, count in turns.items())}; WAIT in place: {waits}",
-    ]
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))
     return [*lines, "; ".join(filter(None, (f"verdict: {verdict}", unusable.mark)))]
