@@ -9,15 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import following
 from drone_env.results.store import FILE_NAME, Store
-from drone_env.server.app import create_app
-from drone_env.server.settings import Settings
 from tests.api.serving import Server
 from tests.tools import reserved_port
 
@@ -43,28 +40,29 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         server.kill()
 
 
-@pytest.mark.feature("H7")
-def test_a_server_in_the_same_folder_shows_the_flights(endpoint: Callable[..., Endpoint]) -> None:
+def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Callable[..., Endpoint]) -> None:
     waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
     scripted = endpoint(pilot="greedy", faults=[[0, 0, waiting]])
-    # What was cut short is none of them.
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--max-calls", "5")
     assert [flight["status"] for flight in done.flights] == ["finished", "budget_stop"], done.err
-    with TestClient(create_app(Settings(data=scripted.folder / "data"))) as client:
-        (flown,) = client.get("/memory_logs").json()["episodes"]
-        assert (flown["agent"], flown["seed"], flown["steps"], flown["success"]) == ("scripted", 14, 4, True)
-        # As if the run had been killed before it could keep the flight.
+    with Store(scripted.folder / "data") as store:
+        (stored,) = store.latest(9)
+        assert (stored.record.agent, stored.record.seed, stored.steps, stored.record.success) == (
+            "scripted",
+            14,
+            4,
+            True,
+        )
+        # As if the run had been killed before it could store the flight.
         with closing(sqlite3.connect(scripted.folder / "data" / FILE_NAME)) as file:
             file.execute("DELETE FROM episodes")
             file.commit()
         for _ in range(2):
             assert scripted.infer("--seeds", "14:16", "--resume", folder=done.folder).status == 0
-            shown = client.get("/memory_logs").json()["episodes"]
-            assert [episode["seed"] for episode in shown] == [15, 14]
-            assert shown[1]["id"] == flown["id"]
-    # Another run of the same flight is another flight.
-    assert scripted.infer("--seeds", "14:15").status == 0
-    with Store(scripted.folder / "data") as store:
+            assert [episode.record.seed for episode in store.latest(9)] == [15, 14]
+            assert store.latest(9)[1].id == stored.id
+        # Another run of the same flight is another flight.
+        assert scripted.infer("--seeds", "14:15").status == 0
         assert len(store.latest(9)) == 3
 
 
