@@ -25,7 +25,7 @@ from drone_env.llm.limiter import Options
 
 
 class NodeSender:
-    """The actor on a node: many requests at once."""
+    """The actor on a node. It sends many requests at once."""
 
     def __init__(self) -> None:
         self._endpoint: Endpoint | None = None
@@ -37,7 +37,7 @@ class NodeSender:
 
         Raises:
             TryFailedError: if there is no answer.
-            ClusterError: if this node has another package than the driver.
+            ClusterError: if this node differs from the driver.
         """
         check_node(driver)
         if self._endpoint is None:
@@ -46,7 +46,7 @@ class NodeSender:
 
 
 class ClusterEndpoint:
-    """An `Endpoint` whose requests the nodes send in turn. Use it inside of `connect` only, and close it.
+    """An `Endpoint` whose requests the nodes send in turn. Use it inside `connect`, and close it.
 
     Args:
         config: The run.
@@ -77,7 +77,7 @@ class ClusterEndpoint:
 
         Raises:
             TryFailedError: if there is no answer, or the node died.
-            ClusterError: if a node has another package than this one, or fails.
+            ClusterError: if a node differs from the driver, or fails.
         """
         actor = self._rotation[next(self._count) % len(self._rotation)]
         try:
