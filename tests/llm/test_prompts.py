@@ -1,6 +1,7 @@
 """Prompts: what the model is told, and files that are none."""
 
 import hashlib
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.llm.prompt import FOLDER, VALUES, get_prompt, prompt_ids, read_prompt, text_of_file
 
-from .conftest import Endpoint
+from .conftest import Endpoint, verified
 from .test_prompts_suffice import ODD, texts_of
 
 SHOWN = [*TASKS.values(), *ODD]
@@ -27,6 +28,16 @@ GOLDEN = {
     "think-plan-1": "55169846dc0b242f",
     "fly-2": "d92d129353c1621d",
 }
+
+
+OWN = """
+format = 1
+plan = false
+marks = ["MOVE:"]
+system = '{% include "rules-2.j2" %}'
+user = '{% include "drone-2.j2" %}'
+repair = "{{ reason }}"
+"""
 
 
 def test_published_prompts_stay_as_they_were_to_the_byte() -> None:
@@ -109,3 +120,23 @@ def test_the_prompt_asks_for_one_word_and_tells_the_last_steps(endpoint: Callabl
     ]
     assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")
     assert last["content"].endswith("Last steps:\n2. UP -> (5, 2). On the way.")
+
+
+def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Callable[..., Endpoint]) -> None:
+    scripted = endpoint(pilot="MOVE: LEFT")
+    mine = scripted.folder / "mine.toml"
+    mine.write_text(OWN)
+    first = scripted.infer("--seeds", "14:15", "--prompt", str(mine), "--max-calls", "2")
+    assert (first.turns, first.status) == ({"ok": 2, "budget_stop": 1}, 3), first.err
+    config = json.loads((first.folder / "run.json").read_text())
+    assert (config["prompt"], config["prompt_text"]) == ("mine", OWN)
+    assert scripted.requests()[0]["body"]["messages"][0]["content"].startswith("The grid is 10 x 10:")
+    # Another file is another run; without one, it goes on with its own.
+    mine.write_text(OWN.replace("{{ reason }}", "Again!"))
+    again = ("--seeds", "14:15", "--resume", "--max-calls", "5")
+    refused = scripted.infer(*again, "--prompt", str(mine), folder=first.folder)
+    assert (refused.status, "prompt_digest: " in refused.err) == (2, True)
+    mine.unlink()
+    resumed = scripted.infer(*again, folder=first.folder)
+    assert resumed.turns == {"ok": 5, "budget_stop": 1}
+    verified(resumed)

@@ -28,11 +28,14 @@ def test_a_flight_by_text() -> None:
         flight.answer("UP")
 
 
-def test_only_waits_replace_unusable_answers_and_a_route_is_one_answer() -> None:
+def test_unusable_answers_are_waits_and_thoughts_and_routes_are_read() -> None:
     flight = TextEpisode("easy", 14)
     for text in ("Hm.", "NORTH"):
         flight.answer(text)
     assert (flight.turns, flight.step_errors, flight.episode.actions) == (["illegal"], ["illegal"], [4])
+    aloud = TextEpisode("easy", 14, "think")
+    aloud.answer("Not every ACTION: brings it nearer.\n**ACTION: LEFT**")
+    assert (aloud.turns, aloud.episode.actions) == (["ok"], [2])
     route = TextEpisode("easy", 14, "plan")
     assert route.answer("LEFT, UP") == []
     assert (route.episode.ended, route.turns, route.score) == (False, ["ok"], 0.01)
