@@ -14,7 +14,7 @@ from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.llm.settings import InferenceSettings, models_table
+from drone_env.llm.config import InferenceSettings, models_table
 from drone_env.results.tables import markdown_table
 from drone_env.server.settings import Settings
 

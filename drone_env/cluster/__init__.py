@@ -1,1 +1,1 @@
-"""Work on many machines, on Ray (extra `cluster`). Nothing here is imported where the local engine works."""
+"""Work on many machines with Ray (extra `cluster`). The local engine imports nothing from here."""

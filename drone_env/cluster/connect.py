@@ -1,4 +1,4 @@
-"""The one place where Ray is started or joined: always with a token, never with usage statistics."""
+"""Start or join Ray, always with a token and never with usage statistics."""
 
 import logging
 import os
@@ -18,48 +18,47 @@ CONNECT_SECONDS = 10
 
 @contextmanager
 def connect(address: str | None = None, cpus: int | None = None) -> Generator[None, None, None]:
-    """Ray, from here to the end of the `with`.
+    """Connect to Ray until the end of the `with`.
 
-    Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has the token that
-    RAY_AUTH_TOKEN, RAY_AUTH_TOKEN_PATH or ~/.ray/auth_token names, else one of this process alone; it ends with the
-    `with`.
+    Token authentication is on unless RAY_AUTH_MODE is `disabled`. A cluster that starts here uses the token from
+    RAY_AUTH_TOKEN, RAY_AUTH_TOKEN_PATH or ~/.ray/auth_token, else a random one, and ends with the `with`.
 
     Args:
-        address: `local` or None starts a cluster of this machine alone, `auto` joins the one that runs here or at
+        address: `local` or None starts a cluster on this machine, `auto` joins the one that runs here or at
             RAY_ADDRESS, HOST:PORT joins that one.
-        cpus: Of a cluster that is started here; the machine's if nothing is said.
+        cpus: CPUs of a cluster that starts here; all of the machine by default.
 
     Raises:
         MissingPackageError: if Ray is not installed.
-        InvalidValueError: if this process is connected already, or the address has another form.
+        InvalidValueError: if this process is connected already, or the address is malformed.
         ClusterError: if there is no cluster at the address, it refuses the token, or none can be started.
     """
     address = LOCAL if address is None else address
-    # Read by Ray when it is imported, and handed on to all processes that it starts.
+    # Ray reads these variables when it is imported, and passes them to its processes.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")
-    # How Ray will behave in future; it warns of it otherwise.
+    # The future default; without it Ray prints a warning.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     if address == LOCAL and not _has_token():
-        # Ray keeps the first token that it has read as long as the process lives.
+        # Ray caches the first token that it reads for the lifetime of the process.
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     with needs("cluster"):
         import ray
         from ray.exceptions import AuthenticationError
     if ray.is_initialized():
         raise InvalidValueError("this process is connected to a cluster already")
-    _news_to_standard_error()
+    _redirect_messages()
     if address not in (LOCAL, AUTO):
         _check_reachable(address)
     own: dict[str, Any] = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
     try:
         ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **own)
     except AuthenticationError as error:
-        wanted = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
-        raise ClusterError(f"the cluster at {address} refuses: {wanted} ({error.message})") from None
-    except Exception as error:  # all that Ray raises if its processes do not start in time
+        hint = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
+        raise ClusterError(f"the cluster at {address} refuses: {hint} ({error.message})") from None
+    except Exception as error:  # Ray raises many types if its processes do not start in time.
         raise ClusterError(
-            f"cannot join the cluster at {address}: it does not answer, or has another token than RAY_AUTH_TOKEN or "
+            f"cannot join the cluster at {address}: it does not respond, or its token is not that of RAY_AUTH_TOKEN or "
             f"RAY_AUTH_TOKEN_PATH: {error}"
         ) from None
     try:
@@ -69,8 +68,8 @@ def connect(address: str | None = None, cpus: int | None = None) -> Generator[No
 
 
 @lru_cache(maxsize=1)
-def _news_to_standard_error() -> None:
-    """Ray prints on standard output that a node has died, in the middle of results; there is no setting for it."""
+def _redirect_messages() -> None:
+    """Redirect messages such as the death of a node, which Ray prints among the results, to standard error."""
     import ray._private.worker as ray_worker
 
     worker: Any = ray_worker
@@ -83,14 +82,14 @@ def _news_to_standard_error() -> None:
 
 
 def _check_reachable(address: str) -> None:
-    """Ray itself would try for minutes where nobody listens."""
+    """Fail within seconds if nothing listens at the address; Ray would retry for minutes."""
     host, _, port = address.rpartition(":")
     if not host or "/" in host or not port.isdecimal():
         raise InvalidValueError(f"--address takes local, auto or HOST:PORT, got {address!r}")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
-        raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
+        raise ClusterError(f"no cluster is reachable at {address}: {error}") from None
 
 
 def _has_token() -> bool:

@@ -1,4 +1,4 @@
-"""The engine `ray`: `run_episodes(key)` as tasks on the nodes of a cluster."""
+"""The engine `ray`: run `run_episodes(key)` as tasks on the nodes of a cluster."""
 
 import dataclasses
 import tempfile
@@ -17,37 +17,36 @@ from drone_env.results.evaluate import run_episodes
 from drone_env.results.result import EpisodesKey, Results
 
 RETRIES = 10
-"""How often Ray flies a chunk again whose node dies."""
+"""Maximum number of retries of a chunk whose node dies."""
 AHEAD = 2
-"""Chunks handed out per CPU, so that no CPU waits for the driver."""
+"""Submitted chunks per CPU, so that no CPU waits for the driver."""
 
 
 def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
-    """The results of all keys in the order in which they arrive. Use it inside of `connect` only.
+    """Yield the results of all keys in order of arrival. Use it inside `connect`.
 
-    If an agent's name contains a file, the file travels as it is: nodes need not have it. Your own modules must be on
-    every node.
+    A file in an agent's name is sent to the nodes. Your own modules must exist on every node.
 
     Raises:
-        ClusterError: if no node offers a CPU, a node has another package than this one or fails, or a chunk was lost on
-            every try.
-        DroneEnvError: what `run_episodes` raises.
+        ClusterError: if no node offers a CPU, a node has another version of this package or fails, or a chunk is lost
+            on every try.
+        DroneEnvError: if `run_episodes` raises it.
     """
     if not nodes_with_cpus():
         raise ClusterError("no node of the cluster offers a CPU")
     files = {key.agent: file_of(key.agent) for key in keys}
     contents = {agent: ray.put(file.read_bytes()) for agent, file in files.items() if file is not None}
     fly: Any = cast(Any, ray).remote(num_cpus=1, max_retries=RETRIES)(_fly)
-    driver, waiting = this_driver(), iter(keys)
-    under_way: dict[Any, EpisodesKey] = {}
+    driver, remaining = this_driver(), iter(keys)
+    pending: dict[Any, EpisodesKey] = {}
     while True:
-        room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1))) - len(under_way)
-        for key in islice(waiting, max(0, room)):
-            under_way[fly.remote(driver, key, contents.get(key.agent))] = key
-        if not under_way:
+        room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1))) - len(pending)
+        for key in islice(remaining, max(0, room)):
+            pending[fly.remote(driver, key, contents.get(key.agent))] = key
+        if not pending:
             return
-        for task in cast(Any, ray).wait(list(under_way))[0]:
-            key = under_way.pop(task)
+        for task in cast(Any, ray).wait(list(pending))[0]:
+            key = pending.pop(task)
             try:
                 results = cast(Any, ray).get(task)
             except RayTaskError as error:

@@ -18,7 +18,7 @@ from drone_env.errors import ClusterError, DroneEnvError, InvalidValueError
 
 @dataclass(frozen=True)
 class Driver:
-    """What every node must have in common with the driver."""
+    """The identity of the driver, which every node must share."""
 
     identity: str
     plugins: tuple[str, ...]
@@ -37,7 +37,7 @@ def this_driver() -> Driver:
 
 @lru_cache(maxsize=1)
 def _identity(plugins: tuple[str, ...]) -> str:
-    """Versions, and a digest of the files of this package and of the plugins."""
+    """Versions, and digests of the files of this package and of the plugins."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*")):
@@ -54,7 +54,7 @@ def _plugin(module: ModuleType) -> str:
 
 
 def check_node(driver: Driver) -> None:
-    """Import the driver's plugins on a node, and compare the node with the driver.
+    """Import the driver's plugins on a node, and check that the node equals the driver.
 
     Raises:
         ClusterError: if its package or a plugin differs, or a plugin is missing.
@@ -63,13 +63,13 @@ def check_node(driver: Driver) -> None:
     try:
         mine = _identity(driver.plugins)
     except InvalidValueError as error:
-        raise ClusterError(f"node {here} lacks a plugin of the driver's: {error}") from None
+        raise ClusterError(f"node {here} lacks a plugin of the driver: {error}") from None
     if mine != driver.identity:
         raise ClusterError(f"node {here} has {mine}, the driver has {driver.identity}: make them equal")
 
 
 def nodes_with_cpus() -> list[str]:
-    """The ids of the nodes that offer CPUs. Use it inside of `connect` only."""
+    """The ids of the nodes that offer CPUs. Use it inside `connect`."""
     import ray
 
     nodes = cast(list[dict[str, Any]], cast(Any, ray).nodes())
@@ -77,6 +77,6 @@ def nodes_with_cpus() -> list[str]:
 
 
 def failure(error: Any) -> Exception:
-    """The cause of a `RayTaskError`, if it is an error of this package or of the machine; else a `ClusterError`."""
+    """The cause of a `RayTaskError` if it is a `DroneEnvError` or an `OSError`; else a `ClusterError`."""
     cause: Any = error.cause
     return cause if isinstance(cause, (DroneEnvError, OSError)) else ClusterError(f"a node failed: {error}")

@@ -1,10 +1,10 @@
 """`drone-env infer --engine ray`: the nodes of a cluster send the requests of a run.
 
-All else is as without a cluster: flights, rate limiter and transcript are in the driver's process, so that concurrency,
-pace and budget are those of the whole run. A request whose node dies is a failed try, and another node sends the next.
+Flights, rate limiter and transcript are in the driver's process, so that concurrency, rate and budget apply to the
+whole run. If a node dies, its request is a failed try, and another node sends the next one.
 
-The endpoint's token goes to each node as the argument of a call, masked wherever it would be printed: Ray stores and
-shows the arguments of actors' constructors and runtime environments.
+The endpoint's token is a masked argument of each call: Ray stores and shows the arguments of actors' constructors and
+runtime environments.
 """
 
 import itertools
@@ -18,15 +18,14 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from drone_env.cluster.nodes import Driver, check_node, failure, nodes_with_cpus, this_driver
 from drone_env.errors import ClusterError
-from drone_env.llm.answers import Answer
+from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.config import RunConfig
-from drone_env.llm.content import ChatMessage
 from drone_env.llm.endpoint import Endpoint, TryFailedError
-from drone_env.llm.options import Options
+from drone_env.llm.limiter import Options
 
 
 class NodeSender:
-    """The actor on a node: many requests at once."""
+    """The actor on a node. It sends many requests at once."""
 
     def __init__(self) -> None:
         self._endpoint: Endpoint | None = None
@@ -37,8 +36,8 @@ class NodeSender:
         """See `Endpoint.send`.
 
         Raises:
-            TryFailedError: if no answer came.
-            ClusterError: if this node has another package than the driver.
+            TryFailedError: if there is no answer.
+            ClusterError: if this node differs from the driver.
         """
         check_node(driver)
         if self._endpoint is None:
@@ -47,12 +46,12 @@ class NodeSender:
 
 
 class ClusterEndpoint:
-    """An `Endpoint` whose requests the nodes send in turn. Use it inside of `connect` only, and close it.
+    """An `Endpoint` whose requests the nodes send in turn. Use it inside `connect`, and close it.
 
     Args:
-        config: Model, address, sampling, form of the answers.
-        token: What authorises; None to send none.
-        options: How long an answer may take, and how many requests are sent at once.
+        config: The run.
+        token: The API token; None to send none.
+        options: Timeout and concurrency of the requests.
 
     Raises:
         ClusterError: if no node offers a CPU.
@@ -63,7 +62,7 @@ class ClusterEndpoint:
         remote: Any = cast(Any, ray).remote(num_cpus=0, max_restarts=-1, max_concurrency=options.concurrency)(
             NodeSender
         )
-        # The head of a large cluster has no CPUs and must not work.
+        # The head of a large cluster has no CPUs and sends nothing.
         self._actors = [
             remote.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=True)).remote()
             for node in nodes_with_cpus()
@@ -77,8 +76,8 @@ class ClusterEndpoint:
         """See `Endpoint.send`.
 
         Raises:
-            TryFailedError: if no answer came, or the node died.
-            ClusterError: if a node has another package than this one, or fails.
+            TryFailedError: if there is no answer, or the node died.
+            ClusterError: if a node differs from the driver, or fails.
         """
         actor = self._rotation[next(self._count) % len(self._rotation)]
         try:
@@ -86,7 +85,7 @@ class ClusterEndpoint:
         except RayTaskError as error:
             raise failure(error) from None
         except RayError as error:
-            # The last one stays: Ray starts it again.
+            # The last one stays: Ray restarts it.
             if actor in self._rotation and len(self._rotation) > 1:
                 self._rotation.remove(actor)
             raise TryFailedError(0, f"the node died: {type(error).__name__}", retried=True) from None

@@ -67,7 +67,7 @@ def _diagnose(port: str) -> Iterator[Finding]:
         yield _checked("folders", name, partial(_writable, folder))
     yield _checked("port", port, partial(_free, port), otherwise="attention")
     if find_spec("pydantic_settings") is not None:
-        from drone_env.llm.settings import load_settings as llm
+        from drone_env.llm.config import load_settings as llm
         from drone_env.server.settings import load_settings as server
 
         yield _checked("settings", "server", lambda: f"valid: {sorted(server().model_fields_set)}")

@@ -1,9 +1,9 @@
-r"""What a model's answer means: actions, or why it is none. Nobody guesses what was meant.
+r"""Parse a model's answer into actions, or the reason why it is unusable. Actions are never guessed.
 
-An answer is usable where, apart from its packaging, it is the asked-for actions and nothing else. Packaging is: a
-leading `<think>` block, a Markdown code fence, quotes or emphasis, a full stop, upper or lower case, and a JSON object
-with one key `action`, `direction`, `actions` or `directions`. Where a prompt allows marks, such as `ACTION:` or
-`\boxed{}`, the last line with one of them is the answer, and all around it is thought.
+A usable answer consists of the requested actions and nothing else, apart from: a leading `<think>` block, a Markdown
+code fence, quotes or emphasis, a full stop, letter case, and a JSON object with one key `action`, `direction`,
+`actions` or `directions`. If the prompt allows marks, such as `ACTION:` or `\boxed{}`, the last line with one of them
+is the answer, and the rest is ignored.
 """
 
 import json
@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, cast, get_args
 
 from pydantic import field_validator
+from typing_extensions import TypedDict
 
 from drone_env.core.actions import Action
 from drone_env.models import Count, Message
@@ -19,16 +20,16 @@ from drone_env.models import Count, Message
 AnswerKind = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
 TurnKind = Literal["ok", "repaired", "parse_error", "illegal", "refusal", "truncated", "api_error", "budget_stop"]
 TURN_KINDS: tuple[TurnKind, ...] = get_args(TurnKind)
-"""How a request for actions came out, its repair counted in."""
-MOST_UNUSABLE = 0.05
-"""A run is marked if a larger share of its answers was unusable."""
+"""The outcomes of a request for actions, including its repair."""
+MAX_UNUSABLE = 0.05
+"""A run is marked if a larger share of its answers is unusable."""
 
 KEYS = {"action", "direction", "actions", "directions"}
 FENCED = re.compile(
     rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```", re.DOTALL | re.IGNORECASE
 )
 """A code fence, optionally with a language; no action is a language."""
-# Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
+# Some chat templates open the block in the prompt, so that the answer contains only its end.
 THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
 OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
 REFUSAL = re.compile(
@@ -41,11 +42,18 @@ WORD = re.compile(r"[A-Za-z_]+\Z")
 BOX = r"\boxed{}"
 BOXED = re.compile(r"\\boxed\{(?:\\text\{([^{}]*)\}|([^{}]*))\}")
 MARK = r"[A-Za-z]+:|\\boxed\{\}"
-"""What a prompt may name as a mark, as a pattern."""
+"""Pattern of the marks that a prompt can allow."""
+
+
+class ChatMessage(TypedDict):
+    """One message of a request."""
+
+    role: str
+    content: str
 
 
 class Answer(Message):
-    """What the endpoint sent for one call."""
+    """The endpoint's answer to one call."""
 
     text: str
     reasoning: str | None = None
@@ -59,38 +67,35 @@ class Answer(Message):
     @field_validator("text", "reasoning", "tool_arguments", "refusal", "finish_reason", "model")
     @classmethod
     def _writable(cls, text: str | None) -> str | None:
-        # JSON may hold half a character, which no file can.
+        # JSON can contain half a character, which cannot be encoded.
         return text and text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
 class Unusable(NamedTuple):
-    """How many answers were unusable, after their repair, of how many that came."""
+    """The number of answers that stayed unusable after their repair, and of all answers."""
 
     answers: int
     of: int
 
     @classmethod
     def among(cls, turns: Mapping[TurnKind, int]) -> "Unusable":
-        """Those of a run or a flight.
-
-        Args:
-            turns: How many requests for actions came out in which way.
-        """
-        came = {kind: count for kind, count in turns.items() if kind not in ("api_error", "budget_stop")}
-        return cls(sum(count for kind, count in came.items() if kind not in ("ok", "repaired")), sum(came.values()))
+        """Those of a run or a flight, given the number of requests for actions by outcome."""
+        answered = {kind: count for kind, count in turns.items() if kind not in ("api_error", "budget_stop")}
+        unusable = sum(count for kind, count in answered.items() if kind not in ("ok", "repaired"))
+        return cls(unusable, sum(answered.values()))
 
     @property
     def share(self) -> float | None:
-        """Their share; None if no answer came."""
+        """The share of unusable answers; None if there is no answer."""
         return self.answers / self.of if self.of else None
 
     @property
     def marked(self) -> bool:
-        """Whether the share is above `MOST_UNUSABLE`: the score then says little about the model."""
-        return self.answers > MOST_UNUSABLE * self.of
+        """Whether the share is above `MAX_UNUSABLE`."""
+        return self.answers > MAX_UNUSABLE * self.of
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as JSON values."""
+        """The numbers as JSON values."""
         return {**self._asdict(), "share": self.share, "marked": self.marked}
 
     def __str__(self) -> str:
@@ -99,76 +104,76 @@ class Unusable(NamedTuple):
 
     @property
     def mark(self) -> str:
-        """Why a run is marked, in words; empty if it is not."""
-        share = f"{self.answers} of {self.of} answers were unusable, more than {MOST_UNUSABLE:.0%}"
+        """Why a run is marked; empty if it is not."""
+        share = f"{self.answers} of {self.of} answers were unusable, more than {MAX_UNUSABLE:.0%}"
         return f"MARKED: {share}; the drone waited instead" if self.marked else ""
 
 
 class Reading(NamedTuple):
-    """An answer as it was understood: `actions` is empty unless `kind` is ok."""
+    """A parsed answer: `actions` is empty unless `kind` is ok."""
 
     kind: AnswerKind
     actions: tuple[Action, ...]
     reason: str
-    """Why it is not ok, in words; empty where it is."""
+    """Why it is not ok; empty if it is."""
     text: str
-    """What was read: the arguments of the tool call, where there is one."""
+    """The arguments of the tool call, if there is one; else the text."""
 
 
 def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
-    """Understand an answer.
+    """Parse an answer.
 
     Args:
-        answer: What was sent.
-        plan: Whether a whole route was asked for; else exactly one action.
-        marks: Marks that may begin the line of the answer.
+        answer: The answer.
+        plan: Whether the prompt asks for a whole route; else for exactly one action.
+        marks: Marks that can start the line of the answer.
     """
-    said = answer.text if answer.tool_arguments is None else answer.tool_arguments
+    content = answer.text if answer.tool_arguments is None else answer.tool_arguments
 
     def unusable(kind: AnswerKind, reason: str) -> Reading:
-        return Reading(kind, (), reason, said)
+        return Reading(kind, (), reason, content)
 
     if answer.refusal or answer.finish_reason == "content_filter":
         return unusable("refusal", "the model refused")
-    # Also where the piece that arrived looks whole: nobody knows what would have followed.
+    # Even if the received part looks complete, the rest is unknown.
     if answer.finish_reason == "length":
         return unusable("truncated", "the answer was cut at the limit of tokens")
-    text = THOUGHT.sub("", said, count=1)
-    if text == said and OPEN_THOUGHT.match(said):
+    text = THOUGHT.sub("", content, count=1)
+    if text == content and OPEN_THOUGHT.match(content):
         return unusable("truncated", "the answer ends inside its <think> block")
     marked = _last_marked(text, marks)
     words = _words(text if marked is None else marked, plan)
     if words is None and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
     if words is None:
-        asked = "a list of actions" if plan else "one action"
-        where = f"the last line with {marks[0]}" if marked is not None else "the answer"
+        expected = "a list of actions" if plan else "one action"
+        part = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
-        return unusable("parse_error", f"{where} is not {asked}{missing}" if text.strip() else "the answer is empty")
+        return unusable("parse_error", f"{part} is not {expected}{missing}" if text.strip() else "the answer is empty")
     unknown = [word for word in words if word.upper() not in Action.__members__]
     if unknown:
         return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
-    return Reading("ok", tuple(Action[word.upper()] for word in words), "", said)
+    return Reading("ok", tuple(Action[word.upper()] for word in words), "", content)
 
 
 def _last_marked(text: str, marks: Sequence[str]) -> str | None:
-    """What stands behind or in the mark of the last line that has one; None where none has."""
-    begins = "|".join(re.escape(mark[:-1]) for mark in marks if mark != BOX)
-    begun = re.compile(rf"[\s>*_`#-]*(?:{begins})[\s*_`]*:(.*)", re.IGNORECASE) if begins else None
+    """The content of the last line with a mark; None if there is none."""
+    words = "|".join(re.escape(mark[:-1]) for mark in marks if mark != BOX)
+    pattern = re.compile(rf"[\s>*_`#-]*(?:{words})[\s*_`]*:(.*)", re.IGNORECASE) if words else None
     for line in reversed(text.splitlines()):
-        found = begun.match(line) if begun else None
-        said = found[1] if found else line
-        boxes = [inner or outer for inner, outer in BOXED.findall(said)] if BOX in marks else []
-        if found and not (boxes and not BOXED.sub("", said).strip(" $*_.")):
-            return said
+        match = pattern.match(line) if pattern else None
+        content = match[1] if match else line
+        boxes = [inner or outer for inner, outer in BOXED.findall(content)] if BOX in marks else []
+        if match and not (boxes and not BOXED.sub("", content).strip(" $*_.")):
+            return content
         if boxes:
-            # Of two boxes none is picked: together they are no answer.
+            # Two boxes together are unusable: neither is chosen.
             return " or ".join(boxes)
     return None
 
 
 def _words(text: str, plan: bool) -> list[str] | None:
-    """The words that stand where actions should; None where there is something else."""
+    """The words of a text that can be actions; None if it is something else."""
     fenced = FENCED.fullmatch(text.strip())
     text = (fenced[1] if fenced else text).strip()
     if text[:1] in ("{", "["):

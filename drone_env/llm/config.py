@@ -1,41 +1,167 @@
-"""The configuration of a run: all that decides its calls and its results, so neither limits nor speed."""
+"""Settings from the environment (model, endpoint, token), and the configuration that identifies a run."""
 
 import json
+import re
 from typing import Any, Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
 from typing_extensions import Self
 
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, get_task, own_rules
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
-from drone_env.llm.settings import check_url
+from drone_env.llm.text_episode import Flight
 from drone_env.models import DIRECTIONS, Count, Message
+from drone_env.results.tables import markdown_table
+
+HUGGING_FACE = "https://router.huggingface.co/v1"
+OPENAI = "https://api.openai.com/v1"
+OPENAI_MODEL = "gpt-4o"
+HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+RESERVED = {
+    *("model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"),
+    *("tools", "tool_choice", "response_format"),
+}
+"""Fields of a request that `extra` cannot set."""
+
+SUPPORTED_MODELS = (
+    ("Qwen/Qwen2.5-7B-Instruct", "HF Router", "Free", "Fast, good baseline"),
+    ("Qwen/Qwen2.5-72B-Instruct", "HF Router", "Credits", "High capability"),
+    ("Qwen/QwQ-32B-Preview", "HF Router", "Credits", "Reasoning-optimized"),
+    (OPENAI_MODEL, "OpenAI", "Paid", "Reference performance"),
+)
+"""Model, provider, tier, notes. Any other model of an OpenAI-compatible endpoint works too."""
+
+
+class InferenceSettings(BaseSettings):
+    """Settings from the environment or `.env`. The environment takes precedence; names are in capitals there."""
+
+    model_config = SettingsConfigDict(
+        env_file=".env",
+        env_file_encoding="utf-8",
+        env_ignore_empty=True,
+        frozen=True,
+        extra="ignore",
+        protected_namespaces=(),
+    )
+
+    hf_token: SecretStr | None = Field(default=None, description="Token for Hugging Face; sent to its hosts alone.")
+    openai_api_key: SecretStr | None = Field(
+        default=None, description="Token for any other endpoint; never sent to Hugging Face."
+    )
+    api_base_url: str = Field(
+        default=HUGGING_FACE,
+        description=f"The OpenAI-compatible endpoint; `{OPENAI}` if `OPENAI_API_KEY` is set and `HF_TOKEN` is not.",
+    )
+    model_name: str = Field(
+        default="Qwen/Qwen2.5-7B-Instruct", description=f"The model; `{OPENAI_MODEL}` at OpenAI's address."
+    )
+    drone_task: str = Field(default="easy_delivery", description="The task to fly: id, short name or grader.")
+    local_image_name: str = Field(
+        default="drone-inference-v1", description="Docker image of the server that `--use-image` starts."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _openai_defaults(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """If OpenAI's key is the only one, default to its address and to a model that it has."""
+        if values.get("openai_api_key") and not values.get("hf_token"):
+            values = {"api_base_url": OPENAI, **values}
+        if str(values.get("api_base_url")).rstrip("/") == OPENAI:
+            values = {"model_name": OPENAI_MODEL, **values}
+        return values
+
+    def token_for(self, url: str) -> str | None:
+        """The token for an endpoint, chosen by its host; None for a local endpoint if no key is set.
+
+        Raises:
+            InvalidValueError: if the token for the host is not set or cannot be in a header, or would be sent
+                unencrypted to another machine.
+        """
+        parts = urlsplit(check_url(url))
+        host = (parts.hostname or "").lower().rstrip(".")
+        name, secret = ("OPENAI_API_KEY", self.openai_api_key)
+        if any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS):
+            name, secret = ("HF_TOKEN", self.hf_token)
+        if secret is None:
+            if host in LOOPBACK:
+                return None
+            raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
+        token = secret.get_secret_value().strip()
+        if not re.fullmatch(r"[!#-&(-[\]-~]+", token):
+            # JSON escapes quotes and backslashes, so such a token would not be found in an answer that quotes it.
+            raise InvalidValueError(f"{name} must be printable ASCII without spaces, quotes and backslashes")
+        if parts.scheme != "https" and host not in LOOPBACK:
+            raise InvalidValueError(f"{name} is not sent unencrypted: API_BASE_URL must begin with https:// for {host}")
+        return token
+
+
+def load_settings(api_base_url: str | None = None) -> InferenceSettings:
+    """The settings from the environment and from `.env` in the working folder.
+
+    Args:
+        api_base_url: The endpoint; overrides both.
+
+    Raises:
+        InvalidValueError: if a variable has an invalid value, or `.env` is not text.
+    """
+    try:
+        return InferenceSettings() if api_base_url is None else InferenceSettings(api_base_url=api_base_url)
+    except UnicodeDecodeError as error:
+        raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
+    except ValidationError as error:
+        raise InvalidValueError(text_of(error, str.upper)) from None
+
+
+def check_url(url: str) -> str:
+    """The address of an endpoint without a trailing slash.
+
+    Raises:
+        InvalidValueError: if it is not an http or https address, or contains a user, password, query, fragment or
+            unprintable character.
+    """
+    try:
+        parts = urlsplit(url)
+        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0 and "@" not in parts.netloc
+    except ValueError:
+        usable = False
+    # The message does not quote the address: it can contain a password.
+    if not usable or not url.isprintable() or "?" in url or "#" in url:
+        raise InvalidValueError("API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password or query")
+    return url.rstrip("/")
+
+
+def models_table() -> str:
+    """The supported models as a table in Markdown."""
+    rows = [(f"`{model}`", *rest) for model, *rest in SUPPORTED_MODELS]
+    return markdown_table(("model", "provider", "tier", "notes"), rows)
 
 
 class Sampling(Message):
-    """What is sent with every request beside the messages. What is null is not sent."""
+    """Parameters of every request. Null values are not sent."""
 
     temperature: float | None = Field(default=0.0, ge=0, le=2)
     top_p: float | None = Field(default=None, gt=0, le=1)
     max_tokens: int | None = Field(default=1024, ge=1)
     seed: int | None = Field(default=None, ge=0)
-    extra: dict[str, Any] = Field(default_factory=dict, description="More of the request's body, as it is.")
+    extra: dict[str, Any] = Field(default_factory=dict, description="More fields of the request's body.")
 
     @field_validator("extra")
     @classmethod
-    def _only_more(cls, extra: dict[str, Any]) -> dict[str, Any]:
-        taken = {"model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"}
-        taken |= {"tools", "tool_choice", "response_format"}
-        if taken & extra.keys():
-            raise ValueError(f"{sorted(taken & extra.keys())[0]!r} is set by other means than extra")
+    def _check_extra(cls, extra: dict[str, Any]) -> dict[str, Any]:
+        if taken := sorted(RESERVED & extra.keys()):
+            raise ValueError(f"extra cannot set {taken[0]!r}")
         json.dumps(extra, allow_nan=False, ensure_ascii=False).encode()
         return extra
 
 
 class RunConfig(Message):
-    """The identity of a run: a run folder is resumed under an equal one only."""
+    """The identity of a run: all that decides its calls and results. A run folder resumes only with an equal one."""
 
     format: Literal["drone_env/llm-run"] = "drone_env/llm-run"
     format_version: Literal[1] = 1
@@ -43,47 +169,44 @@ class RunConfig(Message):
     base_url: str
     task: str
     task_version: int = Field(ge=1)
-    rules: dict[str, str] = Field(default={}, description="Digest of the task's rules, where it is not the package's.")
+    rules: dict[str, str] = Field(default={}, description="Digest of the rules of a task from outside the package.")
     split: str
     seeds: tuple[Count, Count] = Field(strict=False, description="The maps, [start, stop).")
     repeats: int = Field(ge=1, le=100, description="Flights over each map.")
     reward_profile: str
-    rewards: RewardProfile | None = Field(default=None, description="The profile, where it is none of the package's.")
+    rewards: RewardProfile | None = Field(default=None, description="The profile, if it is from outside the package.")
     prompt: str = Field(description="Id of the prompt.")
-    prompt_digest: str = Field(description="What its file held.")
-    prompt_text: str | None = Field(default=None, description="The file itself, where it is none of the package's.")
-    history: Count = Field(description="How many of the last steps the prompt names.")
+    prompt_digest: str = Field(description="Digest of its file.")
+    prompt_text: str | None = Field(default=None, description="Its text, if it is from outside the package.")
+    history: Count = Field(description="Number of last steps that the prompt shows.")
     answers: Literal["text", "json", "tool"]
-    stream: Literal[False] = Field(default=False, description="Answers come whole.")
+    stream: Literal[False] = Field(default=False, description="Answers are not streamed.")
     sampling: Sampling
 
     @field_validator("model")
     @classmethod
-    def _one_word(cls, model: str) -> str:
-        # It stands in log lines, which are split at spaces.
+    def _check_model(cls, model: str) -> str:
+        # Readers split log lines at spaces.
         if any(letter.isspace() or not letter.isprintable() for letter in model):
-            raise ValueError(f"a model's name has no spaces and nothing unprintable, got {model!r}")
+            raise ValueError(f"a model's name has no spaces and only printable characters, got {model!r}")
         return model
 
     @field_validator("base_url")
     @classmethod
-    def _address(cls, url: str) -> str:
+    def _check_url(cls, url: str) -> str:
         return check_url(url)
 
     @model_validator(mode="after")
-    def _known(self) -> Self:
+    def _check(self) -> Self:
         if self.rules != own_rules(self.task_config):
-            raise ValueError(
-                f"the run flew another task of the name {self.task!r} than there is now: name the file as it was; "
-                "a city that is changed takes another name"
-            )
+            raise ValueError(f"the task {self.task!r} has changed since the run: name the file as it was")
         if self.profile.id != self.reward_profile:
             raise ValueError(f"rewards are those of {self.profile.id!r}, not of {self.reward_profile!r}")
         if self.history and "history" not in self._prompt().names:
-            raise ValueError(f"prompt {self.prompt} tells no last steps: history must be 0")
+            raise ValueError(f"prompt {self.prompt} shows no last steps: history must be 0")
         start, stop = self.seeds
         if not start < stop <= N_SEEDS:
-            raise ValueError(f"seeds {self.seeds} are not [start, stop) within [0, 2^53]")
+            raise ValueError(f"seeds must be [start, stop) within [0, 2^53], got {self.seeds}")
         return self
 
     @property
@@ -93,20 +216,25 @@ class RunConfig(Message):
 
     @property
     def profile(self) -> RewardProfile:
-        """What steps pay."""
+        """The rewards of the steps."""
         return self.rewards or get_reward_profile(self.reward_profile)
 
     @property
     def flights(self) -> int:
-        """How many flights the run has."""
+        """Number of flights."""
         return (self.seeds[1] - self.seeds[0]) * self.repeats
+
+    def flight(self, index: int, prompt: Prompt) -> Flight:
+        """A flight at its start, by its number: all maps once, then all again."""
+        repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
+        return Flight(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history, index, repeat)
 
     def load_prompt(self) -> Prompt:
         """The prompt.
 
         Raises:
-            UnknownNameError: if it is not there.
-            ValueError: if it is not what it was when the run began.
+            UnknownNameError: if it does not exist.
+            ValueError: if it has changed since the run began.
         """
         prompt = self._prompt()
         if prompt.digest != self.prompt_digest:
@@ -129,26 +257,25 @@ def request_bodies(config: RunConfig) -> list[dict[str, Any]]:
 
 
 def _answer_form(config: RunConfig) -> dict[str, Any]:
-    """The fields of the body that ask for answers in the form of the run."""
-    prompt = config.load_prompt()
+    """The fields of the body that request the run's form of answers."""
+    if config.answers == "text":
+        return {}
+    plan = config.load_prompt().plan
     one = {"type": "string", "enum": DIRECTIONS}
-    properties: dict[str, Any] = {"actions": {"type": "array", "items": one}} if prompt.plan else {"direction": one}
+    properties: dict[str, Any] = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
     schema = {
         "type": "object",
         "properties": properties,
         "required": list(properties),
         "additionalProperties": False,
     }
-    name = "fly_route" if prompt.plan else "fly"
+    name = "fly_route" if plan else "fly"
     if config.answers == "json":
         return {
             "response_format": {"type": "json_schema", "json_schema": {"name": name, "schema": schema, "strict": True}}
         }
-    if config.answers == "tool":
-        description = "Fly the whole route." if prompt.plan else "Fly one step."
-        function = {"name": name, "description": description, "parameters": schema}
-        return {
-            "tools": [{"type": "function", "function": function}],
-            "tool_choice": {"type": "function", "function": {"name": name}},
-        }
-    return {}
+    function = {"name": name, "description": f"Fly {'the whole route' if plan else 'one step'}.", "parameters": schema}
+    return {
+        "tools": [{"type": "function", "function": function}],
+        "tool_choice": {"type": "function", "function": {"name": name}},
+    }

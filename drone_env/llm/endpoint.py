@@ -1,4 +1,4 @@
-"""An OpenAI-compatible endpoint: sends one request, reads what comes back, and classifies the failures."""
+"""An OpenAI-compatible endpoint: send a request, parse the response, classify failures."""
 
 import asyncio
 import json
@@ -14,42 +14,42 @@ import httpx
 
 from drone_env import __version__
 from drone_env.errors import DroneEnvError
-from drone_env.llm.answers import Answer
-from drone_env.llm.config import RunConfig, request_bodies
-from drone_env.llm.content import ChatMessage
-from drone_env.llm.settings import LOOPBACK
+from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.config import LOOPBACK, RunConfig, request_bodies
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300
-MOST_TOKENS = 10**12
-"""Larger counts of tokens are ignored."""
-MOST_BYTES = 1 << 22
-"""Longer answers are rejected: a million tokens take less, and an endpoint must not fill the memory."""
+MAX_TOKENS = 10**12
+"""Larger counts are ignored."""
+MAX_BYTES = 1 << 22
+"""Longer responses are rejected, so that an endpoint cannot fill the memory; a million tokens take less."""
 PARTS = {
     **dict.fromkeys(("text", "output_text"), "text"),
     **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
     "refusal": "refusal",
 }
-"""The field of the answer for each type of content part. Other types, such as pictures, are ignored."""
+"""The field of the answer for each type of content part. Other types are ignored."""
+TEXTS = ("text", "reasoning", "refusal", "tool_arguments")
+"""The fields of an answer that contain text from the model."""
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
     403: "the token may not use this model or endpoint",
     404: "there is no such model or address: check MODEL_NAME and API_BASE_URL",
 }
-SHORTEST_SECRET = 8
-"""Shorter tokens, such as the `x` that local servers accept, are not secret: they are parts of words."""
+MIN_SECRET = 8
+"""Shorter tokens, such as `x` for a local server, are not secret, and occur in words."""
 
 
 @dataclass(eq=False)
 class TryFailedError(DroneEnvError):
-    """A try that brought no answer.
+    """A try without an answer.
 
     Attributes:
-        status: The HTTP status, or the one that an error in a 200 response carries; 0 if there was none.
-        reason: What went wrong, in words.
-        retried: Whether another try may bring an answer.
-        retry_after: Seconds that the endpoint asks to wait; None if it does not.
-        fatal: Whether every other call would fail as well.
+        status: The HTTP status, or that of an error in a 200 response; 0 if there is none.
+        reason: What went wrong.
+        retried: Whether another try can succeed.
+        retry_after: Seconds to wait, as the endpoint requests; None if it does not.
+        fatal: Whether every other call would fail too.
     """
 
     status: int
@@ -62,21 +62,13 @@ class TryFailedError(DroneEnvError):
         return f"{self.status or 'no answer'}: {self.reason}"
 
 
-class _SentError(Exception):
-    """A 200 response that contains an error, or no answer, as `value`."""
-
-    def __init__(self, value: Any) -> None:
-        super().__init__()
-        self.value = value
-
-
 class Endpoint:
-    """Sends requests. Close it after use.
+    """Sends the requests of a run. Close it after use.
 
     Args:
-        config: Model, address, sampling, form of the answers.
-        token: What authorises; None to send none.
-        timeout: Seconds that an answer may take.
+        config: The run.
+        token: The API token; None to send none.
+        timeout: Maximum duration of a request in seconds.
     """
 
     def __init__(self, config: RunConfig, token: str | None, timeout: float) -> None:
@@ -87,7 +79,7 @@ class Endpoint:
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
-        # A redirect could take the token elsewhere, and so could a proxy for this machine. The rate limiter limits the
+        # A redirect, or a proxy for a local endpoint, would send the token elsewhere. The rate limiter bounds the
         # connections.
         self._client = httpx.AsyncClient(
             headers=headers,
@@ -98,10 +90,10 @@ class Endpoint:
         )
 
     async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
-        """Send one request. The answer does not contain the token, even if the endpoint quotes it.
+        """Send one request. The answer does not contain the token, even if the response quotes it.
 
         Raises:
-            TryFailedError: if no answer came.
+            TryFailedError: if there is no answer.
         """
         try:
             return await asyncio.wait_for(self._send(messages, call_id, self._bodies[repeat]), self._timeout)
@@ -113,7 +105,7 @@ class Endpoint:
         except ValueError as error:
             raise TryFailedError(200, self._clean(f"not an answer: {error}")) from None
         except (AttributeError, LookupError, TypeError, RecursionError) as error:
-            # Foreign servers send anything in place of the objects and lists of the protocol.
+            # Servers send anything in place of the objects and lists of the protocol.
             raise TryFailedError(200, self._clean(f"not in the form of an answer: {error}")) from None
 
     async def close(self) -> None:
@@ -129,15 +121,16 @@ class Endpoint:
             raise self._refusal(response.status_code, _error_text(data), response.headers)
         if not data.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
-        try:
-            fields = _answer(_json(data))
-        except _SentError as sent:
-            raise self._error_inside(sent.value, response.headers) from None
+        completion = _json(data)
+        error = _error_of(completion)
+        fields = {} if error else _answer(completion)
+        if error or not any(fields[name] for name in (*TEXTS, "finish_reason")):
+            raise self._error_inside(error or "the message is empty", response.headers)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
     def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
-        """Treat an error in a 200 response like one with the status that it carries."""
+        """The failure for an error in a 200 response, by the status inside it."""
         reason = f"{self._clean(_message_of(error))} (in a 200 response)"
         fields: Mapping[str, Any] = cast(Mapping[str, Any], error) if isinstance(error, Mapping) else {}
         named = (str(fields.get(name)) for name in ("code", "status"))
@@ -157,9 +150,9 @@ class Endpoint:
         return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
 
     def _clean(self, text: str) -> str:
-        """The text on one line, without the token, and without what moves a terminal or cannot be written."""
+        """The text on one line, without the token and without unprintable characters."""
         text = without_secret(text, self._token)
-        # Cut last: half of a token would not be found.
+        # Shorten last: part of a token would not be found.
         text = " ".join(text.split())[:REASON_CHARACTERS]
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
@@ -169,46 +162,52 @@ async def _read(response: httpx.Response) -> bytes:
     data = bytearray()
     async for chunk in response.aiter_bytes():
         data += chunk
-        if len(data) > MOST_BYTES:
-            # Not worth a retry, whatever its status.
-            raise ValueError(f"it takes more than {MOST_BYTES:,} bytes")
+        if len(data) > MAX_BYTES:
+            # Not retried, whatever its status.
+            raise ValueError(f"it is longer than {MAX_BYTES:,} bytes")
     return bytes(data)
 
 
-def _answer(completion: Any) -> dict[str, Any]:
-    """The fields of the answer in a completion; foreign servers omit many fields."""
+def _error_of(completion: Any) -> Any:
+    """The error in a 200 response; None if it contains an answer."""
     choices: Any = completion.get("choices")
     if completion.get("error") or completion.get("object") == "error" or not choices:
-        raise _SentError(completion.get("error") or completion)
+        return completion.get("error") or completion
     choice: Any = choices[0] or {}
-    message: Any = choice.get("message")
-    reason: Any = choice.get("finish_reason")
-    if message is None:
-        raise _SentError({"message": "there is no message"})
-    if choice.get("error") or reason == "error":
-        raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
+    if choice.get("message") is None:
+        return "there is no message"
+    return choice.get("error") or (choice.get("finish_reason") == "error" and "the answer was cut off by an error")
+
+
+def _answer(completion: Any) -> dict[str, Any]:
+    """The fields of the answer in a completion; many servers omit some."""
+    choice: Any = completion["choices"][0]
+    message: Any = choice["message"]
     calls: list[Any] = message.get("tool_calls") or []
     texts: dict[str, list[str]] = {
         "text": [],
-        "reasoning": [text for _, text in _pieces(message.get("reasoning_content") or message.get("reasoning"))],
+        "reasoning": [text for _, text in _parts(message.get("reasoning_content") or message.get("reasoning"))],
         "refusal": [message.get("refusal") or ""],
-        # The arguments of several calls are joined, which is not an action.
+        # The joined arguments of several calls are not an action.
         "tool_arguments": [(call.get("function") or {}).get("arguments") or "" for call in calls],
     }
-    for name, piece in _pieces(message.get("content")):
-        texts[name].append(piece)
+    for name, part in _parts(message.get("content")):
+        texts[name].append(part)
     joined = {name: "".join(found) or None for name, found in texts.items()}
-    if not any(joined.values()) and reason is None:
-        raise _SentError({"message": "the message is empty"})
     usage: Any = completion.get("usage") or {}
     counts: dict[str, Any] = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
-    counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
-    joined["text"] = joined["text"] or ""
-    return {**joined, **counted, "finish_reason": reason, "model": completion.get("model")}
+    counted = {name: n if type(n) is int and 0 <= n < MAX_TOKENS else None for name, n in counts.items()}
+    return {
+        **joined,
+        **counted,
+        "text": joined["text"] or "",
+        "finish_reason": choice.get("finish_reason"),
+        "model": completion.get("model"),
+    }
 
 
-def _pieces(content: Any) -> Iterator[tuple[str, str]]:
-    """(field of the answer, text) for each piece of a content: a text, or a list of parts."""
+def _parts(content: Any) -> Iterator[tuple[str, str]]:
+    """Yield (field of the answer, text) for each part of a content: a text or a list of parts."""
     if not isinstance(content, list):
         yield "text", content or ""
         return
@@ -217,7 +216,7 @@ def _pieces(content: Any) -> Iterator[tuple[str, str]]:
             yield "text", part
         elif (kind := part.get("type", "text")) in PARTS:
             inner = part.get("text") or part.get(kind) or part.get("summary")
-            yield PARTS[kind], "".join(text for _, text in _pieces(inner))
+            yield PARTS[kind], "".join(text for _, text in _parts(inner))
 
 
 def _json(data: bytes) -> Any:
@@ -228,7 +227,7 @@ def _json(data: bytes) -> Any:
 
 
 def _error_text(data: bytes) -> str:
-    """The message of an error, or the whole text."""
+    """The message of an error response, or its whole text."""
     try:
         return _message_of(json.loads(data))
     except (ValueError, RecursionError):
@@ -236,7 +235,7 @@ def _error_text(data: bytes) -> str:
 
 
 def _message_of(error: Any) -> str:
-    """The message of an error, wherever it is in it; all of the error if it has none."""
+    """The innermost message of an error; the whole error if it has none."""
     while isinstance(error, dict):
         fields = cast(dict[str, Any], error)
         inner = next((fields[name] for name in ("error", "message", "detail") if fields.get(name)), None)
@@ -247,7 +246,7 @@ def _message_of(error: Any) -> str:
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:
-    """Seconds that the endpoint asks to wait; None if it names none."""
+    """Seconds in the header `Retry-After`; None if there is none."""
     after = headers.get("retry-after", "")
     try:
         return max(0.0, float(after) if after[:1].isdecimal() else parsedate_to_datetime(after).timestamp() - time())
@@ -256,8 +255,8 @@ def _retry_after(headers: httpx.Headers) -> float | None:
 
 
 def without_secret(text: str, secret: str | None) -> str:
-    """The text with `***` in place of the secret, also in another case, or escaped as in URLs."""
-    if secret is None or len(secret) < SHORTEST_SECRET:
+    """The text with `***` in place of the secret, in any letter case, also URL-encoded."""
+    if secret is None or len(secret) < MIN_SECRET:
         return text
     spellings = "|".join(re.escape(spelling) for spelling in {secret, quote(secret, safe="")})
     return re.sub(spellings, "***", text, flags=re.IGNORECASE)

@@ -1,11 +1,11 @@
-"""A server, such as one in a Docker image, that flies along: it must agree with the rules here in every observation."""
+"""A server, such as one in a Docker image, that repeats the flights; its observations must equal those here."""
 
 import asyncio
 import json
 import shutil
 import subprocess
 import time
-from collections.abc import Generator
+from collections.abc import Awaitable, Callable, Generator
 from contextlib import closing, contextmanager
 
 import httpx
@@ -14,7 +14,6 @@ from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
-from drone_env.llm.flight import OnStep
 from drone_env.models import DroneObservation
 
 START_SECONDS = 120.0
@@ -22,35 +21,41 @@ PORT = 8000
 
 
 @contextmanager
-def following(server: str | None, agent: str) -> Generator[OnStep | None, None, None]:
-    """A function that repeats each step of an episode on a server; None without a server.
+def following(server: str | None, agent: str) -> Generator[Callable[[Episode], Awaitable[None]] | None, None, None]:
+    """A function that repeats the new steps of an episode on a server; None without a server.
 
     Args:
         server: The address of the server.
         agent: The agent in its records.
 
-    The function raises `InvalidValueError` if the server shows something else than the episode, or does not answer.
+    The function raises `InvalidValueError` if an observation of the server differs, or the server fails.
     """
     if server is None:
         yield None
         return
+    repeated: list[Episode] = []
     with closing(DroneEnvClient(server)) as client:
 
         async def follow(episode: Episode) -> None:
-            names = (episode.task.id, episode.seed, episode.reward_profile.id, agent)
             try:
-                if episode.steps:
-                    shown = await asyncio.to_thread(client.step, Action(episode.actions[-1]).name)
-                else:
-                    shown = await asyncio.to_thread(client.reset, *names)
+                if not repeated:
+                    repeated.append(Episode(episode.task, episode.reward_profile, episode.seed))
+                    start = (episode.task.id, episode.seed, episode.reward_profile.id, agent)
+                    compare(await asyncio.to_thread(client.reset, *start))
+                for action in map(Action, episode.actions[repeated[0].steps :]):
+                    repeated[0].step(action)
+                    compare(await asyncio.to_thread(client.step, action.name))
             except (ServerError, httpx.HTTPError) as error:
-                raise InvalidValueError(f"the server at {server} did not fly: {error}") from None
+                raise InvalidValueError(f"the server at {server} failed: {error}") from None
+
+        def compare(found: dict[str, object]) -> None:
+            (episode,) = repeated
             expected = json.loads(DroneObservation.of(episode).model_dump_json())
-            differing = sorted(name for name in expected if shown.get(name) != expected[name])
+            differing = sorted(name for name in expected if found.get(name) != expected[name])
             if differing:
                 raise InvalidValueError(
-                    f"the server at {server} flies by other rules: map {episode.seed}, step {episode.steps}: "
-                    f"{differing[0]} {shown.get(differing[0])!r} where it is {expected[differing[0]]!r} here"
+                    f"the server at {server} has other rules: map {episode.seed}, step {episode.steps}: "
+                    f"{differing[0]} is {found.get(differing[0])!r}, must be {expected[differing[0]]!r}"
                 )
 
         yield follow
@@ -61,7 +66,7 @@ def running_image(image: str) -> Generator[str, None, None]:
     """The address of a container of an image of this project's server, which ends with the `with`.
 
     Raises:
-        InvalidValueError: if Docker is missing, the image does not start, or its server does not answer within 120 s.
+        InvalidValueError: if Docker is missing, the image does not start, or its server does not respond within 120 s.
     """
     if shutil.which("docker") is None:
         raise InvalidValueError("--use-image needs Docker, which is not installed")
@@ -88,7 +93,7 @@ def _wait(url: str, image: str) -> None:
             if httpx.get(f"{url}/health", timeout=5).status_code == 200:
                 return
         except httpx.HTTPError:
-            pass  # it is still starting, until the time is over
+            pass  # The server is still starting.
         if time.monotonic() > deadline:
-            raise InvalidValueError(f"the server of the image {image} does not answer within {START_SECONDS:g} s")
+            raise InvalidValueError(f"the server of the image {image} does not respond within {START_SECONDS:g} s")
         time.sleep(0.2)

@@ -1,7 +1,7 @@
 """The drone as a task of Inspect (https://inspect.aisi.org.uk): `inspect eval drone_env/drone_delivery --model ...`.
 
-A model is asked, read and flown by the same code as in `drone-env infer`, so the scores are the same. What fails or is
-limited is Inspect's affair: a call that fails makes its sample an error, which is no part of the mean.
+Prompts, answers and flights are those of `drone-env infer`, so the scores are the same. Inspect handles failures and
+limits: a failed call makes its sample an error, which is not in the mean.
 """
 
 # Inspect is in no environment in which types are checked: its requirements fit no others.
@@ -11,20 +11,16 @@ limited is Inspect's affair: a call that fails makes its sample an error, which 
 import math
 from typing import Any
 
-from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
-from drone_env.llm.answers import Answer, Reading, Unusable
-from drone_env.llm.content import ChatMessage, with_pictures
-from drone_env.llm.flight import PilotedEpisode, fly
+from drone_env.llm.answers import Answer, ChatMessage, Unusable
 from drone_env.llm.limiter import LimitReachedError
-from drone_env.llm.prompt import first_messages, get_prompt
-from drone_env.llm.run_folder import PilotedRecord
-from drone_env.llm.runner import MOST_ERRORED, log_text
-from drone_env.llm.transcript import CallKey
-from drone_env.planning.optimal import best_of
+from drone_env.llm.prompt import get_prompt
+from drone_env.llm.run_folder import FlightResult
+from drone_env.llm.runner import MAX_ERRORED, log_text
+from drone_env.llm.text_episode import Flight, TextEpisode
 from drone_env.results.record import record_of
 
 with needs("inspect"):
@@ -35,9 +31,7 @@ with needs("inspect"):
         ChatMessageAssistant,
         ChatMessageSystem,
         ChatMessageUser,
-        ContentImage,
         ContentReasoning,
-        ContentText,
         GenerateConfig,
         ModelOutput,
         get_model,
@@ -48,7 +42,7 @@ with needs("inspect"):
 
 ROLES = {"system": ChatMessageSystem, "user": ChatMessageUser, "assistant": ChatMessageAssistant}
 FINISH_REASONS = {"max_tokens": "length", "model_length": "length"}
-"""Inspect's words for what OpenAI's protocol calls otherwise."""
+"""Inspect's finish reasons with another name in OpenAI's protocol."""
 
 
 @task
@@ -65,13 +59,13 @@ def drone_delivery(
 
     Args:
         task: The task: id, short name or grader.
-        prompt: The prompt, by its name (the newest version) or id, or a file of your own.
-        episodes: How many maps.
-        split: Whose maps: train, validation or test.
-        history: How many of the last steps the prompt names.
-        reward_profile: What steps pay; it changes no score.
-        sampling_seed: The seed of the first epoch; each further one sends the next. Inspect's own `--seed` is the same
-            in every epoch, so that these are copies.
+        prompt: The prompt: name (the newest version), id, or your own file.
+        episodes: Number of maps.
+        split: Split of the maps: train, validation or test.
+        history: Number of last steps that the prompt shows.
+        reward_profile: Rewards of the steps; they do not change the score.
+        sampling_seed: Seed of the first epoch; each further epoch sends the next one. Inspect's own `--seed` is the
+            same in every epoch, so that all epochs are equal.
 
     Raises:
         UnknownNameError: if the task, prompt, split or profile does not exist.
@@ -82,13 +76,13 @@ def drone_delivery(
         raise InvalidValueError(f"history must be 0 or more, got {history}")
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
-        messages = first_messages(chosen, Episode(config, reward_profile, seed))
-        samples.append(Sample(id=str(seed), input=_inspects(messages), metadata={"seed": seed}))
+        messages = TextEpisode(config, seed, chosen, reward_profile).messages
+        samples.append(Sample(id=str(seed), input=_inspect_messages(messages), metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
         solver=pilot(config.id, prompt if chosen.own else chosen.id, history, reward_profile, sampling_seed),
         scorer=graded(),
-        fail_on_error=MOST_ERRORED,
+        fail_on_error=MAX_ERRORED,
         name=config.id,
         version=config.version,
         metadata={"prompt": chosen.id, "prompt_digest": chosen.digest, "reward_profile": reward_profile},
@@ -97,39 +91,34 @@ def drone_delivery(
 
 @solver
 def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_seed: int | None = None) -> Solver:
-    """Flies the map of a sample to its end; an unusable answer is asked for once more, then it is a WAIT.
+    """Fly the map of a sample to its end.
 
     Args:
         task: Id of the task.
         prompt: Id of the prompt, or its file.
-        history: How many of the last steps the prompt names.
-        reward_profile: What steps pay.
-        sampling_seed: The seed of the first epoch.
+        history: Number of last steps that the prompt shows.
+        reward_profile: Rewards of the steps.
+        sampling_seed: Seed of the first epoch.
     """
     config, chosen = get_task(task), get_prompt(prompt)
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         model = get_model()
-        stopped: BaseException | None = None
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
-
-        async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
-            nonlocal stopped
-            asked = _inspects(messages)
+        seed = state.metadata["seed"]
+        flight = Flight(config, seed, chosen, reward_profile, history, index=0, repeat=state.epoch - 1)
+        while flight.messages:
+            messages = _inspect_messages(flight.messages)
             try:
-                output = await model.generate(asked, config=sampling)
+                output = await model.generate(messages, config=sampling)
             except (LimitExceededError, anyio.get_cancelled_exc_class()) as error:
-                stopped = error
-                raise LimitReachedError(str(error) or "stopped by Inspect") from error
-            state.messages, state.output = [*asked, output.message], output
-            return chosen.read_answer(_answer(output))
-
-        flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
-        await fly(flown, chosen, history, ask)
-        state.store.set("flight", _stored(flown, str(state.model)))
-        # Where a limit was reached, Inspect notes it and scores what was flown so far.
-        if stopped is not None:
-            raise stopped
+                # Inspect records the limit and scores the steps so far.
+                flight.stop(LimitReachedError(str(error) or "stopped by Inspect"))
+                state.store.set("flight", _stored(flight, str(state.model)))
+                raise
+            state.messages, state.output = [*messages, output.message], output
+            flight.answer(_answer(output))
+        state.store.set("flight", _stored(flight, str(state.model)))
         state.completed = True
         return state
 
@@ -138,55 +127,43 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
 
 @scorer(metrics={name: [mean(), stderr()] for name in ("score", "unusable", "success", "regret")})
 def graded() -> Scorer:
-    """The graded score of a flight, the share of unusable answers, success, and the optimum of its map minus the score.
+    """The graded score of a flight, the share of unusable answers, success (all delivered), and regret.
 
-    An unfinished flight counts as if it waited to its end. Success is whether it delivered everything. NaN, which is
-    unscored, are regret if a map is too large to be solved, and the share if no answer came. The metadata hold the
-    outcomes of all answers and the record of the flight.
+    An unfinished flight counts as waiting to its end. Regret is NaN (unscored) if the map is too large to be solved,
+    and the share is NaN without any answer. The metadata contain the outcomes of all answers and the flight's record.
     """
 
     async def score(state: TaskState, target: Target) -> Score:
-        kept: dict[str, Any] = state.store.get("flight")
-        result = PilotedRecord.model_validate(kept["result"])
-        optimum = best_of(get_task(kept["task"]), result.seed)
-        regret = math.nan if optimum is None else optimum.score - result.score
+        stored: dict[str, Any] = state.store.get("flight")
+        result = FlightResult.model_validate(stored["result"])
+        regret = math.nan if stored["regret"] is None else stored["regret"]
         share = Unusable.among(result.turns).share
         unusable = math.nan if share is None else share
         return Score(
             value={"score": result.score, "unusable": unusable, "success": float(result.success), "regret": regret},
-            answer=" ".join(kept["actions"]),
-            explanation=kept["log"],
-            metadata={"result": kept["result"], "record": kept["record"]},
+            answer=" ".join(stored["actions"]),
+            explanation=stored["log"],
+            metadata={"result": stored["result"], "record": stored["record"]},
         )
 
     return score
 
 
-def _stored(flown: PilotedEpisode, agent: str) -> dict[str, Any]:
-    """A flight as JSON values, which is what a sample can store."""
+def _stored(flight: Flight, agent: str) -> dict[str, Any]:
+    """A flight as JSON values, which a sample can store."""
     return {
-        "task": flown.episode.task.id,
-        "result": PilotedRecord.of(flown).model_dump(mode="json"),
-        "record": record_of(flown.episode, agent).to_json(),
-        "actions": [step.action.name for step in flown.episode.path],
-        "log": log_text(flown, agent),
+        "regret": flight.regret,
+        "result": FlightResult.of(flight).model_dump(mode="json"),
+        "record": record_of(flight.episode, agent).to_json(),
+        "actions": [step.action.name for step in flight.episode.path],
+        "log": log_text(flight, agent),
     }
 
 
-def _inspects(messages: list[ChatMessage]) -> list[ChatMessageSystem | ChatMessageUser | ChatMessageAssistant]:
-    """Messages as Inspect has them, with their picture."""
-
-    def content(message: ChatMessage) -> str | list[ContentText | ContentImage]:
-        parts = message["content"]
-        if isinstance(parts, str):
-            return parts
-        return [
-            ContentText(text=part["text"]) if part["type"] == "text" else ContentImage(image=part["image_url"]["url"])
-            for part in parts
-        ]
-
-    sent, _ = with_pictures(messages)
-    return [ROLES[message["role"]](content=content(message)) for message in sent]
+def _inspect_messages(
+    messages: list[ChatMessage],
+) -> list[ChatMessageSystem | ChatMessageUser | ChatMessageAssistant]:
+    return [ROLES[message["role"]](content=message["content"]) for message in messages]
 
 
 def _answer(output: ModelOutput) -> Answer:

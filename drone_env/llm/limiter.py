@@ -1,19 +1,25 @@
-"""The rate limiter: as many requests at once and per minute as the endpoint handles, within the budget of the run."""
+"""The rate limiter: requests at once and per minute, within the budget of a run."""
 
 import asyncio
 import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
-from drone_env.errors import DroneEnvError, EndpointError
-from drone_env.llm.options import Options
+import tyro
+
+from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
 
 if TYPE_CHECKING:
     from drone_env.llm.transcript import Call
 
-FIRST = 8
-"""The most requests at once before the first answer."""
+MAX_CONCURRENCY = 10_000
+FIRST_CONCURRENCY = 8
+"""Maximum number of requests at once before the first answer."""
+OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
+Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
+Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
 
 
 class LimitReachedError(DroneEnvError):
@@ -21,11 +27,130 @@ class LimitReachedError(DroneEnvError):
 
 
 class StoppedError(DroneEnvError):
-    """The run is being stopped: this flight is left as it is."""
+    """The run stops; its flights are abandoned."""
+
+
+@dataclass(frozen=True)
+class Prices:
+    """US dollars per million tokens."""
+
+    prompt: float
+    completion: float
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.prompt < float("inf") and 0 <= self.completion < float("inf")):
+            raise InvalidValueError("prices must be 0 or more US dollars per million tokens")
+
+    def cost(self, prompt_tokens: int, completion_tokens: int) -> float:
+        """The price of tokens in US dollars."""
+        return (prompt_tokens * self.prompt + completion_tokens * self.completion) / 1e6
+
+
+@dataclass(frozen=True)
+class Options:
+    """Speed and budget of a run, which do not change its results. Limits include the earlier parts of a resumed run.
+
+    Tokens and cost are known only after an answer: requests that are open when a limit is reached are still paid.
+
+    Args:
+        concurrency: Maximum number of requests at once; fewer while the endpoint is overloaded.
+        timeout: Maximum duration of a request in seconds.
+        tries: Maximum number of tries of a call that fails with 408, 409, 429, 5xx or a network error.
+        backoff: Upper bound of the first random wait in seconds; it doubles with each try, up to 30 s.
+        requests_per_minute: Maximum number of requests per minute, including retries, evenly spaced.
+        max_calls: Stop after this many requests, including retries.
+        max_tokens: Stop after this many tokens.
+        max_cost: Stop after this many US dollars.
+        price_prompt: US dollars per million prompt tokens.
+        price_completion: US dollars per million completion tokens.
+        server: Also fly every step on the server at this address.
+    """
+
+    concurrency: int = 64
+    timeout: float = 120.0
+    tries: int = 6
+    backoff: float = 1.0
+    requests_per_minute: Number = None
+    max_calls: Whole = None
+    max_tokens: Whole = None
+    max_cost: Number = None
+    price_prompt: Number = None
+    price_completion: Number = None
+    server: Annotated[str | None, OPTIONAL] = None
+
+    def __post_init__(self) -> None:
+        for name in ("concurrency", "timeout", "tries", "requests_per_minute", "max_calls", "max_tokens", "max_cost"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise InvalidValueError(f"--{name.replace('_', '-')} must be above 0, got {value}")
+        if self.concurrency > MAX_CONCURRENCY or not self.backoff >= 0:
+            raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}, --backoff 0 or more")
+        if (self.price_prompt is None) != (self.price_completion is None):
+            raise InvalidValueError("--price-prompt needs --price-completion, and the other way round")
+        if self.prices is None and self.max_cost is not None:
+            raise InvalidValueError("--max-cost needs --price-prompt and --price-completion")
+
+    @property
+    def prices(self) -> Prices | None:
+        """The prices of tokens; None if they are unknown."""
+        if self.price_prompt is None or self.price_completion is None:
+            return None
+        return Prices(self.price_prompt, self.price_completion)
+
+
+class Budget:
+    """Counts the requests and tokens of a run.
+
+    Args:
+        options: The limits and prices.
+
+    Attributes:
+        requests: Number of requests sent.
+        prompt_tokens, completion_tokens: Number of tokens used.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.requests = self.prompt_tokens = self.completion_tokens = 0
+        self._options = options
+        self._unmetered = False
+
+    @property
+    def tokens(self) -> int:
+        """Number of all tokens used."""
+        return self.prompt_tokens + self.completion_tokens
+
+    @property
+    def cost(self) -> float | None:
+        """US dollars spent; None if prices are unknown."""
+        prices = self._options.prices
+        return None if prices is None else prices.cost(self.prompt_tokens, self.completion_tokens)
+
+    def count(self, call: "Call") -> None:
+        """Count the tokens of a call."""
+        if (answer := call.answer) is not None:
+            self._unmetered |= answer.prompt_tokens is None or answer.completion_tokens is None
+            self.prompt_tokens += answer.prompt_tokens or 0
+            self.completion_tokens += answer.completion_tokens or 0
+
+    def check(self) -> None:
+        """Check that one more request is within the limits.
+
+        Raises:
+            LimitReachedError: if it is not.
+        """
+        limits = self._options
+        if limits.max_calls is not None and self.requests >= limits.max_calls:
+            raise LimitReachedError(f"all {limits.max_calls} calls have been made")
+        if self._unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
+            raise LimitReachedError("the endpoint does not report its tokens, so they cannot be limited")
+        if limits.max_tokens is not None and self.tokens >= limits.max_tokens:
+            raise LimitReachedError(f"{self.tokens} of {limits.max_tokens} tokens have been used")
+        if limits.max_cost is not None and (cost := self.cost or 0.0) >= limits.max_cost:
+            raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
 
 
 class Clock:
-    """The machine's clock; tests bring another one."""
+    """The machine's clock; tests replace it."""
 
     def now(self) -> float:
         """Monotonic seconds."""
@@ -37,125 +162,93 @@ class Clock:
 
 
 class RateLimiter:
-    """Gives the requests of a run their slots.
+    """Decides when a request of a run is sent.
 
-    The number of requests at once grows and shrinks as in TCP: a fast start, one more after a round of answers, half as
-    many when the endpoint is overloaded.
+    Concurrency control is that of TCP: slow start, then one more slot per round of answers, and half as many slots when
+    the endpoint is overloaded.
 
     Args:
-        options: Limits, pace, prices and the most requests at once.
-        clock: Gives the time, and waits.
+        options: Limits, rate, prices and maximum concurrency.
+        clock: The time, and how to wait.
 
     Attributes:
-        requests: Requests sent.
-        prompt_tokens, completion_tokens: Paid tokens.
-        active: Requests under way.
-        limit: The most requests at once, now.
-        fatal: Why no further request makes sense; None while they do.
+        budget: The requests and tokens so far.
+        active: Number of open requests.
+        limit: Current maximum number of open requests.
+        fatal: Why every further request would fail; None if there is no such reason.
     """
 
     def __init__(self, options: Options, clock: Clock | None = None) -> None:
         self.options = options
         self.clock = clock or Clock()
-        self.requests = self.prompt_tokens = self.completion_tokens = self.active = 0
-        self.limit = float(min(FIRST, options.concurrency))
+        self.budget = Budget(options)
+        self.active = 0
+        self.limit = float(min(FIRST_CONCURRENCY, options.concurrency))
         self.fatal: EndpointError | None = None
-        self._unmetered = 0
-        self._fast = True
-        self._next_request = self._closed_until = 0.0
+        self._slow_start = True
+        self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
         self._changed = asyncio.Condition()
-
-    @property
-    def tokens(self) -> int:
-        """All paid tokens."""
-        return self.prompt_tokens + self.completion_tokens
-
-    @property
-    def cost(self) -> float | None:
-        """US dollars; None if no price is known."""
-        prices = self.options.prices
-        return None if prices is None else prices.cost(self.prompt_tokens, self.completion_tokens)
-
-    def count(self, call: "Call") -> None:
-        """Count the tokens of a call."""
-        if call.answer is None or call.cached:
-            return
-        if call.answer.prompt_tokens is None or call.answer.completion_tokens is None:
-            self._unmetered += 1
-        self.prompt_tokens += call.answer.prompt_tokens or 0
-        self.completion_tokens += call.answer.completion_tokens or 0
 
     @asynccontextmanager
     async def slot(self) -> AsyncGenerator[float, None]:
         """Wait until a request may be sent, count it, and hold its slot until the end of the `with`.
 
-        Gives the time at which the request is sent.
+        Yields the time at which the request is sent.
 
         Raises:
-            StoppedError: if the run is being stopped.
-            LimitReachedError: if it must not be sent.
+            StoppedError: if the run stops.
+            LimitReachedError: if the budget is spent.
         """
         async with self._changed:
             await self._changed.wait_for(lambda: self.active < int(self.limit))
             self.active += 1
         try:
-            await self._turn()
-            self.check_going_on()
-            self._check_limits()
-            self.requests += 1
+            await self._pace()
+            self.check_running()
+            self.budget.check()
+            self.budget.requests += 1
             yield self.clock.now()
         finally:
             async with self._changed:
                 self.active -= 1
                 self._changed.notify_all()
 
-    async def _turn(self) -> None:
-        """Wait out pauses, and the even spacing of requests per minute."""
+    async def _pace(self) -> None:
+        """Wait until the end of a pause, and space requests evenly."""
         per_minute = self.options.requests_per_minute
         if per_minute is not None:
             gap, now = 60 / per_minute, self.clock.now()
-            # One gap may be made up for, however long nothing was sent.
+            # After an idle time, one request may follow without a gap.
             sent_at = max(self._next_request, now)
             self._next_request = max(self._next_request, now - gap) + gap
             await self._sleep_until(sent_at)
-        while self._closed_until > self.clock.now():
-            await self._sleep_until(self._closed_until)
+        while self._paused_until > self.clock.now():
+            await self._sleep_until(self._paused_until)
 
     async def _sleep_until(self, when: float) -> None:
         if (seconds := when - self.clock.now()) > 0:
             await self.clock.sleep(seconds)
 
     def answered(self) -> None:
-        """Allow more requests at once: the endpoint keeps up."""
-        grown = self.limit + (1 if self._fast else 1 / self.limit)
+        """Allow more requests at once after an answer."""
+        grown = self.limit + (1 if self._slow_start else 1 / self.limit)
         self.limit = min(float(self.options.concurrency), grown)
 
     def overloaded(self, sent_at: float, pause: float) -> None:
         """Allow half as many requests at once, and none during a pause.
 
         Args:
-            sent_at: When the request was sent that failed; only the first one after a halving halves again.
+            sent_at: When the failed request was sent; requests from before the last halving do not halve again.
             pause: Seconds.
         """
-        self._fast = False
-        self._closed_until = max(self._closed_until, self.clock.now() + pause)
+        self._slow_start = False
+        self._paused_until = max(self._paused_until, self.clock.now() + pause)
         if sent_at > self._halved_at:
             self.limit = max(1.0, self.limit / 2)
             self._halved_at = self.clock.now()
 
-    def check_going_on(self) -> None:
-        """Raise `StoppedError` if no further request makes sense."""
+    def check_running(self) -> None:
+        """Raise `StoppedError` if every further request would fail."""
         if self.fatal is not None:
-            raise StoppedError("the run is being stopped")
-
-    def _check_limits(self) -> None:
-        limits = self.options
-        if limits.max_calls is not None and self.requests >= limits.max_calls:
-            raise LimitReachedError(f"all {limits.max_calls} calls have been made")
-        if self._unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
-            raise LimitReachedError("the endpoint does not say how many tokens it used, so they cannot be limited")
-        if limits.max_tokens is not None and self.tokens >= limits.max_tokens:
-            raise LimitReachedError(f"{self.tokens} of {limits.max_tokens} tokens have been used")
-        if limits.max_cost is not None and (cost := self.cost or 0.0) >= limits.max_cost:
-            raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
+            raise StoppedError("the run stops")

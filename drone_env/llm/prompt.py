@@ -1,40 +1,60 @@
-"""Prompts: TOML files with a version in their names, whose Jinja2 templates show a task and an observation.
+"""Prompts: versioned TOML files whose Jinja2 templates show a task and an observation.
 
-A published prompt never changes: a better one is a new file with the next number. Templates may include the files in
-`prompts/parts`.
+A published prompt never changes: an improved one is a new file with the next number. Templates may include the files
+in `prompts/parts`.
 """
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
+from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
-from drone_env.llm.answers import MARK, Answer, Reading, read_answer
-from drone_env.llm.content import (
-    LARGEST,
-    SMALLEST,
-    VALUES,
-    ChatMessage,
-    Part,
-    deciding,
-    picture_part,
-    values_of,
-)
-from drone_env.models import DroneObservation, Message
+from drone_env.llm.answers import MARK, Answer, ChatMessage, Reading, read_answer
+from drone_env.models import NAMES, DroneObservation, Message
 from drone_env.toml_text import parse_toml
 
 FOLDER = Path(__file__).with_name("prompts")
 MAX_FILE = 1 << 18
 QUOTED_CHARACTERS = 2000
-"""The model sees this much of an unusable answer again."""
+"""Length of the unusable answer that the repair request quotes."""
+LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel", Cell.PAD: "charging pad"}
+"""Names in prompts that differ from the names of the cells."""
+TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
+LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
+"""The letter of each kind of cell in the grid as text."""
+LEGEND = (
+    "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
+)
+CELL_LISTS = {"parcels": "delivery", "buildings": "building", "trees": "tree", "obstacles": "obstacle", "pads": "pad"}
+"""The kind of cell whose coordinates each value lists."""
+OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
+    "x": lambda obs: obs.drone_x,
+    "y": lambda obs: obs.drone_y,
+    "battery_percent": lambda obs: round(100 * obs.battery),
+    "battery_steps": lambda obs: obs.battery_steps_remaining,
+    "target": lambda obs: (
+        "none" if obs.current_target is None else f"({obs.current_target[0]}, {obs.current_target[1]})"
+    ),
+    "distance": lambda obs: round(obs.distance_to_target or 0),
+    "deliveries_done": lambda obs: obs.deliveries_done,
+    "deliveries_total": lambda obs: obs.deliveries_total,
+    "step": lambda obs: obs.step_count,
+    "steps_left": lambda obs: obs.max_steps - obs.step_count,
+    "max_steps": lambda obs: obs.max_steps,
+    "width": lambda obs: obs.grid_width,
+    "height": lambda obs: obs.grid_height,
+}
+VALUES = {*OBSERVED, *CELL_LISTS, "grid", "legend", "history", "task", "drains", "impassable", "terrain"}
+"""All names that a template can use."""
 
 
 class PromptFile(Message):
@@ -43,12 +63,11 @@ class PromptFile(Message):
     format: Literal[1]
     plan: bool = Field(description="Whether it asks for a whole route.")
     marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(
-        default=(), strict=False, description="What can start the line with the answer; empty if there is only that."
+        default=(), strict=False, description="What can start the line with the answer; empty for a bare answer."
     )
-    picture: int | None = Field(default=None, ge=SMALLEST, le=LARGEST, description="Height in pixels.")
     system: str = Field(description="A template.")
     user: str = Field(description="A template.")
-    repair: str = Field(description="A template; it takes `reason` alone.")
+    repair: str = Field(description="A template with the one value `reason`.")
 
 
 class Prompt(PromptFile):
@@ -60,8 +79,43 @@ class Prompt(PromptFile):
     own: str | None = Field(description="The text of a file that is not part of the package.")
 
     def read_answer(self, answer: Answer) -> Reading:
-        """Understand an answer."""
+        """Parse an answer to this prompt."""
         return read_answer(answer, self.plan, self.marks)
+
+    def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
+        """The system and user messages that ask for the next action, or for the route.
+
+        Args:
+            episode: The episode in its current state.
+            last_steps: The last steps, one line each.
+
+        Raises:
+            InvalidValueError: if the template of your own prompt cannot be rendered.
+        """
+        task, obs = episode.task, DroneObservation.of(episode)
+        values = _values(task, obs, last_steps)
+        user = [self._render(self.user, values), below_text(task, obs.cell_below)]
+        return [
+            {"role": "system", "content": self._render(self.system, values)},
+            {"role": "user", "content": "\n".join(filter(None, user))},
+        ]
+
+    def repair_messages(self, answer: str, reason: str) -> list[ChatMessage]:
+        """The messages that follow an unusable answer: the answer, and why it is unusable."""
+        return [
+            {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
+            {"role": "user", "content": self.repair_text(reason)},
+        ]
+
+    def repair_text(self, reason: str) -> str:
+        """The text that explains to the model why its answer is unusable."""
+        return self._render(self.repair, {"reason": reason})
+
+    def _render(self, template: str, values: Mapping[str, object]) -> str:
+        try:
+            return re.sub(r"\n{3,}", "\n\n", _template(template).render(values)).strip()
+        except Exception as error:  # a template can fail in as many ways as a program
+            raise InvalidValueError(f"prompt {self.id} cannot be rendered: {error}") from error
 
 
 def prompt_ids() -> list[str]:
@@ -75,15 +129,15 @@ def get_prompt(name: str) -> Prompt:
     Raises:
         UnknownNameError: if there is no prompt of this name.
         OSError: if the file cannot be read.
-        InvalidValueError: if it is not a prompt; the message says why.
+        InvalidValueError: if the file is not a prompt.
     """
     if name.endswith(".toml"):
         return read_prompt(Path(name))
-    named = {found: found.rpartition("-")[0] for found in prompt_ids()}
-    versions = [found for found in named if name in (found, named[found])]
+    names = {id_: id_.rpartition("-")[0] for id_ in prompt_ids()}
+    versions = [id_ for id_ in names if name in (id_, names[id_])]
     if not versions:
-        raise UnknownNameError("prompt", name, {*named, *named.values(), "FILE.toml"})
-    return read_prompt(FOLDER / f"{max(versions, key=lambda found: int(found.rpartition('-')[2]))}.toml")
+        raise UnknownNameError("prompt", name, {*names, *names.values(), "FILE.toml"})
+    return read_prompt(FOLDER / f"{max(versions, key=lambda id_: int(id_.rpartition('-')[2]))}.toml")
 
 
 def read_prompt(path: Path) -> Prompt:
@@ -91,7 +145,7 @@ def read_prompt(path: Path) -> Prompt:
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if it is not a prompt; the message says why.
+        InvalidValueError: if it is not a prompt.
     """
     try:
         return parse_prompt(str(path), text_of_file(path), FOLDER not in path.parents)
@@ -109,12 +163,12 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
     """Parse the text of a prompt file.
 
     Args:
-        path: The file; its name is the id of the prompt.
+        path: Its file, which gives the id.
         text: Its text.
         own: Whether it is not part of the package.
 
     Raises:
-        InvalidValueError: if it is not a prompt; the message says why.
+        InvalidValueError: if it is not a prompt.
     """
     try:
         data = PromptFile.model_validate(parse_toml(text))
@@ -123,14 +177,15 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
     except ValidationError as error:
         raise InvalidValueError(f"{path} is not a prompt: {text_of(error)}") from None
     if own and Path(path).stem in prompt_ids():
-        raise InvalidValueError(f"{path}: the package has a prompt of this name: give it another one")
+        raise InvalidValueError(f"{path}: the package has a prompt of this name: rename the file")
     names, parts = set[str](), _parts()
     texts = data.model_dump(include={"system", "user", "repair"})
-    for part, known in (("system", VALUES), ("user", VALUES), ("repair", {"reason"})):
-        used = _names(f"{path}: {part}", texts[part])
-        if unknown := sorted(used - known - parts.keys()):
-            allowed = ", ".join(sorted(known | parts.keys()))
-            raise InvalidValueError(f"{path}: {part}: unknown {unknown[0]!r}; there are {allowed}")
+    for field, allowed in (("system", VALUES), ("user", VALUES), ("repair", {"reason"})):
+        used = _names(f"{path}: {field}", texts[field])
+        if unknown := sorted(used - allowed - parts.keys()):
+            raise InvalidValueError(
+                f"{path}: {field}: unknown {unknown[0]!r}; allowed: {', '.join(sorted(allowed | parts.keys()))}"
+            )
         names |= used - {"reason"}
     whole = "".join([text, *(parts[name] for name in sorted(names & parts.keys()))])
     digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
@@ -139,7 +194,7 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
 
 
 def _names(where: str, template: str) -> set[str]:
-    """The names that a template uses, itself or in a part that it includes, and those of the parts."""
+    """The values that a template and the parts it includes use, and the names of those parts."""
     with needs("llm"):
         from jinja2 import TemplateError, meta
 
@@ -163,7 +218,7 @@ def _environment() -> Any:
     from jinja2 import DictLoader, StrictUndefined
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-    # Verifying a run from elsewhere renders a prompt from elsewhere.
+    # A run folder from somebody else contains a prompt from somebody else.
     return ImmutableSandboxedEnvironment(
         loader=DictLoader(_parts()),
         undefined=StrictUndefined,
@@ -178,56 +233,42 @@ def _template(text: str) -> Any:
     return _environment().from_string(text)
 
 
-def first_messages(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
-    """The messages that ask for the next action, or for the route.
+def _values(task: TaskConfig, obs: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
+    """The values that a template can use."""
+    deciding = set(_deciding(task))
+    cells: dict[str, list[str]] = {kind.name: [] for kind in CELL_KINDS.values()}
+    for y, row in enumerate(obs.cell_types):
+        for x, name in enumerate(row):
+            if name != "road":  # a city has thousands
+                cells[name].append(f"({x}, {y})")
+    lists = {name: " ".join(listed) or "none" for name, listed in cells.items()}
+    return {
+        **{name: get(obs) for name, get in OBSERVED.items()},
+        **{name: lists[kind] for name, kind in CELL_LISTS.items()},
+        "grid": "\n".join(" ".join(LETTERS[name] for name in row) for row in obs.cell_types),
+        "legend": LEGEND,
+        "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
+        "task": task,
+        "drains": [(_label(kind), units) for kind, units in task.drain if units != 1],
+        "impassable": sorted(map(_label, task.impassable)),
+        "terrain": [(title, lists[CELL_KINDS[kind].name], kind in deciding) for kind, title in TITLES.items()],
+    }
 
-    Args:
-        prompt: The prompt.
-        episode: The episode in its current state.
-        last_steps: The last steps, one line each.
 
-    Raises:
-        InvalidValueError: if the template of your own prompt cannot be rendered.
-    """
-    system, user = first_texts(prompt, episode, last_steps)
-    content: str | list[Part] = user
-    if prompt.picture:
-        content = [picture_part(episode, prompt.picture), {"type": "text", "text": user}]
-    return [{"role": "system", "content": system}, {"role": "user", "content": content}]
+def _label(kind: Cell) -> str:
+    return LABELS.get(kind, CELL_KINDS[kind].name)
 
 
-def first_texts(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> tuple[str, str]:
-    """The texts of the system and of the user in `first_messages`."""
-    task, obs = episode.task, DroneObservation.of(episode)
-    values = values_of(task, obs, last_steps, prompt.names)
-    user = [_render(prompt, prompt.user, values), below_text(task, obs.cell_below)]
-    return _render(prompt, prompt.system, values), "\n".join(filter(None, user))
+def _deciding(task: TaskConfig) -> Iterator[Cell]:
+    """The kinds of terrain that affect the best flight over maps of a task."""
+    for kind, count in task.cell_counts().items():
+        charges = kind is Cell.PAD and task.charge_rate > 0
+        if count and (charges or kind in task.impassable or dict(task.drain).get(kind, 1) != 1):
+            yield kind
 
 
 def below_text(task: TaskConfig, kind: str) -> str:
     """The line about the cell below the drone, which no map shows; empty if it does not matter for the task."""
-    if not task.pads and not any(deciding(task)):
+    if not task.pads and not any(_deciding(task)):
         return ""
     return f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
-
-
-def repair_messages(prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str) -> list[ChatMessage]:
-    """The messages that ask once more, after an unusable answer."""
-    return [
-        *asked,
-        {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
-        {"role": "user", "content": repair_text(prompt, reason)},
-    ]
-
-
-def repair_text(prompt: Prompt, reason: str) -> str:
-    """What the model reads about its unusable answer."""
-    return _render(prompt, prompt.repair, {"reason": reason})
-
-
-def _render(prompt: Prompt, template: str, values: Mapping[str, object]) -> str:
-    try:
-        return re.sub(r"\n{3,}", "\n\n", _template(template).render(values)).strip()
-    except Exception as error:
-        # Your own template can fail in as many ways as a program.
-        raise InvalidValueError(f"prompt {prompt.id} cannot be filled in: {error}") from error

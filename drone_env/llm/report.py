@@ -1,5 +1,6 @@
-"""The figures of a run: every score beside the exact optimum of its map, and beside other agents on the same maps."""
+"""The report of a run: scores with the optimum of each map and the scores of other agents on the same maps."""
 
+import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
@@ -13,14 +14,15 @@ import numpy as np
 from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
-from drone_env.llm.options import Prices
-from drone_env.llm.run_folder import RESULTS, PilotedRecord, load_config, results_of
+from drone_env.llm.limiter import Prices
+from drone_env.llm.run_folder import RESULTS, FlightResult, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked
-from drone_env.results.statistics import Summary, mean_of, normalised
+from drone_env.results.statistics import Summary, mean_of, normalised, with_interval
+from drone_env.results.tables import Table, number, percent
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -29,22 +31,22 @@ BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
 
 
 def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -> dict[str, Any]:
-    """The figures of a run, as JSON values; what is not known is null.
+    """The figures of a run as JSON values; unknown ones are null.
 
-    Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
-    `score_ci95` (`results.statistics`) is null for one map. `normalised` is (score - random) / (optimal - random) of
-    the means over the same maps. `unusable` counts the answers that no repair made usable; the run is marked if they
-    are more than 5 %. `models` counts the answers by the model that the endpoint names in them; "" if it names none.
+    Means are over maps: flights over the same map are averaged first. `score_ci95` (`results.statistics`) is null for
+    one map. `normalised` is (score - random) / (optimal - random) of the means over the same maps. `unusable` counts
+    the answers that stayed unusable after their repair; above 5 % the run is marked. `models` counts the answers by
+    the model that the endpoint names; "" if it names none.
 
     Args:
         run: The run.
-        prices: What tokens cost.
-        moves: Whether to analyse every move, which takes some time for each flight.
+        prices: The prices of tokens.
+        moves: Whether to analyse every move, which takes time.
     """
     config = run.config
     counted = [result for result in run.results if result.status != "errored"]
     verdict, reason = verdict_of(config.flights, [str(result.status) for result in run.results])
-    by_map: dict[int, list[PilotedRecord]] = defaultdict(list)
+    by_map: dict[int, list[FlightResult]] = defaultdict(list)
     for result in sorted(counted, key=lambda result: result.seed):
         by_map[result.seed].append(result)
     baselines = _baselines(run, list(by_map))
@@ -98,13 +100,12 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
 
 
 def run_entry(path: Path) -> LeaderboardEntry | NotRanked:
-    """The leaderboard entry of a run, which is checked first, or why it is not ranked."""
+    """The leaderboard entry of a run, which is verified first, or why it is not ranked."""
     try:
         load_config(path)
         if not (path / RESULTS).exists():
-            # Written at the end of each part of a run.
-            under_way = "no flights yet: it is under way, or was killed and can be gone on with (--resume)"
-            return NotRanked(path, under_way, damaged=False)
+            # The results are written at the end.
+            return NotRanked(path, "no flights yet: it is running, or was killed (continue: --resume)", damaged=False)
         run = verified_run(path)
     except (DroneEnvError, OSError, ValueError) as error:
         return NotRanked(path, str(error).removeprefix(f"{path}: "), damaged=True)
@@ -115,12 +116,12 @@ def run_entry(path: Path) -> LeaderboardEntry | NotRanked:
 
 
 def unusable_of(figures: dict[str, Any]) -> Unusable:
-    """The unusable answers of a run, from the figures of its report."""
+    """The unusable answers of a run, from its report."""
     return Unusable(figures["unusable"]["answers"], figures["unusable"]["of"])
 
 
 def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, list[float] | None]:
-    """The scores of other agents on maps of the run; None for an agent that cannot fly this task."""
+    """The scores of other agents on the same maps; None for an agent that does not support the task."""
     config = run.config
     rows = np.array(seeds, np.int64) - config.seeds[0]
     found: dict[str, list[float] | None] = {}
@@ -134,7 +135,7 @@ def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, list[float] 
     return found
 
 
-def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
+def _pass_hat_k(maps: Sequence[Sequence[FlightResult]]) -> dict[str, float]:
     """For each k, the chance that k flights over one map, drawn without replacement, all deliver everything.
 
     The unbiased estimate C(successes, k) / C(flights, k), averaged over the maps (Yao et al., tau-bench, 2024).
@@ -148,7 +149,7 @@ def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
 
 
 def _moves(run: VerifiedRun) -> dict[str, Any] | None:
-    """How many moves have which label; None where the maps are too large for exact values."""
+    """The number of moves by label; None if the maps are too large for exact values."""
     from drone_env.planning.optimal import solver_of  # loads Numba
 
     counts: Counter[str] = Counter()
@@ -158,7 +159,7 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     def solver(seed: int) -> "Solver":
         return solver_of(Episode(run.config.task_config, seed=seed))
 
-    # All flights over a map, one after another: what takes time is its solver.
+    # Sorted by map, since its solver takes the time.
     for result, record in sorted(zip(run.results, run.records, strict=True), key=lambda pair: pair[1].seed):
         if result.status == "errored":
             continue
@@ -173,16 +174,16 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
 
 
 def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
-    paid = [call.answer for call in run.calls if call.answer is not None and not call.cached]
-    prompt = sum(answer.prompt_tokens or 0 for answer in paid)
-    completion = sum(answer.completion_tokens or 0 for answer in paid)
-    latencies = sorted(call.latency for call in run.calls if call.answer is not None and not call.cached)
+    answered = [call for call in run.calls if call.answer is not None]
+    answers = [call.answer for call in answered if call.answer is not None]
+    prompt = sum(answer.prompt_tokens or 0 for answer in answers)
+    completion = sum(answer.completion_tokens or 0 for answer in answers)
+    latencies = sorted(call.latency for call in answered)
     return {
         "calls": {
-            "answered": len(paid),
-            "cached": sum(call.cached for call in run.calls),
+            "answered": len(answers),
             "requests": sum(call.requests for call in run.calls),
-            "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in paid),
+            "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in answers),
         },
         "tokens": {"prompt": prompt, "completion": completion},
         "cost_usd": None if prices is None else prices.cost(prompt, completion),
@@ -196,10 +197,102 @@ def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
     Raises:
         OSError: if they cannot be written.
     """
-    from drone_env.llm.report_plots import plots
-    from drone_env.llm.report_tables import page_values
     from drone_env.results.pages import render, write_pages
 
-    values = page_values(figures)
-    page = render("llm.html", **values, plots=plots(figures))
-    write_pages(run.path, figures, {"report.md": render("llm.md", **values), "report.html": page})
+    config = figures["config"]
+    first, last = config["seeds"][0], config["seeds"][1] - 1
+    maps = f"Map {first}" if first == last else f"Maps {first} to {last}"
+    repeats = "one flight each" if config["repeats"] == 1 else f"{config['repeats']} flights each"
+    values = {
+        "figures": figures,
+        "tables": [table for table in _tables(figures) if table.rows],
+        "title": f"{config['model']} on {config['task']}, prompt {config['prompt']}",
+        "maps": f"{maps} ({config['split']}), {repeats}.",
+        "verdict": figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"],
+        "score": _score(figures),
+        "unusable": unusable_of(figures),
+    }
+    pages = {f"report.{name.partition('.')[2]}": render(name, **values) for name in ("llm.md", "llm.html")}
+    write_pages(run.path, figures, pages)
+
+
+def _tables(figures: dict[str, Any]) -> list[Table]:
+    """The tables of the report, in order."""
+    moves: dict[str, Any] = figures["moves"] or {"labels": {}}
+    agents = [("this model", _score(figures)), *((name, number(mean)) for name, mean in figures["baselines"].items())]
+    return [
+        Table("Result", (), _result(figures)),
+        Table("On the same maps", ("who", "mean score"), agents if figures["score"] is not None else []),
+        Table("Answers", ("outcome", "requests for actions"), [(name, str(n)) for name, n in figures["turns"].items()]),
+        Table("Moves", ("move", "count"), [(label, str(n)) for label, n in moves["labels"].items()]),
+        Table("Spent", (), _spent(figures)),
+        Table("Configuration", (), _configuration(figures["config"], figures["models"])),
+        Table(
+            "Not finished",
+            ("map", "flight over it", "status", "why"),
+            [(str(f["seed"]), str(f["repeat"] + 1), f["status"], f["error"] or "") for f in figures["not_finished"]],
+        ),
+        Table(
+            "Maps",
+            ("map", "scores", "optimum", "delivered all", "steps", "WAIT in place"),
+            [_map(of_map) for of_map in figures["maps"]],
+        ),
+    ]
+
+
+def _score(figures: dict[str, Any]) -> str:
+    return with_interval(figures["score"], figures["score_ci95"])
+
+
+def _result(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    flights, moves = figures["flights"], figures["moves"]
+    rows = [
+        ("score (95 %)", _score(figures)),
+        ("unusable answers", str(unusable_of(figures))),
+        ("delivered all", percent(figures["success_rate"])),
+        *((f"pass^{k}", percent(share)) for k, share in figures["pass_hat_k"].items() if k != "1"),
+        ("regret", number(figures["regret"])),
+        ("(score - random) / (optimal - random)", number(figures["normalised"])),
+        ("flights planned, flown", f"{flights['planned']}, {flights['flown']}"),
+        ("errored, left out", str(flights["errored"])),
+        ("unfinished, counted as waiting to the end", str(flights["unfinished"])),
+        ("WAIT in place of an unusable answer", str(figures["waits"])),
+    ]
+    return rows if moves is None else [*rows, ("best moves where it mattered", percent(moves["accuracy"]))]
+
+
+def _spent(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    calls, tokens = figures["calls"], figures["tokens"]
+    return [
+        ("requests; answers", f"{calls['requests']}; {calls['answered']}"),
+        ("tokens: prompt, completion", f"{tokens['prompt']}, {tokens['completion']}"),
+        ("answers without a count of tokens", str(calls["without_usage"])),
+        ("cost in US dollars", number(figures["cost_usd"])),
+        ("median seconds for an answer", number(figures["latency_median"], ".2f")),
+    ]
+
+
+def _configuration(config: dict[str, Any], models: dict[str, int]) -> list[tuple[str, str]]:
+    sampling = ", ".join(
+        f"{name} {json.dumps(value)}" for name, value in config["sampling"].items() if value not in (None, {})
+    )
+    return [
+        ("model", config["model"]),
+        ("model that the endpoint names", ", ".join(name for name in models if name) or "none"),
+        ("endpoint", config["base_url"]),
+        ("task", f"{config['task']} version {config['task_version']}, rewards {config['reward_profile']}"),
+        ("prompt", f"{config['prompt']} ({config['prompt_digest']}), last steps shown: {config['history']}"),
+        ("answers asked for as", config["answers"]),
+        ("sampling", sampling or "the endpoint's own"),
+    ]
+
+
+def _map(of_map: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        str(of_map["seed"]),
+        ", ".join(map(number, of_map["scores"])),
+        number(of_map["optimum"]),
+        f"{of_map['success']} of {len(of_map['scores'])}",
+        ", ".join(map(str, of_map["steps"])),
+        str(of_map["waits"]),
+    )

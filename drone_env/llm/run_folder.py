@@ -1,7 +1,6 @@
-"""The folder of a run: what it is, its transcript, and what follows from that. One process at a time writes to it."""
+"""The folder of a run: configuration, transcript, records and results. One process at a time writes to it."""
 
 import hashlib
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,7 +12,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import differences, is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.flight import PilotedEpisode, Status
+from drone_env.llm.text_episode import Flight, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 from drone_env.results.record import record_of
@@ -21,12 +20,12 @@ from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.store import Store
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
-MOST_CONFIG, LONGEST_RESULT = 1 << 20, 1 << 16
+MAX_CONFIG, MAX_RESULT = 1 << 20, 1 << 16
 """Bytes of a configuration, and of the result of a flight."""
 
 
-class PilotedRecord(Message):
-    """What is kept of a piloted episode; its `EpisodeRecord` is the line of the same number in `episodes.jsonl`."""
+class FlightResult(Message):
+    """The result of a flight; its `EpisodeRecord` is the line of the same number in `episodes.jsonl`."""
 
     flight: Count
     seed: Count
@@ -34,146 +33,139 @@ class PilotedRecord(Message):
     status: Status
     error: str | None
     steps: Count
-    ended: bool = Field(description="Whether it was flown to the end of the episode.")
+    ended: bool = Field(description="Whether the episode was flown to its end.")
     success: bool
-    score: Score = Field(description="Of an unfinished flight what waiting to its end would earn.")
-    turns: dict[TurnKind, Count] = Field(description="How the requests for actions came out.")
-    waits: Count = Field(description="Steps that are a WAIT because no answer could be used.")
+    score: Score = Field(description="The score; of an unfinished flight, the score of waiting to the end.")
+    turns: dict[TurnKind, Count] = Field(description="Number of requests for actions by outcome.")
+    waits: Count = Field(description="Steps that are a WAIT because the answer was unusable.")
 
     @classmethod
-    def of(cls, flown: PilotedEpisode) -> Self:
-        """What is kept of an episode."""
-        episode = flown.episode
+    def of(cls, flight: Flight) -> Self:
+        """The result of a flight."""
+        episode = flight.episode
         return cls(
-            flight=flown.index,
+            flight=flight.index,
             seed=episode.seed,
-            repeat=flown.repeat,
-            status=flown.status,
-            error=flown.error,
+            repeat=flight.repeat,
+            status=flight.status,
+            error=flight.error,
             steps=episode.steps,
             ended=episode.ended,
-            success=episode.success,
-            score=episode.counted_score(),
-            turns={name: flown.turns.count(name) for name in TURN_KINDS},
-            waits=sum(error is not None for error in flown.step_errors),
+            success=flight.success,
+            score=flight.score,
+            turns={name: flight.turns.count(name) for name in TURN_KINDS},
+            waits=sum(error is not None for error in flight.step_errors),
         )
 
 
-def results_of(config: RunConfig, records: Sequence[PilotedRecord], optima: Mapping[int, float]) -> Results:
+def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mapping[int, float]) -> Results:
     """The results of the flights that count: all that did not error.
 
     Args:
         config: The run.
-        records: Its flights.
-        optima: The optimum of each map, as far as it is known.
+        flights: The results of its flights.
+        optima: The optimum of each map, if it is known.
     """
-    counted = [record for record in records if record.status != "errored"]
+    counted = [result for result in flights if result.status != "errored"]
     return Results.of_rows(
         EpisodesKey(config.task, config.task_version, config.split, config.seeds, config.model),
-        seeds=[record.seed for record in counted],
-        scores=[record.score for record in counted],
-        steps=[record.steps for record in counted],
-        success=[record.success for record in counted],
-        optimal_scores=[optima.get(record.seed) for record in counted],
+        seeds=[result.seed for result in counted],
+        scores=[result.score for result in counted],
+        steps=[result.steps for result in counted],
+        success=[result.success for result in counted],
+        optimal_scores=[optima.get(result.seed) for result in counted],
     )
 
 
 class EpisodeIds:
-    """What a store calls the flights of the run in a folder.
+    """The ids in a store of the flights of the run in a folder.
 
     Raises:
-        OSError: if no call of it was made.
-        InvalidValueError: if the transcript cannot be one.
+        OSError: if the run has made no call.
+        InvalidValueError: if the transcript is damaged.
     """
 
     def __init__(self, path: Path) -> None:
-        # It holds the time of the run's first call, and is the same for all parts of the run.
+        # The first call contains its time, and stays the same when the run is resumed.
         self._run = next(read_lines(path / TRANSCRIPT, LONGEST_CALL), b"")
 
     def of(self, flight: int) -> str:
-        """The id of the flight of a number."""
+        """The id of the flight with this number."""
         return hashlib.sha256(b"%d %s" % (flight, self._run)).hexdigest()[:16]
 
 
 class RunFolder:
-    """An open run folder. To be closed.
+    """An open run folder. Close it after use.
 
     Raises:
-        OSError: if it cannot be made or read.
-        InvalidValueError: if it holds a run and is not to be resumed, or one of another configuration, or another
+        OSError: if it cannot be created or read.
+        InvalidValueError: if it contains a run and `resume` is false, or a run of another configuration, or if another
             process writes to it.
     """
 
     def __init__(self, path: Path, config: RunConfig, resume: bool) -> None:
         self.path = path
         self._agent = config.model
-        config_path = path / CONFIG
         begun = is_begun(path, CONFIG, "a run")
         if begun and not resume:
-            raise InvalidValueError(f"{path} holds a run already: add --resume to go on with it, or name a new folder")
+            raise InvalidValueError(f"{path} contains a run: add --resume to continue it, or name a new folder")
         path.mkdir(parents=True, exist_ok=True)
         with ExitStack() as opened:
             opened.enter_context(locked(path / "lock", f"another process is working on the run in {path}"))
-            if config_path.exists():
+            if (path / CONFIG).exists():
                 changed = differences(dict(load_config(path)), dict(config))
                 if changed:
                     raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
             else:
-                write_text(config_path, config.model_dump_json(indent=2) + "\n")
+                write_text(path / CONFIG, config.model_dump_json(indent=2) + "\n")
             self._opened = opened.pop_all()
 
-    def write_flights(self, flights: Sequence[PilotedEpisode]) -> None:
+    def write_flights(self, flights: Sequence[Flight]) -> None:
         """Write the records and the results of ordered flights; each file is written whole or not at all.
 
         Raises:
             OSError: if they cannot be written.
         """
-        records = [record_of(flown.episode, self._agent).to_json() for flown in flights]
-        results = [PilotedRecord.of(flown).model_dump_json() for flown in flights]
+        records = [record_of(flight.episode, self._agent).to_json() for flight in flights]
+        results = [FlightResult.of(flight).model_dump_json() for flight in flights]
         for name, lines in ((EPISODES, records), (RESULTS, results)):
             write_text(self.path / name, "".join(f"{line}\n" for line in lines))
 
-    def keep(self, flown: PilotedEpisode, store: Store) -> None:
-        """Keep an episode that was flown to its end in a store: once, however often the run is gone on with.
+    def add_to(self, store: Store, flight: Flight) -> None:
+        """Add a finished episode to a store, which contains it once however often the run is resumed.
 
         Raises:
             StoreError: if the store refuses it.
         """
-        if flown.episode.ended:
-            store.add_episode(flown.episode, self._agent, EpisodeIds(self.path).of(flown.index))
+        if flight.episode.ended:
+            store.add_episode(flight.episode, self._agent, EpisodeIds(self.path).of(flight.index))
 
     def close(self) -> None:
-        """Let other processes in."""
+        """Release the folder to other processes."""
         self._opened.close()
 
 
-def runs_in(path: Path) -> list[Path]:
-    """The folder itself; or those of the runs in it, as `--prompts` makes them, where it is of none itself."""
-    inside = sorted(file.parent for file in path.glob(f"*/{CONFIG}"))
-    return [path] if os.path.lexists(path / CONFIG) else inside or [path]
-
-
 def load_config(path: Path) -> RunConfig:
-    """What the run in a folder is.
+    """The configuration of the run in a folder.
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if there is none, or the file is not the configuration of a run.
+        InvalidValueError: if there is none, or it is invalid.
     """
     try:
-        text = read_file(path / CONFIG, MOST_CONFIG)
+        text = read_file(path / CONFIG, MAX_CONFIG)
     except (FileNotFoundError, NotADirectoryError):
-        raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
+        raise InvalidValueError(f"{path} is not the folder of a run: it has no {CONFIG}") from None
     return RunConfig.read(text, f"{path / CONFIG} is not the configuration of a run")
 
 
-def load_results(path: Path) -> list[PilotedRecord]:
+def load_results(path: Path) -> list[FlightResult]:
     """The results of a run, in order.
 
     Raises:
         OSError: if there are none yet.
-        InvalidValueError: if a line is no result.
+        InvalidValueError: if a line is not a result.
     """
-    lines = enumerate(read_lines(path / RESULTS, LONGEST_RESULT), 1)
+    lines = enumerate(read_lines(path / RESULTS, MAX_RESULT), 1)
     wrong = f"of {path / RESULTS} is not the result of a flight"
-    return [PilotedRecord.read(line, f"line {number} {wrong}") for number, line in lines]
+    return [FlightResult.read(line, f"line {number} {wrong}") for number, line in lines]

@@ -1,8 +1,7 @@
-"""A run: many flights at once, whose calls are in the transcript before their answers are used."""
+"""A run: many flights at once. Each call is in the transcript before its answer is used."""
 
 import asyncio
 import contextlib
-import functools
 import random
 import time
 from collections.abc import Sequence
@@ -12,25 +11,23 @@ from urllib.parse import urlsplit
 
 from drone_env.core.actions import Action
 from drone_env.errors import EndpointError
-from drone_env.files import write_text
-from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable
+from drone_env.llm.answers import TURN_KINDS, Answer, ChatMessage, TurnKind, Unusable
 from drone_env.llm.config import RunConfig, request_bodies
-from drone_env.llm.content import ChatMessage, with_pictures
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
 from drone_env.llm.image import following
 from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
-from drone_env.llm.run_folder import TRANSCRIPT, PilotedRecord, RunFolder, results_of
-from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, cached_answer, digest
+from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, RunFolder, results_of
+from drone_env.llm.text_episode import CallFailedError, Flight, fly
+from drone_env.llm.transcript import Call, Failure, Transcript, digest
 from drone_env.results.log_lines import end_line, start_line, step_line
 from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
-MOST_ERRORED = 0.05
+MAX_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
-LONGEST_BACKOFF = 30.0
-LONGEST_WAIT = 120.0
-"""A call whose endpoint asks for a longer wait in seconds (`Retry-After`) has failed."""
+MAX_BACKOFF = 30.0
+MAX_WAIT = 120.0
+"""A call fails if the endpoint requests a longer wait in seconds (`Retry-After`)."""
 
 
 class Sender(Protocol):
@@ -45,16 +42,16 @@ class Sender(Protocol):
 
 
 class Observer:
-    """Is called when something happens in a run; this one does nothing."""
+    """Callbacks of a run; these do nothing."""
 
-    def called(self, call: Call) -> None:
-        """A call was made."""
+    def on_call(self) -> None:
+        """Called after each call."""
 
-    def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed; the next one comes after this many seconds."""
+    def on_wait(self, seconds: float, reason: str) -> None:
+        """Called before the wait that follows a failed try."""
 
-    def flown(self, flown: PilotedEpisode) -> None:
-        """A flight is over."""
+    def on_flight(self, flight: Flight) -> None:
+        """Called at the end of each flight."""
 
 
 @dataclass(frozen=True)
@@ -63,31 +60,31 @@ class RunResult:
 
     Attributes:
         config: The run.
-        verdict: `valid`; `stopped` by an endpoint that refuses; `invalid` because too many flights errored;
-            `incomplete` because a limit was reached.
-        reason: Why it is not valid, in words.
-        flights: All that began and were not abandoned, in order.
+        verdict: `valid`; `stopped` if the endpoint refuses every call; `invalid` if too many flights errored;
+            `incomplete` if a limit was reached.
+        reason: Why it is not valid.
+        flights: All flights that began and were not abandoned, in order.
     """
 
     config: RunConfig
     verdict: Verdict
     reason: str
-    flights: list[PilotedEpisode]
+    flights: list[Flight]
 
 
 def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> tuple[Verdict, str]:
     """The verdict on a run, and its reason.
 
     Args:
-        flights: How many it should have.
-        statuses: Those of its flights.
+        flights: The planned number of flights.
+        statuses: The status of each flight.
         fatal: Why the endpoint refused every call, if it did.
     """
     errored = statuses.count("errored")
     if fatal is not None:
         return "stopped", fatal
-    if statuses and errored / len(statuses) > MOST_ERRORED:
-        return "invalid", f"{errored} of {len(statuses)} flights errored, more than {MOST_ERRORED:.0%}"
+    if statuses and errored / len(statuses) > MAX_ERRORED:
+        return "invalid", f"{errored} of {len(statuses)} flights errored, more than {MAX_ERRORED:.0%}"
     if "budget_stop" in statuses or len(statuses) < flights:
         left = flights - len(statuses)
         return "incomplete", f"{statuses.count('budget_stop')} flights were cut short and {left} not begun"
@@ -95,163 +92,145 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
 
 
 class Calls:
-    """Makes the calls of a run: each answer comes from the transcript, the cache, or the endpoint with retries.
+    """Makes the calls of a run: an answer comes from the transcript, or from the endpoint with retries.
 
     Args:
         config: The run.
         endpoint: Sends the requests.
         transcript: Gets every call.
         limiter: Decides when a request is sent.
-        observer: Is called when something happens.
+        observer: Callbacks.
     """
 
     def __init__(
         self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, observer: Observer
     ) -> None:
         self._url = config.base_url
-        self._prompt = config.load_prompt()
         self._bodies = request_bodies(config)
         self._endpoint = endpoint
         self._transcript = transcript
         self._limiter = limiter
         self._observer = observer
-        self._cache = limiter.options.cache
-        if self._cache is not None:
-            self._cache.mkdir(parents=True, exist_ok=True)
 
-    async def ask(self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage]) -> Reading:
-        """The answer to a call of the flight over this map, as it is understood.
+    async def ask(self, flight: Flight) -> Answer:
+        """The answer to the next call of a flight.
 
         Raises:
-            CallFailedError: if none came after all retries.
+            CallFailedError: if there is none after all retries.
             LimitReachedError: if the budget of the run is spent.
-            StoppedError: if the run is being stopped because of another call.
-            InvalidValueError: if the transcript contains another request under this key.
+            StoppedError: if the run stops because of another call.
+            InvalidValueError: if the transcript contains another request under its key.
         """
-        body = self._bodies[repeat]
+        key, messages, body = flight.key, flight.messages, self._bodies[flight.repeat]
         request = digest({"body": body, "messages": messages})
-        known = self._transcript.answered.get(key)
-        if known is not None and known.answer is not None:
-            known.require_same(messages, request, body.get("seed"))
-            return self._prompt.read_answer(known.answer)
-        self._limiter.check_going_on()
-        # Repeats and repairs draw again from the model: only equal ones share an answer.
-        name = digest([self._url, request, repeat, key.attempt])
-        cache = None if self._cache is None else self._cache / f"{name}.json"
-        answer = None if cache is None else cached_answer(cache)
-        cached, picture, began = answer is not None, None, self._limiter.clock.now()
+        stored = self._transcript.answered.get(key)
+        if stored is not None and stored.answer is not None:
+            stored.require_same(messages, request, body.get("seed"))
+            return stored.answer
+        self._limiter.check_running()
+        began = self._limiter.clock.now()
         failures: list[Failure] = []
 
         def record(answer: Answer | None, outcome: str) -> None:
             call = Call(
                 flight=key.flight,
-                seed=seed,
-                repeat=repeat,
+                seed=flight.episode.seed,
+                repeat=flight.repeat,
                 turn=key.turn,
-                attempt=1 if key.attempt == 1 else 2,
+                attempt=flight.attempt,
                 messages=messages,
-                picture=picture,
                 request_digest=request,
                 sampling_seed=body.get("seed"),
                 answer=answer,
                 outcome=outcome,
                 failures=failures,
-                latency=0.0 if cached else self._limiter.clock.now() - began,
+                latency=self._limiter.clock.now() - began,
                 at=time.time(),
-                cached=cached,
             )
-            self._limiter.count(call)
+            self._limiter.budget.count(call)
             self._transcript.append(call)
-            self._observer.called(call)
+            self._observer.on_call()
 
-        if answer is None:
-            sent, picture = with_pictures(messages)
-            try:
-                answer, began = await self._send(seed, repeat, key, sent, failures)
-            except LimitReachedError:
-                if failures:
-                    record(None, "budget_stop")
-                raise
-            except TryFailedError as failed:
-                record(None, "api_error")
-                self._give_up(failed)
-        reading = self._prompt.read_answer(answer)
-        record(answer, reading.kind)
-        if cache is not None and not cached:
-            write_text(cache, answer.model_dump_json())
-        return reading
+        try:
+            answer, began = await self._send(flight, failures)
+        except LimitReachedError:
+            if failures:
+                record(None, "budget_stop")
+            raise
+        except TryFailedError as failed:
+            record(None, "api_error")
+            self._give_up(failed)
+        record(answer, flight.prompt.read_answer(answer).kind)
+        return answer
 
-    async def _send(
-        self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage], failures: list[Failure]
-    ) -> tuple[Answer, float]:
-        """The answer and when its request was sent; it appends every failed try to `failures`."""
-        limiter, options = self._limiter, self._limiter.options
+    async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
+        """The answer, and when its request was sent; appends each failed try to `failures`."""
+        limiter, options, key = self._limiter, self._limiter.options, flight.key
         while True:
             async with limiter.slot() as sent_at:
                 try:
-                    answer = await self._endpoint.send(messages, str(key), repeat)
+                    answer = await self._endpoint.send(flight.messages, str(key), flight.repeat)
                 except TryFailedError as error:
-                    failed, asked = error, error.retry_after
+                    failed, retry_after = error, error.retry_after
                     if failed.retried:
-                        limiter.overloaded(sent_at, min(asked or 0.0, LONGEST_WAIT))
+                        limiter.overloaded(sent_at, min(retry_after or 0.0, MAX_WAIT))
                 else:
                     limiter.answered()
                     return answer, sent_at
-            again = failed.retried and len(failures) + 1 < options.tries and (asked or 0.0) <= LONGEST_WAIT
-            bound = min(LONGEST_BACKOFF, options.backoff * 2 ** len(failures))
-            wait = (random.uniform(0, bound) if asked is None else asked) if again else 0.0
+            again = failed.retried and len(failures) + 1 < options.tries and (retry_after or 0.0) <= MAX_WAIT
+            bound = min(MAX_BACKOFF, options.backoff * 2 ** len(failures))
+            wait = (random.uniform(0, bound) if retry_after is None else retry_after) if again else 0.0
             failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait))
             if not again:
                 raise failed
             attempt = f"attempt {len(failures)} of {options.tries} failed"
-            self._observer.waiting(wait, f"map {seed}, turn {key.turn}: {attempt}: {failed}")
+            self._observer.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
             await limiter.clock.sleep(wait)
 
     def _give_up(self, failed: TryFailedError) -> NoReturn:
-        self._limiter.check_going_on()
-        # Every call would meet what the very first one meets, such as a rejected parameter, or a redirect.
+        self._limiter.check_running()
+        # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be too.
         first = not self._transcript.answered and 300 <= failed.status < 500 and not failed.retried
         if failed.fatal or first:
             host = urlsplit(self._url).netloc
-            self._limiter.fatal = EndpointError(f"{host} answers {failed.status}: {failed.reason}")
+            self._limiter.fatal = EndpointError(f"{host} returned {failed.status}: {failed.reason}")
         raise CallFailedError(str(failed))
 
 
 async def run(
     config: RunConfig, folder: RunFolder, endpoint: Sender, limiter: RateLimiter, observer: Observer
 ) -> RunResult:
-    """Fly all flights of a run from the end of its transcript. The folder then contains records and results.
+    """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
     Args:
         config: The run.
         folder: Its folder.
         endpoint: Sends the requests; it is closed.
         limiter: Decides when a request is sent; it must be new.
-        observer: Is called when something happens.
+        observer: Callbacks.
 
     Raises:
         OSError: if the folder cannot be written to.
         InvalidValueError: if the transcript is damaged or belongs to another run.
     """
-    flights: list[PilotedEpisode] = []
+    flights: list[Flight] = []
     prompt, numbers = config.load_prompt(), iter(range(config.flights))
     with contextlib.closing(Transcript(folder.path / TRANSCRIPT)) as transcript:
         for call in transcript.calls:
-            limiter.requests += call.requests
-            limiter.count(call)
+            limiter.budget.requests += call.requests
+            limiter.budget.count(call)
         calls = Calls(config, endpoint, transcript, limiter, observer)
 
         async def worker() -> None:
             for number in numbers:
-                flown = PilotedEpisode.begin(config, number)
-                ask = functools.partial(calls.ask, flown.episode.seed, flown.repeat)
-                with following(limiter.options.server, config.model) as on_step:
-                    await fly(flown, prompt, config.history, ask, on_step)
-                # A flight without an answer because of the limits has not begun.
-                if flown.begun or flown.status != "budget_stop":
-                    flights.append(flown)
-                    observer.flown(flown)
-                limiter.check_going_on()
+                flight = config.flight(number, prompt)
+                with following(limiter.options.server, config.model) as follow:
+                    await fly(flight, calls.ask, follow)
+                # A flight that reached a limit before its first answer has not begun.
+                if flight.begun or flight.status != "budget_stop":
+                    flights.append(flight)
+                    observer.on_flight(flight)
+                limiter.check_running()
 
         workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, limiter.options.concurrency))]
         try:
@@ -263,44 +242,37 @@ async def run(
             await asyncio.gather(*workers, return_exceptions=True)
             await endpoint.close()
             # Also after an interruption.
-            flights.sort(key=lambda flown: flown.index)
+            flights.sort(key=lambda flight: flight.index)
             folder.write_flights(flights)
     fatal = None if limiter.fatal is None else str(limiter.fatal)
-    return RunResult(config, *verdict_of(config.flights, [flown.status for flown in flights], fatal), flights)
+    return RunResult(config, *verdict_of(config.flights, [flight.status for flight in flights], fatal), flights)
 
 
-def log_text(flown: PilotedEpisode, model: str) -> str:
+def log_text(flight: Flight, model: str) -> str:
     """The log lines of a flight, each with its newline.
 
-    The steps of an unusable answer name it as their error. A flight that stopped early has fewer steps, and its score
-    is that of waiting to the end.
+    The error of a step is the outcome of the unusable answer. A flight that stopped early has fewer steps, and its
+    score is that of waiting to the end.
     """
-    episode = flown.episode
+    episode = flight.episode
     lines = [start_line(episode.task, model)]
-    for number, (step, error) in enumerate(zip(episode.path, flown.step_errors, strict=True), 1):
+    for number, (step, error) in enumerate(zip(episode.path, flight.step_errors, strict=True), 1):
         done = episode.ended and number == episode.steps
         lines.append(step_line(number, Action(step.action), step.reward, done, error))
-    lines.append(end_line(episode.success, episode.counted_score(), episode.rewards))
+    lines.append(end_line(flight.success, flight.score, flight.rewards))
     return "".join(f"{line}\n" for line in lines)
 
 
 def summary_lines(result: RunResult) -> list[str]:
-    """The result of a run, for people: the score of the flights that count, the outcomes of answers, the verdict."""
-    records = [PilotedRecord.of(flight) for flight in result.flights]
-    counted = [record for record in records if record.status != "errored"]
-    turns: dict[TurnKind, int] = {name: sum(record.turns[name] for record in records) for name in TURN_KINDS}
+    """The result of a run as text: the score of the flights that count, and the verdict."""
+    results = [FlightResult.of(flight) for flight in result.flights]
+    turns: dict[TurnKind, int] = {name: sum(one.turns[name] for one in results) for name in TURN_KINDS}
     unusable, lines = Unusable.among(turns), list[str]()
-    mean = Summary.of(results_of(result.config, records, {})).score
+    mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
-        success = sum(record.success for record in counted)
-        flights = f"{len(counted)} flights, {success} delivered everything"
+        counted = [one.success for one in results if one.status != "errored"]
+        flights = f"{len(counted)} flights, {sum(counted)} delivered everything"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
-    unfinished = sum(not record.ended for record in counted)
-    waits = sum(record.waits for record in records)
-    lines += [
-        f"errored and left out: {len(records) - len(counted)}; unfinished, counted as waiting to the end: {unfinished}",
-        f"answers: {', '.join(f'{name} {count}' for name, count in turns.items())}; WAIT in place: {waits}",
-    ]
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
-    said = ": ".join(filter(None, (verdict, result.reason)))
-    return [*lines, "; ".join(filter(None, (f"verdict: {said}", unusable.mark)))]
+    verdict = ": ".join(filter(None, (verdict, result.reason)))
+    return [*lines, "; ".join(filter(None, (f"verdict: {verdict}", unusable.mark)))]

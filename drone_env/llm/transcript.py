@@ -1,7 +1,7 @@
 """The transcript: every call of a run, one JSON line each, in the file before its answer is used.
 
-It is the single source of a run: flights, records and figures follow from it, so a killed run continues from it. A
-process that dies while it writes leaves at most a cut last line, whose answer nobody used.
+Flights, records and figures follow from it, so a killed run resumes from it. A process that dies while it writes
+leaves at most a cut last line, and the answer on it was not used.
 """
 
 import hashlib
@@ -14,17 +14,16 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import read_file, read_lines
-from drone_env.llm.answers import Answer
-from drone_env.llm.content import ChatMessage
+from drone_env.files import read_lines
+from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.models import Count, Message
 
 LONGEST_CALL = 1 << 24
-"""Bytes of a line: an answer has at most 4 MiB, and JSON may escape it."""
+"""Bytes of a line: an answer has at most 4 MiB, and JSON can escape it."""
 
 
 class CallKey(NamedTuple):
-    """Identifies a call of a run: flight from 0, turn from 1, attempt 1 or, after an unusable answer, 2."""
+    """Identifies a call of a run: flight from 0, turn from 1, attempt 1, or 2 after an unusable answer."""
 
     flight: int
     turn: int
@@ -35,7 +34,7 @@ class CallKey(NamedTuple):
 
 
 class Failure(Message):
-    """One try that brought no answer."""
+    """One try without an answer."""
 
     status: int = Field(ge=0, description="HTTP status, or that of an error in a 200 response; 0 if there was none.")
     reason: str
@@ -50,16 +49,14 @@ class Call(Message):
     repeat: Count
     turn: int = Field(ge=1)
     attempt: Literal[1, 2]
-    messages: list[ChatMessage] = Field(description="Of a picture, what it shows.")
-    picture: str | None = Field(default=None, description="SHA-256 of the PNG that was sent: how it looked.")
-    request_digest: str = Field(description="Of the messages and all that is sent with them.")
-    sampling_seed: int | None = Field(default=None, description="The seed that was sent: the run's plus `repeat`.")
-    answer: Answer | None = Field(description="Null where no try brought one.")
-    outcome: str = Field(description="How the answer was understood, or `api_error`.")
+    messages: list[ChatMessage]
+    request_digest: str = Field(description="Digest of the request's body.")
+    sampling_seed: int | None = Field(default=None, description="The seed in the request: the run's plus `repeat`.")
+    answer: Answer | None = Field(description="Null if no try brought one.")
+    outcome: str = Field(description="The kind of the answer, `api_error` or `budget_stop`.")
     failures: list[Failure] = Field(default_factory=list[Failure])
-    latency: float = Field(ge=0, description="Seconds that the last try took.")
-    at: float = Field(description="When it was done, seconds since 1970.")
-    cached: bool = Field(default=False, description="Whether the answer is from the cache and was not paid.")
+    latency: float = Field(ge=0, description="Duration of the last try in seconds.")
+    at: float = Field(description="Time of its end, seconds since 1970.")
 
     @property
     def key(self) -> CallKey:
@@ -68,18 +65,18 @@ class Call(Message):
 
     @property
     def requests(self) -> int:
-        """The number of requests that were sent for it."""
-        return len(self.failures) + (self.answer is not None and not self.cached)
+        """The number of requests sent for it."""
+        return len(self.failures) + (self.answer is not None)
 
     def require_same(self, messages: Sequence[ChatMessage], request_digest: str, sampling_seed: int | None) -> None:
-        """Check that this is the call that the run makes now.
+        """Check that this call sent the same request as the run sends now.
 
         Raises:
-            InvalidValueError: if it sent something else.
+            InvalidValueError: if it sent another one.
         """
         sent = (self.messages, self.request_digest, self.sampling_seed)
         if sent != (messages, request_digest, sampling_seed):
-            raise InvalidValueError(f"call {self.key} asks something else than this run would")
+            raise InvalidValueError(f"call {self.key} has another request than this run sends")
 
 
 def digest(value: object) -> str:
@@ -150,14 +147,3 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
                 raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
             seen.add(call.key)
         yield len(line), call
-
-
-def cached_answer(path: Path) -> Answer | None:
-    """The answer in a file of the cache of paid answers, if it is there.
-
-    Raises:
-        InvalidValueError: if the file is not an answer.
-    """
-    if not path.exists():
-        return None
-    return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")

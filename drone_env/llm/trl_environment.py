@@ -1,4 +1,4 @@
-"""The drone as an environment of TRL's GRPOTrainer: the model flies by calling the tool `fly`.
+"""An environment for TRL's GRPOTrainer: the model flies by calling the tool `fly`.
 
 from trl import GRPOConfig, GRPOTrainer
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps
@@ -11,18 +11,18 @@ trainer = GRPOTrainer(
 )
 """
 
-# TRL's data sets are in no environment in which types are checked.
+# TRL's datasets are not installed where types are checked.
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false
 
 from typing import TYPE_CHECKING, Any
 
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, needs
-from drone_env.llm.prompt import FOLDER, below_text, first_texts, read_prompt, repair_text
+from drone_env.llm.prompt import FOLDER, below_text, read_prompt
+from drone_env.llm.text_episode import TextEpisode
 from drone_env.models import NAMES, Direction
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ PROMPT = read_prompt(FOLDER / "tools" / "fly-2.toml")
 
 
 class DroneEnvironment:
-    """One drone; TRL makes one for each rollout, resets it for each map, and gives the model its one tool.
+    """One drone. TRL creates one per rollout, resets it for each map, and offers its tool `fly` to the model.
 
-    TRL takes every public method but `reset` and `get_reward` for a tool, so there is none but `fly`.
+    TRL treats every public method except `reset` and `get_reward` as a tool.
 
     Args:
-        reward_profile: What is paid, undiscounted: its shaping, if it has one, gets the discount 1.
+        reward_profile: The rewards of the steps, undiscounted: their shaping gets the discount 1.
 
     Raises:
         UnknownNameError: if there is no such profile.
@@ -45,14 +45,14 @@ class DroneEnvironment:
 
     def __init__(self, reward_profile: str = DEFAULT_PROFILE) -> None:
         self._reward_profile = profile_for_discount(get_reward_profile(reward_profile), 1)
-        self._episode = Episode("easy", self._reward_profile)
+        self._flight: TextEpisode | None = None
 
     def reset(self, task: str | None = None, seed: int | None = None, **columns: Any) -> str:
-        """Start a map and say what there is to see; TRL appends it to the last message of the prompt.
+        """Start a flight and return its first observation, which TRL appends to the prompt's last message.
 
         Args:
             task: The task: id, short name or grader.
-            seed: The map. All rollouts of a group have to fly the same one, so it comes from the data set.
+            seed: The map, from the dataset: all rollouts of a group fly the same one.
             columns: All other columns of the row, such as `prompt`.
 
         Raises:
@@ -60,9 +60,9 @@ class DroneEnvironment:
             InvalidValueError: if the row names no task and seed, or the seed is not in [0, 2^53).
         """
         if task is None or seed is None:
-            raise InvalidValueError("each row of the data set needs the columns task and seed, as of training_maps()")
-        self._episode = episode = Episode(task, self._reward_profile, seed)
-        return first_texts(PROMPT, episode)[1]
+            raise InvalidValueError("each row of the dataset needs the columns task and seed: see training_maps()")
+        self._flight = TextEpisode(task, seed, PROMPT, self._reward_profile)
+        return self._flight.messages[1]["content"]
 
     def fly(self, direction: Direction) -> str:
         """Fly the drone one step, or wait for one.
@@ -74,9 +74,9 @@ class DroneEnvironment:
             What happened, and where the drone is now.
         """
         if str(direction) not in Action.__members__:
-            # TRL shows the model what is raised here and counts it.
-            raise InvalidValueError(repair_text(PROMPT, f"{str(direction)[:40]!r} is no direction"))
-        episode = self._episode
+            # TRL shows this error to the model and counts it.
+            raise InvalidValueError(PROMPT.repair_text(f"{str(direction)[:40]!r} is no direction"))
+        episode = self._started().episode
         episode.step(Action[direction])
         if episode.ended:
             return episode.message
@@ -87,22 +87,25 @@ class DroneEnvironment:
         ) + (f" {below}." if below else "")
 
     def get_reward(self) -> float:
-        """What the flight paid; one that the model left unfinished as if it waited to its end.
+        """The sum of the flight's rewards; an unfinished flight counts as waiting to its end.
 
         Raises:
             EpisodeError: before the first reset.
         """
-        if not self._episode.started:
-            raise EpisodeError("no flight to pay for: call reset() first")
-        return self._episode.waited_out().reward_total
+        return self._started().episode.waited_out().reward_total
+
+    def _started(self) -> TextEpisode:
+        if self._flight is None:
+            raise EpisodeError("no flight: call reset() first")
+        return self._flight
 
 
 def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") -> "Dataset":
-    """The first maps of a split as a data set of TRL: columns `prompt` (a conversation), `task` and `seed`.
+    """The first maps of a split as a dataset for TRL: columns `prompt` (a conversation), `task` and `seed`.
 
     Args:
         task: The task: id, short name or grader.
-        maps: How many.
+        maps: Number of maps.
         split: `train`, or `validation` for an evaluation; keep the test maps for the end.
 
     Raises:
@@ -114,7 +117,6 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
         from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     config = get_task(task)
     seeds = list(split_seeds(split, maps))
-    system, _ = first_texts(PROMPT, Episode(config, seed=seeds[0]))
-    # What is on the map comes from `reset`.
-    prompt = [{"role": "system", "content": system}, {"role": "user", "content": ""}]
+    # `reset` returns the user's message, which depends on the map.
+    prompt = [TextEpisode(config, seeds[0], PROMPT).messages[0], {"role": "user", "content": ""}]
     return Dataset.from_dict({"prompt": [prompt] * len(seeds), "task": [config.id] * len(seeds), "seed": seeds})

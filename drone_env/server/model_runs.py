@@ -67,14 +67,13 @@ class ModelRuns(_Folders):
         """The configuration of each run, by its folder; None if it cannot be read."""
         found: dict[Path, RunConfig | None] = {}
         for path in sorted(self._folder.glob("*")):
-            from drone_env.llm.run_folder import CONFIG, load_config, runs_in
+            from drone_env.llm.run_folder import CONFIG, load_config
 
-            for run in runs_in(path):
-                if os.path.lexists(run / CONFIG):
-                    try:
-                        found[run] = load_config(run)
-                    except (DroneEnvError, OSError):
-                        found[run] = None
+            if os.path.lexists(path / CONFIG):
+                try:
+                    found[path] = load_config(path)
+                except (DroneEnvError, OSError):
+                    found[path] = None
         return found
 
     def models(self) -> set[str]:

@@ -65,13 +65,6 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, tmp_path: Path
     assert turns["repaired"] == sum(turns.values())
 
 
-def test_pictures_are_what_a_model_is_asked_by(endpoint: Start, tmp_path: Path) -> None:
-    scripted = endpoint(pilot="WAIT")
-    evaluated(scripted, tmp_path, {"prompt": "vision", "episodes": 1}, token_limit=500)
-    picture, _ = scripted.requests()[0]["body"]["messages"][1]["content"]
-    assert picture["image_url"]["url"].startswith("data:image/png;base64,iVBOR")
-
-
 @pytest.mark.parametrize("limit", [{"token_limit": 500}, {"time_limit": 2}])
 def test_a_limit_counts_as_waiting_to_the_end(endpoint: Start, tmp_path: Path, limit: dict[str, int]) -> None:
     log = evaluated(endpoint(pilot="greedy", latency=0.3), tmp_path, {"task": "hard", "episodes": 1}, **limit)

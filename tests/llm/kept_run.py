@@ -10,12 +10,10 @@ from typing import Any
 
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.files import RUNS
-from drone_env.llm.answers import Answer
+from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.config import RunConfig, Sampling
-from drone_env.llm.content import ChatMessage
 from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.limiter import Clock, RateLimiter
-from drone_env.llm.options import Options
+from drone_env.llm.limiter import Clock, Options, RateLimiter
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import RunFolder
 from drone_env.llm.runner import Observer, RunResult, run
@@ -52,7 +50,7 @@ class Scripted:
         self._pilot = pilot
 
     async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
-        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, str(messages[1]["content"]))
+        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, messages[1]["content"])
         return Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
 
     async def close(self) -> None: ...
@@ -115,5 +113,5 @@ def put_run(data: Path, name: str, pilot: str, seeds: range, **change: Any) -> P
         flown = thread.submit(fly, Scripted(pilot), folder, seeds=seeds, **change).result()
         with closing(RunFolder(folder, flown.result.config, resume=True)) as opened:
             for flight in flown.result.flights:
-                opened.keep(flight, store)
+                opened.add_to(store, flight)
     return folder

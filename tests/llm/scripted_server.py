@@ -1,10 +1,11 @@
-"""An OpenAI-compatible server that does as it is told: `python scripted_server.py PORT`.
+"""A scripted OpenAI-compatible server: `python scripted_server.py PORT`.
 
-`POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
-for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, or a text to answer with), `repair`
-(the same, for repair prompts), `latency` in seconds, and `faults`: a list of [first, last, fault] by the number of the
-request from 0, where the first that covers it holds. Each request is a line in the log before it is answered, and a
-second line when that is over, however it was answered.
+`POST /NAME/script` opens an endpoint at `/NAME/v1`. Its body contains:
+- `log`: a file. Each request is a line in it before it is answered, and a second line after that.
+- `pilot`: perfect, greedy, plan, able (perfect or greedy, as the prompt allows), or a text to answer with.
+- `repair`: the same, for repair prompts.
+- `latency`: seconds.
+- `faults`: a list of [first, last, fault] by the number of the request from 0; the first match applies.
 """
 
 import asyncio
@@ -35,8 +36,6 @@ def tour(text: str, budget: int) -> list[Action]:
 
 
 def reply(pilot: str, prompt: str) -> str:
-    if pilot == "aloud":
-        return f"Not every ACTION: brings it nearer.\n**ACTION: {reply('able', prompt)}**"
     if pilot == "able":
         pilot = "perfect" if "Parcels to deliver:" in prompt else "greedy"
     if pilot == "perfect":
@@ -46,11 +45,6 @@ def reply(pilot: str, prompt: str) -> str:
     if pilot == "greedy":
         return next(iter(route(points(prompt, "Position:")[0], points(prompt, "Target:")[0])), Action.WAIT).name
     return pilot
-
-
-def text_of(content: str | list) -> str:
-    """The text of a message, which may have a picture beside it."""
-    return content if isinstance(content, str) else "".join(part.get("text", "") for part in content)
 
 
 channels: dict[str, dict] = {}
@@ -104,7 +98,7 @@ async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
 
 def completion(script: dict, body: dict) -> dict:
     """What the pilot of the script says to a request."""
-    texts = [text_of(message["content"]) for message in body["messages"]]
+    texts = [message["content"] for message in body["messages"]]
     prompt = next(text for text in reversed(texts) if "Position:" in text)
     pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
     message = {"role": "assistant", "content": reply(pilot, prompt), **script.get("message", {})}

@@ -119,7 +119,7 @@ def test_what_has_not_the_form_of_an_answer_is_a_failure(send: Send, value: Any)
 def test_an_endless_answer_is_not_read_on(send: Send) -> None:
     pieces = itertools.repeat(b" " * 65536, 100)
     failed = send("", pieces=pieces)
-    assert str(failed) == "200: not an answer: it takes more than 4,194,304 bytes"
+    assert str(failed) == "200: not an answer: it is longer than 4,194,304 bytes"
     assert isinstance(failed, TryFailedError)
     assert (failed.retried, next(pieces, None) is None) == (False, False)
 

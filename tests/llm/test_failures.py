@@ -13,10 +13,10 @@ ALWAYS = 10**9
 @pytest.mark.parametrize(
     ("fault", "told"),
     [
-        ({"status": 401, "message": f"Incorrect API key provided: {TOKEN}"}, "answers 401: the token is missing"),
-        ({"status": 400, "message": "\x1b[2Jno temperature"}, "answers 400: \ufffd[2Jno temperature\n"),
-        ({"sends": '{"error": {"code": 402, "message": "quota"}}'}, "answers 402: quota (in a 200 response)\n"),
-        ({"status": 302, "headers": {"Location": f"/?key={TOKEN}"}}, "answers 302: it redirects to /?key=***, which"),
+        ({"status": 401, "message": f"Incorrect API key provided: {TOKEN}"}, "returned 401: the token is missing"),
+        ({"status": 400, "message": "\x1b[2Jno temperature"}, "returned 400: \ufffd[2Jno temperature\n"),
+        ({"sends": '{"error": {"code": 402, "message": "quota"}}'}, "returned 402: quota (in a 200 response)\n"),
+        ({"status": 302, "headers": {"Location": f"/?key={TOKEN}"}}, "returned 302: it redirects to /?key=***, which"),
     ],
 )
 def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault: object, told: str) -> None:

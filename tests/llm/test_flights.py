@@ -11,21 +11,17 @@ from pathlib import Path
 import pytest
 
 from drone_env.core.seeds import SPLITS
-from drone_env.llm.answers import Answer
-from drone_env.llm.content import ChatMessage
-from drone_env.llm.options import Options
+from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.limiter import Options
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
-from drone_env.results.evaluate import episodes_key, run_episodes
 
 from .conftest import ROOT, TOKEN, Endpoint, blocks, environment, verified
 from .kept_run import Scripted, fly
 
 Start = Callable[..., Endpoint]
-MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "3"))
-"""How many maps are flown where every step is a call."""
 ROUTES = int(os.environ.get("DRONE_ENV_LLM_ROUTES", "30"))
-"""How many are flown where one call is a whole flight."""
+"""Number of flights with one call each."""
 
 
 @pytest.mark.feature("I2")
@@ -67,15 +63,6 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start) -> None:
     assert [f["score"] for f in done.flights] == [solve(task, seed).score for seed in range(start, start + ROUTES)]
     assert len(blocks(done.out)) == ROUTES
     verified(done)
-
-
-def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start) -> None:
-    done = endpoint(pilot="greedy").infer("--task", "hard", "--episodes", str(MAPS))
-    assert done.status == 0, done.err
-    start = SPLITS["test"].start
-    greedy = run_episodes(episodes_key("hard", "greedy", range(start, start + MAPS), "test"))
-    assert [f["score"] for f in done.flights] == greedy.scores.tolist()
-    assert [f["steps"] for f in done.flights] == greedy.steps.tolist()
 
 
 def test_connections_are_used_again(endpoint: Start) -> None:
@@ -135,7 +122,6 @@ def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(endpoint
     assert (flight["waits"], flight["score"], flight["success"]) == (60, 0.01, False)
     (lines,) = blocks(done.out)
     assert {(line.split()[2], line.split()[5]) for line in lines[1:-1]} == {("action=WAIT", "error=illegal")}
-    assert "WAIT in place: 60" in done.err
     verified(done)
     # Beside the score, wherever it is shown.
     told, mark = "100.0% (60 of 60) !", "MARKED: 60 of 60 answers were unusable, more than 5%; the drone waited instead"

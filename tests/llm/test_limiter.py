@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.limiter import RateLimiter
-from drone_env.llm.options import Options, Prices
-from drone_env.llm.runner import LONGEST_BACKOFF, LONGEST_WAIT
+from drone_env.llm.limiter import Options, Prices, RateLimiter
+from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 
 from .conftest import Endpoint, blocks, verified
@@ -185,7 +184,7 @@ def test_waits_are_random_below_a_bound_that_doubles(endpoint: Start) -> None:
     flown = fly(scripted.url, scripted.folder / "run", Options(concurrency=1, tries=21, backoff=0.5))
     waits = flown.clock.slept
     assert (flown.turns, len(waits)) == (["ok"] * 3, 20)
-    shares = [wait / min(0.5 * 2**i, LONGEST_BACKOFF) for i, wait in enumerate(waits)]
+    shares = [wait / min(0.5 * 2**i, MAX_BACKOFF) for i, wait in enumerate(waits)]
     # Spread over what they are drawn from, near none of its ends.
     assert 0 <= min(shares) < 0.25
     assert 0.75 < max(shares) <= 1
@@ -198,7 +197,7 @@ def test_what_the_endpoint_asks_for_is_waited(endpoint: Start) -> None:
     assert (flown.turns, flown.clock.slept) == (["ok"] * 3, [120.0])
 
 
-@pytest.mark.parametrize(("asked", "requests", "slept"), [("0", 3, [0, 0]), (f"{LONGEST_WAIT + 1}", 1, [])])
+@pytest.mark.parametrize(("asked", "requests", "slept"), [("0", 3, [0, 0]), (f"{MAX_WAIT + 1}", 1, [])])
 def test_when_a_failing_call_is_given_up(endpoint: Start, asked: str, requests: int, slept: list[float]) -> None:
     fault = {"status": 429, "headers": {"Retry-After": asked}}
     scripted = endpoint(pilot="greedy", faults=[[0, 10**9, fault]])

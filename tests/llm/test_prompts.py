@@ -1,6 +1,7 @@
 """Prompts: what the model is told, and files that are none."""
 
 import hashlib
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,11 +11,10 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.content import VALUES
-from drone_env.llm.prompt import FOLDER, first_messages, first_texts, get_prompt, prompt_ids, read_prompt, text_of_file
+from drone_env.llm.prompt import FOLDER, VALUES, get_prompt, prompt_ids, read_prompt, text_of_file
 
-from .conftest import Endpoint
-from .test_prompts_suffice import ODD
+from .conftest import Endpoint, verified
+from .test_prompts_suffice import ODD, texts_of
 
 SHOWN = [*TASKS.values(), *ODD]
 """The tasks of the package, and some with rules that none of those has."""
@@ -26,9 +26,18 @@ GOLDEN = {
     "plan-2": "64eb6be394325b81",
     "think-1": "e27f2caaaba530af",
     "think-plan-1": "55169846dc0b242f",
-    "vision-1": "6cf3b6841a5787c0",
     "fly-2": "d92d129353c1621d",
 }
+
+
+OWN = """
+format = 1
+plan = false
+marks = ["MOVE:"]
+system = '{% include "rules-2.j2" %}'
+user = '{% include "drone-2.j2" %}'
+repair = "{{ reason }}"
+"""
 
 
 def test_published_prompts_stay_as_they_were_to_the_byte() -> None:
@@ -38,9 +47,9 @@ def test_published_prompts_stay_as_they_were_to_the_byte() -> None:
         texts: list[str] = []
         for task in SHOWN:
             episode = Episode(task, seed=7)
-            texts += first_texts(prompt, episode)
+            texts += texts_of(prompt, episode)
             episode.fly([3, 1, 1, 2])
-            texts += first_texts(prompt, episode, ["1. RIGHT -> (1, 2). On the way."])
+            texts += texts_of(prompt, episode, ["1. RIGHT -> (1, 2). On the way."])
         shown[prompt.id] = hashlib.sha256("\n\n".join(texts).encode()).hexdigest()[:16]
     assert shown == GOLDEN
 
@@ -61,11 +70,11 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
         ("plan = ", "mine.toml: "),
         ("plan = 1", "mine.toml is not a prompt: format: Field required; plan: Input should be a valid boolean"),
         ("format = 2" + rest, "format: Input should be 1"),
-        ("format = 1" + rest, "user: unknown 'weather'; there are battery_percent, battery_steps, "),
+        ("format = 1" + rest, "user: unknown 'weather'; allowed: battery_percent, battery_steps, "),
         ("format = 1" + rest.replace("}}", ""), "user: unexpected end of template"),
         ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
         ("format = 1" + rest.replace('system = ""', "system = '{% include \"more.j2\" %}'"), r"unknown 'more\.j2'"),
-        ("format = 1" + rest.replace("weather", "x").replace('""', '"{{ x }}"'), "repair: unknown 'x'; there are"),
+        ("format = 1" + rest.replace("weather", "x").replace('""', '"{{ x }}"'), "repair: unknown 'x'; allowed: "),
     ]:
         path.write_text(text)
         with pytest.raises(InvalidValueError, match=why):
@@ -79,15 +88,15 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
 def test_a_template_that_cannot_be_filled_in_or_reaches_out_is_told(tmp_path: Path, template: str) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(f'format = 1\nplan = false\nsystem = ""\nuser = "{template}"\nrepair = ""')
-    with pytest.raises(InvalidValueError, match="prompt mine cannot be filled in: "):
-        first_messages(read_prompt(path), Episode("easy", seed=14))
+    with pytest.raises(InvalidValueError, match="prompt mine cannot be rendered: "):
+        read_prompt(path).messages(Episode("easy", seed=14))
 
 
 def test_a_template_may_name_every_value(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     told = "; ".join(f"{name}={{{{ {name} }}}}" for name in sorted(VALUES))
     path.write_text(f"format = 1\nplan = false\nsystem = ''\nuser = '{told}'\nrepair = '{{{{ reason }}}}'\n")
-    _, text = first_texts(read_prompt(path), Episode("easy", seed=14))
+    _, text = texts_of(read_prompt(path), Episode("easy", seed=14))
     filled = dict(part.partition("=")[::2] for part in text.split("; "))
     assert filled.keys() == VALUES
     assert (filled["x"], filled["y"], filled["steps_left"], filled["history"]) == ("6", "3", "60", "")
@@ -111,3 +120,23 @@ def test_the_prompt_asks_for_one_word_and_tells_the_last_steps(endpoint: Callabl
     ]
     assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")
     assert last["content"].endswith("Last steps:\n2. UP -> (5, 2). On the way.")
+
+
+def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Callable[..., Endpoint]) -> None:
+    scripted = endpoint(pilot="MOVE: LEFT")
+    mine = scripted.folder / "mine.toml"
+    mine.write_text(OWN)
+    first = scripted.infer("--seeds", "14:15", "--prompt", str(mine), "--max-calls", "2")
+    assert (first.turns, first.status) == ({"ok": 2, "budget_stop": 1}, 3), first.err
+    config = json.loads((first.folder / "run.json").read_text())
+    assert (config["prompt"], config["prompt_text"]) == ("mine", OWN)
+    assert scripted.requests()[0]["body"]["messages"][0]["content"].startswith("The grid is 10 x 10:")
+    # Another file is another run; without one, it goes on with its own.
+    mine.write_text(OWN.replace("{{ reason }}", "Again!"))
+    again = ("--seeds", "14:15", "--resume", "--max-calls", "5")
+    refused = scripted.infer(*again, "--prompt", str(mine), folder=first.folder)
+    assert (refused.status, "prompt_digest: " in refused.err) == (2, True)
+    mine.unlink()
+    resumed = scripted.infer(*again, folder=first.folder)
+    assert resumed.turns == {"ok": 5, "budget_stop": 1}
+    verified(resumed)

@@ -1,6 +1,7 @@
 """Prompts state all that decides a flight: a planner that reads nothing but a prompt flies the optimum."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,11 +15,11 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.answers import Answer, read_answer
-from drone_env.llm.prompt import FOLDER, Prompt, first_texts, get_prompt, prompt_ids, read_prompt
+from drone_env.llm.prompt import FOLDER, Prompt, get_prompt, prompt_ids, read_prompt
 from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.optimal import solve, solver_of
 
-PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1" and not prompt.picture]
+PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
 PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
 EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
@@ -172,9 +173,15 @@ def _impassable(rules: str) -> frozenset[Cell]:
     return frozenset(KINDS[name] for name in listed.split(", "))
 
 
+def texts_of(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> tuple[str, str]:
+    """The texts of the system and of the user."""
+    system, user = prompt.messages(episode, last_steps)
+    return system["content"], user["content"]
+
+
 def told_by(prompt: Prompt, episode: Episode) -> Told:
     """What a prompt tells of an episode."""
-    return read_text(*first_texts(prompt, episode))
+    return read_text(*texts_of(prompt, episode))
 
 
 @pytest.mark.parametrize("task", [*GENERATED, *ODD], ids=lambda task: task.short_name)

@@ -11,7 +11,7 @@ from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
 from drone_env.errors import InvalidValueError
-from drone_env.llm.options import Prices
+from drone_env.llm.limiter import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
@@ -40,7 +40,7 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     normalised = (figures["score"] - random["mean_score"]) / (optimal["mean_score"] - random["mean_score"])
     assert figures["normalised"] == pytest.approx(normalised, abs=1e-12)
     calls = len(done.calls)
-    assert figures["calls"] == {"answered": calls, "cached": 0, "requests": calls, "without_usage": 0}
+    assert figures["calls"] == {"answered": calls, "requests": calls, "without_usage": 0}
     assert figures["cost_usd"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6)
     assert (sum(figures["moves"]["labels"].values()), figures["moves"]["labels"]["blunder"]) == (calls, 0)
 
@@ -76,13 +76,13 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     whole, result = calls.read_text(), flights.read_text()
     lines = whole.splitlines()
     calls.write_text("\n".join([lines[0].replace('"text":"WAIT"', '"text":"LEFT"'), *lines[1:], ""]))
-    with pytest.raises(InvalidValueError, match="asks something else than this run would"):
+    with pytest.raises(InvalidValueError, match="has another request than this run sends"):
         verified_run(folder)
     calls.write_text("\n".join([*lines[:-1], lines[-1].replace('"text":"WAIT"', '"text":"LEFT"'), ""]))
-    with pytest.raises(InvalidValueError, match="not what the model's answers come to"):
+    with pytest.raises(InvalidValueError, match="does not follow from the model's answers"):
         verified_run(folder)
     calls.write_text("\n".join([*lines[:-1], ""]))
-    with pytest.raises(InvalidValueError, match="call 0-60-1 has no answer, but the flight is said to be finished"):
+    with pytest.raises(InvalidValueError, match="call 0-60-1 has no answer, but the status of the flight is finished"):
         verified_run(folder)
     # A bad flight cannot be taken out of the mean by calling it errored.
     flights.write_text(result.replace('"status":"finished","error":null', '"status":"errored","error":"500"'))
@@ -95,7 +95,7 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     calls.write_text(whole)
     for name in ("run.json", "episodes.jsonl", "calls.jsonl"):
         (folder / name).write_text((folder / name).read_text().replace('"scripted"', '"better"'))
-    with pytest.raises(InvalidValueError, match="call 0-1-1 asks something else than this run"):
+    with pytest.raises(InvalidValueError, match="call 0-1-1 has another request"):
         verified_run(folder)
 
 
@@ -146,7 +146,7 @@ def test_the_leaderboard_ranks_whole_runs_and_names_the_others(
         (short / name).unlink()
     # Such a run is no forged one.
     assert main(["leaderboard", str(short)]) == 0
-    assert f"not ranked: {short}: no flights yet: it is under way, or was killed" in capfd.readouterr().err
+    assert f"not ranked: {short}: no flights yet: it is running, or was killed" in capfd.readouterr().err
     (tmp_path / "empty").mkdir()
     for name, why in (("nowhere", "no such folder"), ("empty", "no results in it")):
         assert main(["leaderboard", str(tmp_path / name)]) == 1
@@ -160,9 +160,9 @@ def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(tmp_path: Path)
     better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()
     forged = record_of(Episode("easy", seed=14).fly((2, 0, 0)), "scripted").to_json()
     for changed, told in (
-        ((records, results.replace('"waits":0', '"waits":1', 1)), "flight 0 is not what the model's answers come to"),
+        ((records, results.replace('"waits":0', '"waits":1', 1)), "flight 0 does not follow from the model's answers"),
         ((f"{first}{better}\n", results), "flight 1: the record does not fit its flight: score"),
-        ((f"{forged}\n{second}", results), "flight 0 is not what the model's answers come to"),
+        ((f"{forged}\n{second}", results), "flight 0 does not follow from the model's answers"),
         ((first, results.splitlines(keepends=True)[0]), "flight 1 was begun but is not among the results"),
     ):
         for name, text in zip(("episodes.jsonl", "flights.jsonl"), changed, strict=True):

@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.options import Prices
-from drone_env.llm.report import report
 from drone_env.llm.transcript import Transcript, read_calls
 from drone_env.llm.verify import verified_run
 
@@ -73,6 +71,8 @@ def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoi
     before = (first.folder / "calls.jsonl").read_bytes()
     again = scripted.infer("--seeds", "14:15", folder=first.folder)
     assert (again.status, "--resume" in again.err) == (2, True)
+    none = scripted.infer("--seeds", "14:15", "--resume", folder=scripted.folder / "none")
+    assert (none.status, "there is no run in " in none.err) == (2, True)
     other = scripted.infer("--seeds", "14:15", "--temperature", "1", "--resume", folder=first.folder)
     assert other.status == 2
     assert "another configuration: sampling" in other.err
@@ -118,20 +118,6 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
     asked = [request["call"] for request in scripted.requests()]
     assert [call for call in set(asked) if asked.count(call) > 1] == ["0-10-1"]
     verified(done)
-
-
-def test_the_cache_answers_equal_requests(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy")
-    cached = ("--seeds", "14:15", "--cache", "cache")
-    first, second = scripted.infer(*cached), scripted.infer(*cached)
-    assert (first.out, len(scripted.requests())) == (second.out, 3)
-    assert [call["cached"] for call in second.calls] == [True] * 3
-    figures = report(verified_run(second.folder), Prices(1, 1), moves=False)
-    assert figures["calls"] == {"answered": 0, "cached": 3, "requests": 0, "without_usage": 0}
-    assert (figures["tokens"], figures["cost_usd"]) == ({"prompt": 0, "completion": 0}, 0)
-    # Another flight over the same map is another draw from the model.
-    scripted.infer(*cached, "--repeats", "2", "--concurrency", "1")
-    assert len(scripted.requests()) == 6
 
 
 def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(endpoint: Start) -> None:

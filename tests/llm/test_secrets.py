@@ -1,7 +1,6 @@
 """The token goes to its endpoint and nowhere else: not along a redirect, not into a file, not onto the terminal."""
 
 import json
-import socket
 from collections.abc import Callable
 from urllib.parse import quote
 
@@ -48,14 +47,3 @@ def test_the_token_for_this_machine_passes_no_proxy(endpoint: Start) -> None:
     proxies = dict.fromkeys(("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"), "http://127.0.0.1:9")
     done = scripted.infer("--seeds", "14:15", "--tries", "1", NO_PROXY="", no_proxy="", **proxies)
     assert done.status == 0, done.err
-
-
-def test_a_redirect_is_not_followed(endpoint: Start) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
-        elsewhere.setblocking(False)
-        there = f"http://127.0.0.1:{elsewhere.getsockname()[1]}/v1/chat/completions"
-        scripted = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 307, "headers": {"Location": there}}]])
-        done = scripted.infer("--seeds", "14:15", "--timeout", "20", "--tries", "1")
-        with pytest.raises(BlockingIOError):
-            elsewhere.accept()
-    assert (done.status, len(scripted.requests())) == (2, 1)

@@ -5,18 +5,16 @@ import json
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from starlette.testclient import TestClient
 
-from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import following
 from drone_env.results.store import FILE_NAME, Store
-from drone_env.server.app import create_app
-from drone_env.server.settings import Settings
 from tests.api.serving import Server
 from tests.tools import reserved_port
 
@@ -28,9 +26,6 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         with following(server.url, "mine") as on_step:
             assert on_step is not None
             await on_step(episode)
-            episode.step(Action.LEFT)
-            episode.step(Action.RIGHT)  # the server does not see the first step
-            await on_step(episode)
 
     server = Server(["-m", "drone_env.cli", "serve"], tmp_path / "data", reserved_port(), {})
     try:
@@ -38,35 +33,31 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         assert (done.status, done.turns) == (0, {"ok": 3}), done.err
         (stored,) = server.client.get("/memory_logs", timeout=30).json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
-        # A server of other rules would show another flight than the one here.
-        with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 2: .* where it is .* here"):
-            asyncio.run(follow(Episode("easy", "tiered", 14)))
+        # Here the battery is smaller than the server's.
+        with pytest.raises(InvalidValueError, match=r"other rules: map 14, step 0: battery_steps.* is 60, must be 25"):
+            asyncio.run(follow(Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14)))
     finally:
         server.kill()
 
 
-@pytest.mark.feature("H7")
-def test_a_server_in_the_same_folder_shows_the_flights(endpoint: Callable[..., Endpoint]) -> None:
+def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Callable[..., Endpoint]) -> None:
     waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
     scripted = endpoint(pilot="greedy", faults=[[0, 0, waiting]])
-    # What was cut short is none of them.
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--max-calls", "5")
     assert [flight["status"] for flight in done.flights] == ["finished", "budget_stop"], done.err
-    with TestClient(create_app(Settings(data=scripted.folder / "data"))) as client:
-        (flown,) = client.get("/memory_logs").json()["episodes"]
-        assert (flown["agent"], flown["seed"], flown["steps"], flown["success"]) == ("scripted", 14, 4, True)
-        # As if the run had been killed before it could keep the flight.
+    with Store(scripted.folder / "data") as store:
+        (stored,) = store.listed(9)
+        assert (stored.agent, stored.seed, stored.steps, stored.success) == ("scripted", 14, 4, True)
+        # As if the run had been killed before it could store the flight.
         with closing(sqlite3.connect(scripted.folder / "data" / FILE_NAME)) as file:
             file.execute("DELETE FROM episodes")
             file.commit()
         for _ in range(2):
             assert scripted.infer("--seeds", "14:16", "--resume", folder=done.folder).status == 0
-            shown = client.get("/memory_logs").json()["episodes"]
-            assert [episode["seed"] for episode in shown] == [15, 14]
-            assert shown[1]["id"] == flown["id"]
-    # Another run of the same flight is another flight.
-    assert scripted.infer("--seeds", "14:15").status == 0
-    with Store(scripted.folder / "data") as store:
+            assert [episode.seed for episode in store.listed(9)] == [15, 14]
+            assert store.listed(9)[1].id == stored.id
+        # Another run of the same flight is another flight.
+        assert scripted.infer("--seeds", "14:15").status == 0
         assert len(store.listed(9)) == 3
 
 
@@ -92,7 +83,7 @@ def test_without_a_server_or_docker_nothing_is_sent(
 ) -> None:
     scripted = endpoint(pilot="greedy")
     done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{reserved_port()}")
-    assert (done.status, done.out, "did not fly" in done.err) == (2, "", True)
+    assert (done.status, done.out, "failed" in done.err) == (2, "", True)
     monkeypatch.setenv("PATH", str(tmp_path))
     done = scripted.infer("--seeds", "14:15", "--use-image")
     assert (done.status, "needs Docker" in done.err) == (2, True)

@@ -129,7 +129,7 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     for config, identity in zip(configs, before, strict=True):
         with pytest.raises(CheckpointError, match="rules of yard '"):
             require_same(config.identity(), identity)
-    with pytest.raises(ValidationError, match="the run flew another task of the name 'yard'"):
+    with pytest.raises(ValidationError, match="the task 'yard' has changed since the run"):
         RunConfig.model_validate(dict(run))
     with pytest.raises(StoreError, match="keeps flights of another task 'yard'"):
         Store(yard.parent)

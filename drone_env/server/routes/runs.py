@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from drone_env.agents.named import sb3_elsewhere, sb3_file
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.llm.content import ChatMessage
+from drone_env.llm.answers import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, boards_of
@@ -86,7 +86,6 @@ class ModelCall(Message):
     outcome: str = Field(description="How the answer was understood: `ok`, or why it was no action.")
     failures: list[Failure] = Field(description="Tries that brought no answer.")
     latency: float = Field(ge=0, description="Seconds that the last try took.")
-    cached: bool = Field(description="Whether the answer is from the run's cache.")
 
 
 class ModelCalls(Message):
@@ -218,7 +217,6 @@ def _calls(episode_id: str) -> str | None:
                 outcome=call.outcome,
                 failures=call.failures,
                 latency=call.latency,
-                cached=call.cached,
             )
             for call in asked
         ],

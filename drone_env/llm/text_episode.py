@@ -1,0 +1,191 @@
+"""A flight by text: messages out, answers in. No other policy ever acts for the model."""
+
+from collections.abc import Awaitable, Callable
+from typing import Literal
+
+from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import DroneEnvError, EpisodeError
+from drone_env.llm.answers import Answer, ChatMessage, TurnKind
+from drone_env.llm.limiter import LimitReachedError
+from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.transcript import CallKey
+
+Status = Literal["finished", "errored", "budget_stop"]
+
+
+class CallFailedError(DroneEnvError):
+    """A call brought no answer, after all retries."""
+
+
+class TextEpisode:
+    """An episode that a language model flies by text.
+
+        flight = TextEpisode("easy", seed=14, prompt="coordinates")
+        while flight.messages:
+            flight.answer(model(flight.messages))
+
+    An unusable answer is asked for once more. If the second answer is unusable too, the step is a WAIT and is counted.
+
+    Args:
+        task: The task, or its id, short name or grader.
+        seed: The map.
+        prompt: The prompt, its name (the newest version) or id, or your own TOML file.
+        reward_profile: The rewards of the steps; they do not change the score.
+        history: Number of last steps that the prompt shows.
+
+    Attributes:
+        episode: The episode in its current state.
+        messages: The next request; empty at the end of the flight.
+        turns: The outcome of each request for actions, in order.
+        attempt: 1, or 2 if `messages` ask for a repaired answer.
+        step_errors: For each step, why it is a WAIT that the model did not choose; None if the model chose it.
+
+    Raises:
+        UnknownNameError: if the task, prompt or profile does not exist.
+        InvalidValueError: if the seed is out of range, or the prompt cannot be rendered.
+    """
+
+    def __init__(
+        self,
+        task: TaskConfig | str,
+        seed: int,
+        prompt: Prompt | str = "minimal",
+        reward_profile: RewardProfile | str = DEFAULT_PROFILE,
+        history: int = 0,
+    ) -> None:
+        self.prompt = get_prompt(prompt) if isinstance(prompt, str) else prompt
+        self.episode = Episode(task, reward_profile, seed)
+        self.turns: list[TurnKind] = []
+        self.step_errors: list[str | None] = []
+        self.attempt: Literal[1, 2] = 1
+        self._history = history
+        self._steps: list[str] = []
+        self.messages: list[ChatMessage] = self.prompt.messages(self.episode)
+
+    def answer(self, answer: Answer | str) -> list[ChatMessage]:
+        """Fly the actions of the model's answer; returns the next `messages`, empty at the end of the flight.
+
+        Raises:
+            EpisodeError: if the flight is over.
+        """
+        if not self.messages:
+            raise EpisodeError("the flight is over: start another TextEpisode")
+        reading = self.prompt.read_answer(Answer(text=answer) if isinstance(answer, str) else answer)
+        outcome: TurnKind = reading.kind
+        if self.attempt == 1 and outcome != "ok":
+            self.attempt = 2
+            self.messages = [*self.messages, *self.prompt.repair_messages(reading.text, reading.reason)]
+            return self.messages
+        if self.attempt == 2 and outcome == "ok":
+            outcome = "repaired"
+        self.attempt = 1
+        self.turns.append(outcome)
+        episode = self.episode
+        for action in reading.actions or (Action.WAIT,):
+            if episode.ended:
+                break
+            episode.step(action)
+            x, y = episode.position
+            self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
+            self.step_errors.append(None if reading.actions else outcome)
+        if episode.ended or self.prompt.plan:
+            self.messages = []
+        else:
+            self.messages = self.prompt.messages(episode, self._steps[-self._history :] if self._history else ())
+        return self.messages
+
+    @property
+    def score(self) -> float:
+        """The graded score; before the end, the score of waiting from here on."""
+        return self.episode.counted_score()
+
+    @property
+    def success(self) -> bool:
+        """Whether every parcel is delivered."""
+        return self.episode.success
+
+    @property
+    def regret(self) -> float | None:
+        """The optimum of the map minus `score`; None if the map is too large to be solved."""
+        from drone_env.planning.optimal import best_of  # Imported lazily: only finished flights need it.
+
+        optimum = best_of(self.episode.task, self.episode.seed)
+        return None if optimum is None else optimum.score - self.score
+
+    @property
+    def rewards(self) -> list[float]:
+        """The reward of each step."""
+        return list(self.episode.rewards)
+
+
+class Flight(TextEpisode):
+    """A flight of a run. Its calls can fail.
+
+    Args:
+        task, seed, prompt, reward_profile, history: See `TextEpisode`.
+        index: Its number in the run, from 0.
+        repeat: The number of earlier flights of the run over the same map.
+
+    Attributes:
+        status: `finished` also if a route ended before the episode did.
+        error: Why it is not finished.
+    """
+
+    def __init__(
+        self,
+        task: TaskConfig | str,
+        seed: int,
+        prompt: Prompt | str,
+        reward_profile: RewardProfile | str,
+        history: int,
+        index: int,
+        repeat: int,
+    ) -> None:
+        super().__init__(task, seed, prompt, reward_profile, history)
+        self.index = index
+        self.repeat = repeat
+        self.status: Status = "finished"
+        self.error: str | None = None
+
+    @property
+    def key(self) -> CallKey:
+        """The key of the next call."""
+        return CallKey(self.index, len(self.turns) + 1, self.attempt)
+
+    @property
+    def begun(self) -> bool:
+        """Whether any answer came."""
+        return self.attempt == 2 or bool(self.step_errors)
+
+    def stop(self, error: CallFailedError | LimitReachedError) -> None:
+        """End the flight because a call has no answer."""
+        failed = isinstance(error, CallFailedError)
+        self.turns.append("api_error" if failed else "budget_stop")
+        self.status, self.error, self.messages = "errored" if failed else "budget_stop", str(error), []
+
+
+async def fly(
+    flight: Flight,
+    ask: Callable[[Flight], Awaitable[Answer]],
+    follow: Callable[[Episode], Awaitable[None]] | None = None,
+) -> Flight:
+    """Fly a flight to its end and return it. Equal answers give equal flights.
+
+    Args:
+        flight: The flight.
+        ask: Returns the answer to the next call; raises `CallFailedError` or `LimitReachedError` if there is none.
+        follow: Called at the start and after each answer.
+    """
+    while True:
+        if follow is not None:
+            await follow(flight.episode)
+        if not flight.messages:
+            return flight
+        try:
+            flight.answer(await ask(flight))
+        except (CallFailedError, LimitReachedError) as error:
+            flight.stop(error)
+            return flight
