@@ -19,7 +19,7 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.results.record import EpisodeRecord, replay
-from drone_env.server.links import HELLO, Link
+from drone_env.server.links import FIRST_PAINT, Link
 from drone_env.server.page_files import ART, PAGE
 from drone_env.server.pilots import HUMAN, PILOTS
 
@@ -37,7 +37,10 @@ VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
 def draw() -> dict[Path, str]:
     """The files of the page that show the recorded flight, and what they contain."""
     episode = replay(EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "hello.json is not a record"))
-    return {PAGE / "hello.html": _section(HELLO, episode) + "\n", PAGE / "css" / "hello-motion.css": _motion(episode)}
+    return {
+        PAGE / "hello.html": _section(FIRST_PAINT, episode) + "\n",
+        PAGE / "css" / "hello-motion.css": _motion(episode),
+    }
 
 
 def _section(flight: Link, episode: Episode) -> str:

@@ -11,7 +11,7 @@ from drone_env.errors import UnknownNameError
 from drone_env.models import Count, Message, Seed
 from drone_env.results.result import Result, Results
 from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, Summary, ci95, mean_of, ranked
-from drone_env.server.pilots import HUMAN, PILOTS, Credit, called
+from drone_env.server.pilots import HUMAN, PILOTS, Provenance, display_name
 from drone_env.server.problems import answers
 from drone_env.server.state import Shared, SharedParts
 
@@ -105,7 +105,7 @@ class Pairing(Message):
 def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
     """Who flew a task how well, over all finished flights; several of one agent over one map count as their mean."""
     flown = shared.store.by_map(task_name)
-    forks = [Summary.of(flown.pop(agent)) for agent in list(flown) if Credit.parse(agent).of is not None]
+    forks = [Summary.of(flown.pop(agent)) for agent in list(flown) if Provenance.parse(agent).of is not None]
     models = shared.runs.models()
     return Leaderboard(
         task=get_task(task_name).id,
@@ -114,7 +114,7 @@ def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
                 **{name: value for name, value in vars(summary).items() if name in LeaderboardEntry.model_fields},
                 agent=agent,
                 reward_profile=flown[agent].reward_profile,
-                name=called(agent),
+                name=display_name(agent),
                 kind=_kind(agent, models),
             )
             for agent, summary in ranked(flown)
@@ -160,6 +160,6 @@ def _flown_by(shared: Shared, task_name: str, *agents: str) -> list[Results]:
 
 
 def _kind(agent: str, models: set[str]) -> Kind:
-    if Credit.parse(agent).pilot == HUMAN:
+    if Provenance.parse(agent).pilot == HUMAN:
         return "person"
     return "pilot" if agent in PILOTS else "model" if agent in models else "other"

@@ -14,7 +14,7 @@ from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, P
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.results.analysis import Label, analyse_flight
 from drone_env.results.record import EpisodeRecord, record_of, replay_steps
-from drone_env.server.frames import Opening, ShownEpisode, frame_of
+from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench
 from drone_env.server.problems import RequestError, answers
@@ -57,7 +57,7 @@ class AnalysedFlight(Message):
     optimal_path: list[Position] = Field(description="[x, y] of the drone on it, from its start on.")
 
 
-@router.post("/replay", response_model=ShownEpisode, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
+@router.post("/replay", response_model=EpisodeView, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
 async def replay_record(request: Request, shared: SharedParts, record: Record) -> Response:
     """Fly a record again, check every reward and the score, and show it frame by frame."""
     return await shared.json(request, _replayed, record, task=record.task)
@@ -66,10 +66,10 @@ async def replay_record(request: Request, shared: SharedParts, record: Record) -
 def _replayed(record: EpisodeRecord) -> str:
     steps = replay_steps(record)
     start = next(steps)
-    opening = Opening.of(start, record.agent)
-    network = bench().networks.beside(opening.pilot, start.task)
-    frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
-    return ShownEpisode(opening=opening, frames=frames).model_dump_json()
+    header = FlightHeader.of(start, record.agent)
+    network = bench().networks.beside(header.pilot, start.task)
+    frames = [frame_of(episode, network) for episode in chain([start], steps)]
+    return EpisodeView(opening=header, frames=frames).model_dump_json()
 
 
 @router.post(
