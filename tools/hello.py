@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.server.links import FIRST_PAINT, Link
 from drone_env.server.page_files import ART, PAGE
-from drone_env.server.pilots import HUMAN, PILOTS
+from drone_env.server.pilots import HUMAN, OURS
 
 RIVALS = (HUMAN, "tournet", "greedy")
 SECOND, PAUSE = 4, 8
@@ -47,7 +47,7 @@ def _section(flight: Link, episode: Episode) -> str:
     yourself = flight.model_copy(update={"pilot": HUMAN})
     race = Link(task=flight.task, seed=flight.seed, pilots=",".join(RIVALS))
     score = f"scored {100 * episode.score:.1f}, and nobody can do better on this map."
-    who = f"{PILOTS[flight.pilot].name}, the network that flies here,"
+    who = f"{OURS[flight.pilot].name}, the network that flies here,"
     where = f'data-task="{flight.task}" data-seed="{flight.seed}"'
     return f"""<section id="hello" class="hello" aria-labelledby="hello-title" {where}>
 <div class="hello-words">

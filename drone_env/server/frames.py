@@ -25,7 +25,7 @@ from drone_env.models import (
 )
 from drone_env.results.record import fly_directions
 from drone_env.server.jobs import bench
-from drone_env.server.pilots import HUMAN, PILOTS, Provenance, agent_of
+from drone_env.server.pilots import HUMAN, Provenance, agent_of, all_pilots
 
 
 class FlightHeader(Message):
@@ -61,7 +61,7 @@ class FlightHeader(Message):
         cells[y][x] = episode.under
         return cls(
             session=session,
-            pilot=provenance.pilot if provenance.pilot in PILOTS else by,
+            pilot=provenance.pilot if provenance.pilot in all_pilots() else by,
             by=by,
             forked_at=provenance.forked_at,
             task=task.id,
@@ -211,20 +211,19 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check
     return [int(action) for action in rollout(episode, agent.act).actions]
 
 
-def values_along(episode: Episode, actions: Sequence[int], first: int) -> list[float]:
-    """The best score still possible at each frame of a flight, from frame `first` on.
+def values_along(episode: Episode, actions: Sequence[int]) -> list[float]:
+    """The best score still possible at each frame of a flight.
 
     Args:
         episode: The episode at its start; it is flown.
         actions: The actions of the flight.
-        first: The first frame; 0 is the start.
 
     Raises:
         TooLargeError: if the map is too large to be solved.
     """
     solver = bench().solver_of(episode.task, episode.seed)
-    values = [solver.value(episode.fly(actions[:first]))]
-    for action in actions[first:]:
+    values = [solver.value(episode)]
+    for action in actions:
         episode.step(action)
         values.append(solver.value(episode))
     return values

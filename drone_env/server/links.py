@@ -16,7 +16,7 @@ from drone_env.planning.optimal import best_of
 from drone_env.results.record import EpisodeRecord, replay_steps
 from drone_env.server.jobs import bench
 from drone_env.server.map_choice import DEFAULT_TASK
-from drone_env.server.pilots import HUMAN, PILOTS, agent_of, display_name
+from drone_env.server.pilots import HUMAN, agent_of, all_pilots, display_name
 from drone_env.server.state import LONGEST_ID
 
 
@@ -62,8 +62,8 @@ class Link(BaseModel):
         task = get_task(self.task)
         if self.seed is None:
             raise InvalidValueError("the link names no map: it requires task=hard&seed=7, or episode=ID")
-        if self.first_pilot and self.first_pilot not in PILOTS:
-            raise UnknownNameError("pilot", self.first_pilot, PILOTS)
+        if self.first_pilot and self.first_pilot not in all_pilots():
+            raise UnknownNameError("pilot", self.first_pilot, all_pilots())
         return Episode(task, self.profile, self.seed)
 
     def query(self) -> str:
@@ -82,7 +82,7 @@ class Link(BaseModel):
         if record is not None:
             return self._title(display_name(record.agent), record.task, record.seed)
         start, pilot = self.start(), self.first_pilot
-        name = "Fly it yourself" if pilot == HUMAN else PILOTS[pilot].name if pilot else ""
+        name = "Fly it yourself" if pilot == HUMAN else all_pilots()[pilot].name if pilot else ""
         return self._title(name, start.task.id, start.seed)
 
     def _title(self, name: str, task: str, seed: int) -> str:
@@ -119,7 +119,7 @@ def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:
         if agent is not None:
             agent.reset(episode.seed)
             episode.fly(islice(choices(episode, agent.act), link.step))
-        name = PILOTS[pilot].name if pilot else ""
+        name = all_pilots()[pilot].name if pilot else ""
     return draw_card(episode, _lines(name, episode))
 
 

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 from inspect import cleandoc
 from types import FunctionType
@@ -44,29 +44,16 @@ COLOURS = len(OURS) + 3
 """Colours of pilots on the page, `--pilot-1` and so on; further agents share the last one."""
 
 
-class _Pilots(Mapping[str, Pilot]):
+def all_pilots() -> dict[str, Pilot]:
     """`OURS`, and the agents that plugins registered."""
-
-    def _all(self) -> dict[str, Pilot]:
-        registered = {name: make for name, make in AGENTS.items() if name not in (*SHIPPED_AGENTS, *OURS)}
-        return OURS | {name: Pilot(name, _summary(make)) for name, make in registered.items()}
-
-    def __getitem__(self, name: str) -> Pilot:
-        return self._all()[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._all())
-
-    def __len__(self) -> int:
-        return len(self._all())
+    registered = {name: make for name, make in AGENTS.items() if name not in (*SHIPPED_AGENTS, *OURS)}
+    return OURS | {name: Pilot(name, _summary(make)) for name, make in registered.items()}
 
 
 def _summary(make: object) -> str:
     doc = make.__doc__ if isinstance(make, type | FunctionType) else None  # other objects inherit that of their type
     return cleandoc(doc or "An agent that a plugin of this server registered.").partition("\n\n")[0].replace("\n", " ")
 
-
-PILOTS: Mapping[str, Pilot] = _Pilots()
 
 HELP = {(True, False): "with values", (False, True): "with undo", (True, True): "with values and undo"}
 PROVENANCE = re.compile(
@@ -83,7 +70,7 @@ class Provenance(NamedTuple):
     """
 
     pilot: str
-    """One of `PILOTS`, or any other agent of a record."""
+    """One of `all_pilots`, or any other agent of a record."""
     values: bool = False
     """Whether a person turned values on in flight."""
     undo: bool = False
@@ -124,21 +111,16 @@ class Provenance(NamedTuple):
             return before._replace(undo=before.undo or pilot == HUMAN)
         return cls(pilot, forked_at=step, of=str(before))
 
-    @property
-    def additions(self) -> list[str]:
-        """The parts after the pilot."""
-        fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
-        return [words for words in (HELP.get((self.values, self.undo)), fork) if words]
-
     def __str__(self) -> str:
-        return " ".join([self.pilot, *self.additions])
+        fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
+        return " ".join(part for part in (self.pilot, HELP.get((self.values, self.undo)), fork) if part is not None)
 
 
 def display_name(agent: str) -> str:
     """The name of an agent for people: pilots by their names, a person as `A person`; the other parts unchanged."""
     provenance = Provenance.parse(agent)
-    pilot = provenance.pilot
-    name = "A person" if pilot == HUMAN else PILOTS[pilot].name if pilot in PILOTS else pilot
+    pilot, pilots = provenance.pilot, all_pilots()
+    name = "A person" if pilot == HUMAN else pilots[pilot].name if pilot in pilots else pilot
     return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
 
 
@@ -174,8 +156,8 @@ def require_pilot(pilot: str, task: TaskConfig, networks: Networks) -> None:
         UnsupportedTaskError: if there is no network for the task.
         CheckpointError: if the network file cannot be used.
     """
-    if pilot not in PILOTS:
-        raise UnknownNameError("pilot", pilot, PILOTS)
+    if pilot not in all_pilots():
+        raise UnknownNameError("pilot", pilot, all_pilots())
     if pilot in SOURCES:
         networks.require(pilot, task)
     elif pilot not in OURS:
@@ -192,8 +174,8 @@ def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
         TooLargeError: if the maps of the task are too large for the pilot.
         OSError: if the file can no longer be read.
     """
-    if pilot not in PILOTS:
-        raise UnknownNameError("pilot", pilot, PILOTS)
+    if pilot not in all_pilots():
+        raise UnknownNameError("pilot", pilot, all_pilots())
     if pilot == HUMAN:
         return None
     return networks.agent(pilot, task) if pilot in SOURCES else make_agent(pilot, task)

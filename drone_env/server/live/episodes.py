@@ -32,7 +32,7 @@ from drone_env.server.frames import (
 )
 from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
-from drone_env.server.pilots import HUMAN, PILOTS, Provenance, require_pilot
+from drone_env.server.pilots import HUMAN, Provenance, all_pilots, require_pilot
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.sessions import flat_json
 from drone_env.server.state import Shared
@@ -59,7 +59,7 @@ class LiveEpisode:
     def __init__(self, row: Session, shared: Shared, caller: str) -> None:
         self._see(row)
         self.pilot = self.provenance.pilot
-        if self.pilot not in PILOTS:
+        if self.pilot not in all_pilots():
             raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
         self.start = Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)
         self.values: list[float] = []
@@ -108,15 +108,13 @@ class LiveEpisode:
             DroneEnvError: as `Workers.run` and `values_along`.
         """
         actions = tuple(await self.planned()) if self.automatic else self.row.actions
-        first = min(len(self.values), len(actions))
         try:
-            values = await _finished(self._submit(values_along, self.start, actions, first))
+            values = await _finished(self._submit(values_along, self.start, actions))
         except DroneEnvError:
             self.unsolved = True
             raise
-        flown = self.row.actions
-        if len(self.values) >= first and flown[: len(actions)] == actions[: len(flown)]:
-            self.values[first:] = values
+        if self.automatic or self.row.actions[: len(actions)] == actions:
+            self.values = values
 
     def leave(self) -> None:
         """Cancel its jobs: the page shows another flight."""

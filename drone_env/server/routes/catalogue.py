@@ -8,7 +8,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import COLOURS, HUMAN, PILOTS, can_fly, tasks_of
+from drone_env.server.pilots import COLOURS, HUMAN, all_pilots, can_fly, tasks_of
 from drone_env.server.predict import SOURCES
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
@@ -48,7 +48,7 @@ def one_task(shared: SharedParts, task_name: str) -> OneTask:
 
 def describe(task: TaskConfig, shared: Shared) -> OneTask:
     """A task as the page needs it to fly it."""
-    flying = [name for name in PILOTS if can_fly(name, task, shared.networks)]
+    flying = [name for name in all_pilots() if can_fly(name, task, shared.networks)]
     return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
 
 
@@ -78,7 +78,7 @@ def pilots(shared: SharedParts) -> PilotList:
                 automatic=name != HUMAN,
                 tasks=tasks_of(name, shared.networks),
             )
-            for colour, (name, pilot) in enumerate(PILOTS.items(), 1)
+            for colour, (name, pilot) in enumerate(all_pilots().items(), 1)
             if not (name in SOURCES and SOURCES[name].trained) or tasks_of(name, shared.networks)
         ],
         most=MOST_EPISODES,

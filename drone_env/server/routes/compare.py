@@ -11,7 +11,7 @@ from drone_env.errors import UnknownNameError
 from drone_env.models import Count, Message, Seed
 from drone_env.results.result import Result, Results
 from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, Summary, ci95, mean_of, ranked
-from drone_env.server.pilots import HUMAN, PILOTS, Provenance, display_name
+from drone_env.server.pilots import HUMAN, Provenance, all_pilots, display_name
 from drone_env.server.problems import answers
 from drone_env.server.state import Shared, SharedParts
 
@@ -162,4 +162,4 @@ def _flown_by(shared: Shared, task_name: str, *agents: str) -> list[Results]:
 def _kind(agent: str, models: set[str]) -> Kind:
     if Provenance.parse(agent).pilot == HUMAN:
         return "person"
-    return "pilot" if agent in PILOTS else "model" if agent in models else "other"
+    return "pilot" if agent in all_pilots() else "model" if agent in models else "other"
