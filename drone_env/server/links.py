@@ -1,16 +1,14 @@
 """Links to the page: which flight a query names, and the preview that sites show of it."""
 
-from collections.abc import Mapping
 from itertools import islice
 from urllib.parse import urlencode
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from typing_extensions import Self
+from pydantic import BaseModel, ConfigDict, Field
 
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import MAX_UNITS, get_task
-from drone_env.errors import InvalidValueError, UnknownNameError, text_of
+from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.models import Seed
 from drone_env.planning.optimal import best_of
 from drone_env.results.record import EpisodeRecord, replay_steps
@@ -34,18 +32,6 @@ class Link(BaseModel):
     episode: str | None = Field(
         default=None, max_length=LONGEST_ID, description="Id of a stored episode; replaces task, seed and pilots."
     )
-
-    @classmethod
-    def read(cls, query: Mapping[str, str]) -> Self:
-        """The link with this query.
-
-        Raises:
-            InvalidValueError: if a value is not allowed.
-        """
-        try:
-            return cls.model_validate(dict(query))
-        except ValidationError as error:
-            raise InvalidValueError(text_of(error)) from None
 
     @property
     def first_pilot(self) -> str:
@@ -92,7 +78,7 @@ class Link(BaseModel):
 
 
 FIRST_PAINT = Link(task="skyline_medium", seed=43, pilot="tournet")
-"""The flight that the page shows before its scripts run (`static/hello.html`, drawn by `tools/hello.py`)."""
+"""The flight that the page shows before its scripts run; `tools/first_paint.py` draws it."""
 
 
 def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:

@@ -18,7 +18,7 @@ from drone_env.server.links import FIRST_PAINT
 from drone_env.server.page_files import PAGE
 from drone_env.server.settings import Settings
 from tests.api.live_page import flown
-from tools.hello import draw
+from tools.first_paint import draw
 
 
 class Meta(HTMLParser):
@@ -126,7 +126,7 @@ class TestHead:
 
 class TestHello:
     def test_the_flight_is_as_good_as_can_be_where_greedy_loses_most_of_it(self) -> None:
-        record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "")
+        record = EpisodeRecord.read((PAGE / "first_paint.json").read_bytes(), "")
         task, seed, best = record.task, record.seed, solve(record.task, record.seed).score
         assert (task, seed, record.agent) == (get_task(FIRST_PAINT.task).id, FIRST_PAINT.seed, FIRST_PAINT.pilot)
         assert record.score == best == flown(task, record.agent, seed=seed).score
@@ -140,4 +140,4 @@ class TestHello:
 
     def test_its_files_are_drawn_from_the_record(self) -> None:
         for path, text in draw().items():
-            assert path.read_text(encoding="utf-8") == text, "python -m tools.hello draws them again"
+            assert path.read_text(encoding="utf-8") == text, "python -m tools.first_paint draws them again"

@@ -5,7 +5,7 @@ from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Header, Request, Response
-from pydantic import ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
@@ -47,8 +47,7 @@ from drone_env.server.state import (
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
 STEP_HEADER = "x-step-count"
-LONGEST_COUNT = 9
-"""Maximum number of digits of a step count; no task has that many steps."""
+STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int, Field(ge=0)] | None)
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {
@@ -175,19 +174,16 @@ class StepRoute(JsonRoute):
         self, request: JsonRequest, validated: Callable[[Request], Coroutine[Any, Any, Response]]
     ) -> Response:
         """The response to a request with a parsed body."""
-        caller, after = Caller.of(request), request.headers.get(STEP_HEADER)
-        counted = after is None or (after.isascii() and after.isdecimal() and len(after) <= LONGEST_COUNT)
-        if len(caller.named or "") > LONGEST_ID or not counted:
+        caller = Caller.of(request)
+        if len(caller.named or "") > LONGEST_ID:
             return await validated(request)
         try:
             body = StepRequest.model_validate(request.value)
+            after = STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
         except ValidationError:
             return await validated(request)
         shared: Shared = request.app.state.shared
-        step_count = None if after is None else int(after)
-        return await asyncio.get_running_loop().run_in_executor(
-            shared.steps, _advance, shared, caller, body, step_count
-        )
+        return await asyncio.get_running_loop().run_in_executor(shared.steps, _advance, shared, caller, body, after)
 
 
 def _advance(shared: Shared, caller: Caller, body: StepRequest, after: int | None) -> Response:

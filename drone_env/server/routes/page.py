@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import HTMLResponse
+from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from drone_env.errors import DroneEnvError
@@ -26,7 +27,7 @@ def page(request: Request, shared: SharedParts) -> Response:
     shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
     if not request.url.query:
-        html = html.replace("<!-- hello -->", (PAGE / "hello.html").read_text(encoding="utf-8"))
+        html = html.replace("<!-- hello -->", (PAGE / "first_paint.html").read_text(encoding="utf-8"))
         html = html.replace("</head>", f"{STYLES}\n</head>")
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
@@ -62,7 +63,7 @@ def _head(request: Request, shared: Shared) -> str:
 def _title(request: Request, shared: Shared) -> tuple[str | None, Link]:
     """The title and the link of the address; no title and the first flight of the page if the address has no flight."""
     try:
-        link = Link.read(request.query_params)
+        link = Link.model_validate(dict(request.query_params))
         return link.title(shared.store.episode(link.episode).record if link.episode else None), link
-    except DroneEnvError:
+    except (DroneEnvError, ValidationError):
         return None, FIRST_PAINT

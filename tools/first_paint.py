@@ -1,10 +1,10 @@
-"""Draw what a visitor sees first: a map with a recorded flight that moves before any script has run.
+"""Draw the first paint of the page: a map with a recorded flight that moves before any script has run.
 
-    python -m tools.hello
+    python -m tools.first_paint
 
-writes `hello.html` and `css/hello-motion.css` of the page from the record `hello.json`, a flight of the tour network
-over map 43 of skyline_medium. Of the maps below 100 of hard and of skyline_medium it is the one on which greedy loses
-most, 75 points of 95: its battery is empty after one parcel of four. The network flies there as well as can be.
+The tool reads the record `first_paint.json`, a flight of the tour network over map 43 of skyline_medium, and writes
+`first_paint.html` and `css/hello-motion.css`. Of the first 100 maps of hard and skyline_medium this is the one on which
+greedy loses most, 75 points of 95, since its battery is empty after one parcel of four. The network scores the optimum.
 """
 
 import re
@@ -36,9 +36,9 @@ VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
 
 def draw() -> dict[Path, str]:
     """The files of the page that show the recorded flight, and what they contain."""
-    episode = replay(EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "hello.json is not a record"))
+    episode = replay(EpisodeRecord.read((PAGE / "first_paint.json").read_bytes(), "first_paint.json is not a record"))
     return {
-        PAGE / "hello.html": _section(FIRST_PAINT, episode) + "\n",
+        PAGE / "first_paint.html": _section(FIRST_PAINT, episode) + "\n",
         PAGE / "css" / "hello-motion.css": _motion(episode),
     }
 
