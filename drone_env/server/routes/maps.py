@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
-from drone_env.city.city_file import MAX_TEXT, TEXTS, City, city_text, parse_city
+from drone_env.city.city_file import MAX_TEXT, City, city_text, parse_city
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
@@ -50,9 +50,6 @@ class DrawnMap(Message):
     numbers: dict[Number, int] = Field(default={}, description="Numbers other than the defaults.")
     attribution: str = Field(default="", max_length=MAX_TEXT, description="Source of the terrain data.")
     licence: str = Field(default="", max_length=MAX_TEXT, description="Licence of the terrain data.")
-    source: str = Field(default="", max_length=MAX_TEXT, description="Name of the imported file.")
-    cell: float | None = Field(default=None, description="Side of a cell in metres.")
-    bbox: list[float] | None = Field(default=None, min_length=4, max_length=4, description="West, south, east, north.")
 
     @classmethod
     def of(cls, city: City) -> Self:
@@ -63,10 +60,7 @@ class DrawnMap(Message):
         """
         drawn = cls.from_episode(Episode(drawn_task(city, "city"), seed=0))
         numbers = {name: number for name, number in city.numbers.items() if name in drawn.numbers}
-        about = {name: getattr(city, name) for name in (*TEXTS, "cell")}
-        whole = np.shape(drawn.cells) == city.grid.shape
-        bbox = list(city.bbox) if city.bbox and whole else None
-        return drawn.model_copy(update={"numbers": numbers, "bbox": bbox, **about})
+        return drawn.model_copy(update={"numbers": numbers, "licence": city.licence})
 
     @classmethod
     def from_episode(cls, episode: Episode) -> Self:
@@ -98,12 +92,9 @@ class DrawnMap(Message):
             np.array(self.cells, np.uint8),
             self.attribution,
             self.licence,
-            self.source,
-            self.cell,
-            None if self.bbox is None else (self.bbox[0], self.bbox[1], self.bbox[2], self.bbox[3]),
-            (self.start[0], self.start[1]),
-            tuple((x, y) for x, y in self.parcels),
-            {str(name): number for name, number in self.numbers.items()},
+            start=(self.start[0], self.start[1]),
+            parcels=tuple((x, y) for x, y in self.parcels),
+            numbers={str(name): number for name, number in self.numbers.items()},
         )
 
 
