@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Depends, Path
+from fastapi import APIRouter, Body
 from pydantic import Field
 
 from drone_env import __version__
@@ -13,17 +13,9 @@ from drone_env.server.openenv import mcp_answer
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, WireAction, WireObservation
 
-
-async def _check_name(
-    env_name: Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])],
-) -> None:
-    if env_name.lower() != ENV_NAME:
-        raise RequestError(404, "unknown_name", f"unknown environment {env_name!r}; there is {ENV_NAME!r}")
-
-
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
-named = APIRouter(prefix="/{env_name}", dependencies=[Depends(_check_name)], route_class=JsonRoute)
-BODY_ERRORS = answers(400, 404, 413, 415, 422)
+named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
+BODY_ERRORS = answers(400, 413, 415, 422)
 api = TaskApi()
 
 
@@ -120,7 +112,7 @@ async def list_environments() -> list[str]:
     return [ENV_NAME]
 
 
-@named.get("/splits", responses=answers(404, 422))
+@named.get("/splits")
 async def splits() -> list[SplitInfo]:
     """All splits."""
     return api.list_splits()
