@@ -12,7 +12,7 @@ from typing_extensions import Self
 
 from drone_env.agents import AGENTS, SHIPPED_AGENTS, make_agent
 from drone_env.agents.base import Agent
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.server.predict import NETWORK, SOURCES, TRAINED, Networks
 
@@ -122,11 +122,6 @@ def display_name(agent: str) -> str:
     pilot, pilots = provenance.pilot, all_pilots()
     name = "A person" if pilot == HUMAN else pilots[pilot].name if pilot in pilots else pilot
     return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
-
-
-def tasks_of(pilot: str, networks: Networks) -> list[str]:
-    """Ids of the tasks that a pilot can fly."""
-    return [task.id for task in TASKS.values() if can_fly(pilot, task, networks)]
 
 
 def can_fly(pilot: str, task: TaskConfig, networks: Networks) -> bool:

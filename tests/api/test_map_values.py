@@ -147,7 +147,6 @@ HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"task_version": 9}, "version of task 'easy_delivery'"),
         ({"seed": 1 << 53}, "less than or equal to"),
         ({"actions": ["WAIT"] * 61}, "the flight ends after 60 steps, but there are 61 actions"),
     ],

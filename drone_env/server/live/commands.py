@@ -109,7 +109,7 @@ def parse_command(data: bytes) -> Command:
     """Parse a command.
 
     Raises:
-        InvalidValueError: if it is invalid; the message says what is allowed.
+        InvalidValueError: if it is not a valid command.
     """
     value: Any = parse_json(data)
     if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):

@@ -209,7 +209,7 @@ class LiveEpisode:
         return self.frame()
 
     def _see(self, row: Session) -> None:
-        """Copy the session, with an episode of its own."""
+        """Copy the session and its episode."""
         self.row, self.provenance = replace(row, episode=row.fly().copy()), Provenance.parse(row.agent)
 
     def _check_unchanged(self, row: Session) -> None:

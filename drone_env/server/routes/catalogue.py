@@ -8,7 +8,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import COLOURS, HUMAN, all_pilots, can_fly, tasks_of
+from drone_env.server.pilots import COLOURS, HUMAN, all_pilots, can_fly
 from drone_env.server.predict import SOURCES
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
@@ -68,21 +68,13 @@ async def kinds() -> KindList:
 @router.get("/pilots")
 def pilots(shared: SharedParts) -> PilotList:
     """The pilots of the page and their tasks; networks that you trained are included."""
-    return PilotList(
-        pilots=[
-            PilotInfo(
-                id=name,
-                name=pilot.name,
-                summary=pilot.summary,
-                colour=min(colour, COLOURS),
-                automatic=name != HUMAN,
-                tasks=tasks_of(name, shared.networks),
-            )
-            for colour, (name, pilot) in enumerate(all_pilots().items(), 1)
-            if not (name in SOURCES and SOURCES[name].trained) or tasks_of(name, shared.networks)
-        ],
-        most=MOST_EPISODES,
-    )
+    pilots: list[PilotInfo] = []
+    for colour, (name, pilot) in enumerate(all_pilots().items(), 1):
+        tasks = [task.id for task in TASKS.values() if can_fly(name, task, shared.networks)]
+        if tasks or name not in SOURCES or not SOURCES[name].trained:
+            look, automatic = min(colour, COLOURS), name != HUMAN
+            pilots.append(PilotInfo(id=name, **pilot._asdict(), colour=look, automatic=automatic, tasks=tasks))
+    return PilotList(pilots=pilots, most=MOST_EPISODES)
 
 
 @router.head("/health", include_in_schema=False)

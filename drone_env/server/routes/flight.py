@@ -47,7 +47,7 @@ from drone_env.server.state import (
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
 STEP_HEADER = "x-step-count"
-STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int, Field(ge=0)] | None)
+STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {

@@ -102,7 +102,7 @@ async def run_boards(request: Request, shared: SharedParts, task_name: str) -> R
     """Evaluations and language models side by side, over the same maps of a task.
 
     The data folder contains evaluations (`drone-env evaluate --out`) in `evaluations`, and runs of `drone-env infer` in
-    `llm`. The server replays each run from the model's responses before it ranks it; the first request takes seconds.
+    `llm`. The server replays a run from the model's responses before it ranks the run; the first request takes seconds.
     """
     task = get_task(task_name)
     # One job per folder: each has its own time limit, and its worker caches the result.

@@ -8,7 +8,6 @@ from pydantic import ConfigDict, Field
 
 from drone_env.agents.base import BatchAgent
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import MAX_UNITS, get_task
@@ -35,9 +34,7 @@ class FlightSoFar(Message):
     )
 
     task: str = Field(max_length=100, description="Id or short name of the task.")
-    task_version: int | None = Field(default=None, ge=1, description="Version of the task; the current one by default.")
     seed: Seed = Field(description="Number of the map.")
-    reward_profile: str | None = Field(default=None, max_length=100, description="Ignored: no value depends on it.")
     actions: list[Direction] = Field(
         default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
@@ -46,10 +43,10 @@ class FlightSoFar(Message):
         """The episode after these actions.
 
         Raises:
-            UnknownNameError: if the task, version or reward profile does not exist.
+            UnknownNameError: if the task does not exist.
             InvalidValueError: if there are actions after the end.
         """
-        episode = Episode(get_task(self.task, self.task_version), self.reward_profile or DEFAULT_PROFILE, self.seed)
+        episode = Episode(get_task(self.task), seed=self.seed)
         for _ in fly_directions(episode, self.actions):
             pass
         return episode
