@@ -206,10 +206,10 @@ BODIES: dict[str, Any] = {
     "/maps/worth": DRAWN,
     "/maps": DRAWN,
     "/mcp": {"jsonrpc": "2.0", "id": 1, "method": "tools/list"},
-    "/{env_name}/tasks": SPLIT,
-    "/{env_name}/num_tasks": SPLIT,
-    "/{env_name}/task": {**SPLIT, "index": 0},
-    "/{env_name}/task_range": {**SPLIT, "start": 0, "stop": 1},
+    "/drone-env/tasks": SPLIT,
+    "/drone-env/num_tasks": SPLIT,
+    "/drone-env/task": {**SPLIT, "index": 0},
+    "/drone-env/task_range": {**SPLIT, "start": 0, "stop": 1},
 }
 QUERIES = {
     "/leaderboard/{task_name}/maps": {"agent": "anonymous"},
@@ -227,7 +227,7 @@ def test_every_endpoint_there_is_answers(flying: TestClient) -> None:
     episode = get(flying, "/episodes")["episodes"][0]["id"]
     bodies = BODIES | {"/annotate": get(flying, f"/episodes/{episode}")}
     for method, path in sorted(routes - {("post", "/predict"), ("post", "/reset"), ("delete", "/session")}):
-        filled = path.format(task_name="easy", seed=7, env_name="drone-env", episode_id=episode)
+        filled = path.format(task_name="easy", seed=7, episode_id=episode)
         answer = flying.request(method, filled, json=bodies.get(path), params=QUERIES.get(path))
         assert answer.status_code == 200, (method, path, answer.text)
     assert flying.delete("/session").status_code == 204

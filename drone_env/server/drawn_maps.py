@@ -1,13 +1,12 @@
-"""Maps that were drawn on the page and are kept: each is a task, found by its name, and the file of a city."""
+"""Stored maps that people drew on the page: each is the file of a city, and a task with the name of the file."""
 
 import logging
 import os
 import re
 import threading
-import time
-from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -20,30 +19,26 @@ from drone_env.server.problems import RequestError
 log = logging.getLogger(__name__)
 NAME = re.compile("(?:drone_env.graders:grade_)?(drawn_[0-9a-f]{12})")
 STEPS_PER_SIDE = 20
-"""Bound of steps and battery units per column and row: four times the steps that a map has by default.
+"""Maximum number of steps and battery units per column and row: four times the default.
 
-A flight costs memory and traffic for each of its steps, which the server stores, sends and copies.
+The bound limits memory and traffic: the server stores, sends and copies each step of a flight.
 """
-USUAL = 1000
-"""Maps that are kept unless the settings say another number."""
+DEFAULT_MAPS = 1000
+"""Maximum number of stored maps, unless the settings set another."""
 SHARE = 10
-"""A stranger may keep this fraction of the maps: 1 / SHARE."""
-REMEMBERED = 128
-"""Tasks that stay in memory."""
-USED_SECONDS = 60.0
-"""Precision of the time of the last use: a file is not touched more often."""
+"""A stranger may store 1 / SHARE of the maps."""
 
 
 def name_of(content: bytes) -> str:
-    """The name of a map, which its file decides: whoever draws the same gets the same."""
+    """The name of a map, a digest of its file: equal drawings have equal names."""
     return f"drawn_{sha256(content).hexdigest()[:12]}"
 
 
 def drawn_task(city: City, name: str) -> TaskConfig:
-    """The task of a city that somebody has drawn.
+    """The task of a drawn city.
 
     Raises:
-        InvalidTaskError: if it cannot be flown, or its flights may be longer than a map of its size needs.
+        InvalidTaskError: if it is not a valid task, or allows flights that are too long for its size.
     """
     task = replace(task_of(city, name), family="drawn")
     most = STEPS_PER_SIDE * (task.width + task.height)
@@ -56,107 +51,90 @@ def drawn_task(city: City, name: str) -> TaskConfig:
 
 
 class DrawnMaps:
-    """Keeps maps in files, and finds their tasks again; safe to share between threads and processes.
+    """Stores maps in files and finds their tasks; safe to share between threads and processes.
 
-    They are not among `TASKS`: who does not know a name is not told of it, and thousands are not listed. If there is no
-    room for another, the map that was not used for longest is forgotten.
+    The maps are not in `TASKS`: a caller needs to know the name. If the folder is full, the least recently used map is
+    deleted.
 
     Args:
-        folder: Where their files lie; made with the first.
-        most: How many are kept. None for `USUAL`, of callers who are no strangers alone.
+        folder: The folder of the files; created with the first one.
+        most: Maximum number of maps. None for `DEFAULT_MAPS`, but none from strangers.
     """
 
     def __init__(self, folder: Path, most: int | None) -> None:
         self._folder, self._most = folder, most
-        self._known: OrderedDict[str, tuple[TaskConfig, float]] = OrderedDict()
+        self._read = lru_cache(maxsize=128)(_read)
         self._strangers: dict[str, str] = {}
-        """Address of the stranger who drew a map, by its name. This process alone knows it, while it runs."""
-        self._lock = threading.RLock()
+        """The address of the stranger who drew a map, by its name; in this process only."""
+        self._lock = threading.Lock()
 
     def keep(self, text: str, task: TaskConfig, stranger: str | None) -> None:
-        """Keep a map; one that is kept already changes nothing.
+        """Store a map, unless it is stored already.
 
         Args:
             text: The file of its city.
             task: Its task, whose id is `name_of` the text.
-            stranger: The address of whoever has drawn it; None for callers that the server trusts.
+            stranger: The address of an untrusted caller, None for a trusted one.
 
         Raises:
-            RequestError: if no maps are kept.
-            StoreError: if it cannot be written.
+            RequestError: if this server stores no maps.
+            StoreError: if the map cannot be written.
         """
-        name = task.id
         with self._lock:
-            if self.find(name) is not None:
+            if self.find(task.id) is not None:
                 return
-            most = self._most if self._most is not None else USUAL if stranger is None else 0
+            most = self._most if self._most is not None else DEFAULT_MAPS if stranger is None else 0
             if most == 0:
                 detail = "this server keeps no drawn maps: save yours as a file, and fly it on a server of your own"
                 raise RequestError(403, "maps_off", f"{detail} (drone-env serve), or set DRONE_ENV_MAPS on this one")
             try:
                 self._make_room(most, stranger)
                 self._folder.mkdir(parents=True, exist_ok=True)
-                write_text(self._file(name), text)
+                write_text(self._file(task.id), text)
             except OSError as error:
-                raise StoreError(f"the map could not be kept: {error.strerror}") from error
+                raise StoreError(f"the map could not be stored: {error.strerror}") from error
             if stranger is not None:
-                self._strangers[name] = stranger
-            self._remember(name, task)
+                self._strangers[task.id] = stranger
 
     def find(self, name: str) -> TaskConfig | None:
-        """The task of a map by its id or grader, None where no such map is kept.
+        """The task of a map by its id or grader, None if there is no such map.
 
         Raises:
             StoreError: if its file cannot be read.
         """
-        named = NAME.fullmatch(name)
-        if named is None:
+        match = NAME.fullmatch(name)
+        if match is None:
             return None
-        name = named[1]
-        with self._lock:
-            task, used = self._known.get(name, (None, -USED_SECONDS))
-            if task is not None and time.monotonic() - used < USED_SECONDS:
-                return task
-            try:
-                task = task or self._read(name)
-                if task is not None:
-                    with suppress(PermissionError):  # somebody else's file
-                        os.utime(self._file(name))
-                    self._remember(name, task)
-                return task
-            except FileNotFoundError:  # it was never kept, or another process has forgotten it
-                self._known.pop(name, None)
-                return None
-            except OSError as error:
-                raise StoreError(f"the map {name!r} could not be read: {error.strerror}") from error
-
-    def _read(self, name: str) -> TaskConfig | None:
+        file = self._file(match[1])
         try:
-            content = read_file(self._file(name), MAX_FILE)
-            if name_of(content) == name:
-                return drawn_task(parse_city(content), name)
+            with suppress(PermissionError):  # the file of another user
+                os.utime(file)  # the time of the last use
+            return self._read(file)
+        except FileNotFoundError:
+            return None
         except InvalidValueError:
-            pass
-        # Records name the task alone: another map would be flown in its place.
-        log.warning("%s is not the map of its name: it is not flown", self._file(name))
-        return None
-
-    def _remember(self, name: str, task: TaskConfig) -> None:
-        self._known[name] = task, time.monotonic()
-        self._known.move_to_end(name)
-        while len(self._known) > REMEMBERED:
-            self._known.popitem(last=False)
+            # Records contain only the name, so another map would be flown instead.
+            log.warning("%s is ignored: its name is not the digest of its content", file)
+            return None
+        except OSError as error:
+            raise StoreError(f"the map {match[1]!r} could not be read: {error.strerror}") from error
 
     def _make_room(self, most: int, stranger: str | None) -> None:
-        """Forget maps until there is room for another: a stranger's own if that has its share of the places."""
+        """Delete maps until there is room for another: a stranger's own if they have reached their share."""
         used = {file.stem: file.stat().st_mtime_ns for file in self._folder.glob("drawn_*.toml")}
-        self._strangers = {name: whose for name, whose in self._strangers.items() if name in used}
-        own = [name for name, whose in self._strangers.items() if whose == stranger]
-        too_many = len(own) - max(1, most // SHARE) + 1
-        names, count = (own, too_many) if stranger is not None and too_many > 0 else (used, len(used) - most + 1)
+        self._strangers = {name: address for name, address in self._strangers.items() if name in used}
+        own = [name for name, address in self._strangers.items() if address == stranger]
+        excess = len(own) - max(1, most // SHARE) + 1
+        names, count = (own, excess) if stranger is not None and excess > 0 else (used, len(used) - most + 1)
         for name in sorted(names, key=used.__getitem__)[: max(0, count)]:
             self._file(name).unlink(missing_ok=True)
-            self._known.pop(name, None)
 
     def _file(self, name: str) -> Path:
         return self._folder / f"{name}.toml"
+
+
+def _read(file: Path) -> TaskConfig:
+    content = read_file(file, MAX_FILE)
+    if name_of(content) != file.stem:
+        raise InvalidValueError("another map")
+    return drawn_task(parse_city(content), file.stem)

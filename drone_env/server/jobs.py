@@ -20,9 +20,9 @@ from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES, RewardProf
 from drone_env.core.tasks import FINDERS, PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError, TooLargeError
-from drone_env.files import EVALUATIONS, MAPS, RUNS
+from drone_env.files import MAPS
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.model_runs import Evaluations, ModelRuns
+from drone_env.server.model_runs import StoredRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
@@ -55,8 +55,7 @@ class Bench:
 
     def __init__(self, settings: Settings) -> None:
         self.networks = Networks(settings.weights, settings.data)
-        self.runs = ModelRuns(settings.data / RUNS)
-        self.evaluations = Evaluations(settings.data / EVALUATIONS)
+        self.runs = StoredRuns(settings.data)
         self._solvers: OrderedDict[tuple[TaskConfig, int], Solver] = OrderedDict()
         self.is_new = True
         """Whether this process runs its first job."""

@@ -1,4 +1,4 @@
-"""Which map a reset chooses, and OpenEnv's task API: each task has three splits, and map i of one is its i-th seed."""
+"""The map of a reset, and OpenEnv's task API: each task has three splits, and map i of a split is its i-th seed."""
 
 import secrets
 
@@ -13,20 +13,20 @@ from drone_env.server.schemas import ResetOptions
 
 DEFAULT_TASK = "easy_delivery"
 PREVIEW = 1000
-"""How many maps a list shows; `the 1,000 test maps` are these of the test split."""
+"""Maximum number of maps in a list; `the 1,000 test maps` are the first of the test split."""
 
 
 def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> Episode:
-    """The episode that a reset asks for, at its start.
+    """The episode of a reset, at its start.
 
     Args:
         options: The reset.
-        last_seed: The map that the session flew last: without a seed, the next on the walk follows. None for a new
-            session, whose first map is drawn at random from the train split.
-        task: The task if the reset names none.
+        last_seed: The last map of the session; a reset without a seed flies the next one on the walk. None for a new
+            session, whose first map is random within the train split.
+        task: The task of a reset that names none.
 
     Raises:
-        UnknownNameError: if there is no such task, profile or split.
+        UnknownNameError: if the task, profile or split does not exist.
         InvalidValueError: if the split has no such map.
     """
     profile = get_reward_profile(options.reward_profile or ORIGINAL_PROFILE)
@@ -43,7 +43,7 @@ def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFA
 
 
 def is_registered(task: str) -> bool:
-    """Whether a name is that of one of the server's own tasks, not of a map that a visitor drew."""
+    """Whether a name belongs to a registered task, not to a drawn map."""
     return any(task in (known.id, known.short_name, known.grader) for known in TASKS.values())
 
 
@@ -65,14 +65,14 @@ class TaskSpec(TypedDict):
 
 
 class TaskApi:
-    """The task API, as OpenEnv's environments have it. Splits are named `task/split`."""
+    """OpenEnv's task API. The names of splits are `task/split`."""
 
     def list_splits(self) -> list[SplitInfo]:
         """All splits; `reset(split=..., index=...)` flies one of their maps."""
         return [{"name": f"{task}/{split}", "type": split} for task in TASKS for split in SPLITS]
 
     def num_tasks(self, split: str) -> int:
-        """How many maps a split has."""
+        """The number of maps of a split."""
         return len(self._find(split)[1])
 
     def list_tasks(self, split: str) -> list[TaskSpec]:
@@ -84,13 +84,13 @@ class TaskApi:
 
         Raises:
             UnknownNameError: if there is no such split.
-            InvalidValueError: if the range is not within the split, or too long.
+            InvalidValueError: if the range is outside the split or too long.
         """
         size = self.num_tasks(split)
         first = 0 if start is None else start
         last = min(first + PREVIEW, size) if stop is None else stop
         if not (0 <= first <= last <= size and last - first <= PREVIEW):
-            message = f"{split!r} has {size} maps, {PREVIEW} of them at a time; asked for {first} to {last}"
+            message = f"{split!r} has {size} maps and lists {PREVIEW} at a time; got {first} to {last}"
             raise InvalidValueError(message)
         return [self.get_task(split, index) for index in range(first, last)]
 

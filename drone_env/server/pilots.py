@@ -1,8 +1,8 @@
-"""Who can fly on the page: the agents, and the person at the page; and how it is said who flew."""
+"""The pilots of the page: agents and people. The provenance of a flight: the pilots of its steps."""
 
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 from inspect import cleandoc
 from types import FunctionType
@@ -12,7 +12,7 @@ from typing_extensions import Self
 
 from drone_env.agents import AGENTS, SHIPPED_AGENTS, make_agent
 from drone_env.agents.base import Agent
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.server.predict import NETWORK, SOURCES, TRAINED, Networks
 
@@ -21,7 +21,7 @@ HUMAN = "human"
 
 
 class Pilot(NamedTuple):
-    """One who flies."""
+    """A pilot."""
 
     name: str
     summary: str
@@ -41,78 +41,66 @@ OURS: dict[str, Pilot] = {
 
 
 COLOURS = len(OURS) + 3
-"""On the page, `--pilot-1` and so on: more agents than that share the last."""
+"""Colours of pilots on the page, `--pilot-1` and so on; further agents share the last one."""
 
 
-class _Pilots(Mapping[str, Pilot]):
-    """Ours, and the agents that were registered, as plugins do before the server starts."""
-
-    def _all(self) -> dict[str, Pilot]:
-        registered = {name: make for name, make in AGENTS.items() if name not in (*SHIPPED_AGENTS, *OURS)}
-        return OURS | {name: Pilot(name, _summary(make)) for name, make in registered.items()}
-
-    def __getitem__(self, name: str) -> Pilot:
-        return self._all()[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._all())
-
-    def __len__(self) -> int:
-        return len(self._all())
+def all_pilots() -> dict[str, Pilot]:
+    """`OURS`, and the agents that plugins registered."""
+    registered = {name: make for name, make in AGENTS.items() if name not in (*SHIPPED_AGENTS, *OURS)}
+    return OURS | {name: Pilot(name, _summary(make)) for name, make in registered.items()}
 
 
 def _summary(make: object) -> str:
-    own = make.__doc__ if isinstance(make, type | FunctionType) else None  # others have that of their type
-    told = own or "An agent that a plugin of this server registered."
-    return cleandoc(told).partition("\n\n")[0].replace("\n", " ")
+    doc = make.__doc__ if isinstance(make, type | FunctionType) else None  # other objects inherit that of their type
+    return cleandoc(doc or "An agent that a plugin of this server registered.").partition("\n\n")[0].replace("\n", " ")
 
-
-PILOTS: Mapping[str, Pilot] = _Pilots()
 
 HELP = {(True, False): "with values", (False, True): "with undo", (True, True): "with values and undo"}
-CREDIT = re.compile(
+PROVENANCE = re.compile(
     f"(?P<pilot>.+?)( (?P<help>{'|'.join(HELP.values())}))?( from step (?P<forked_at>[1-9][0-9]*) of (?P<of>.+))?"
 )
 
 
-class Credit(NamedTuple):
-    """Who flew, as sessions and records say it in their `agent`: `human with undo from step 20 of pathqnet`.
+class Provenance(NamedTuple):
+    """The pilots of a flight, as the `agent` of its session and record: `human with undo from step 20 of pathqnet`.
 
-    That is a pilot; then, where there was any, ` with values`, ` with undo` or ` with values and undo`; then, where the
-    steps before were another's, ` from step N of ` and who flew those, said in the same way. Flights that differ in it
-    are counted apart.
+    The format is a pilot; then ` with values`, ` with undo` or ` with values and undo` if a person used them; then, for
+    a fork, ` from step N of ` and the provenance of the first N steps. Flights of different provenance are counted
+    separately.
     """
 
     pilot: str
-    """One of `PILOTS`, or whatever else a record names."""
+    """One of `all_pilots`, or any other agent of a record."""
     values: bool = False
-    """Whether a person has asked, in flight, for what each action is worth."""
+    """Whether a person turned values on in flight."""
     undo: bool = False
-    """Whether a person has taken back steps."""
+    """Whether a person took back steps."""
     forked_at: int | None = None
-    """The steps that others flew, 1 or more; None where there are none."""
+    """The number of steps that others flew, 1 or more; None without a fork."""
     of: str | None = None
-    """Who flew them; None likewise."""
+    """The provenance of these steps; None without a fork."""
 
     @classmethod
     def parse(cls, agent: str) -> Self:
-        """What an `agent` says; one that is no pilot's is a name as a whole, as far as it says none of the above."""
-        said = CREDIT.fullmatch(agent)
-        if said is None:
+        """The provenance that an `agent` contains; any text that has not its format is the name of a pilot."""
+        match = PROVENANCE.fullmatch(agent)
+        if match is None:
             return cls(agent)
-        values, undo = next((given for given, words in HELP.items() if words == said["help"]), (False, False))
-        step = None if said["of"] is None else int(said["forked_at"])
-        return cls(said["pilot"], values, undo, step, said["of"])
+        values, undo = next((used for used, words in HELP.items() if words == match["help"]), (False, False))
+        step = None if match["of"] is None else int(match["forked_at"])
+        return cls(match["pilot"], values, undo, step, match["of"])
 
     @classmethod
     def of_fork(cls, pilot: str, step: int, of: str) -> Self:
-        """Who flies where a pilot goes on from a step of a flight.
+        """The provenance of a fork.
+
+        A pilot that forks its own flight continues it; for a person this counts as undo. From step 0 a person's own
+        flight starts again with its provenance.
 
         Args:
-            pilot: Who flies on.
-            step: How many steps of that flight there are.
-            of: Who flew it. On a flight of its own a pilot goes on as if there were no fork; a person has then taken
-                back steps. From step 0 nothing is another's: a person's own flight is begun again as it was left.
+            pilot: The pilot from this step on.
+            step: The number of steps of the first flight.
+            of: The provenance of that flight.
         """
         before = cls.parse(of)
         while before.forked_at is not None and before.of is not None and step <= before.forked_at:
@@ -123,26 +111,17 @@ class Credit(NamedTuple):
             return before._replace(undo=before.undo or pilot == HUMAN)
         return cls(pilot, forked_at=step, of=str(before))
 
-    @property
-    def additions(self) -> list[str]:
-        """What is said of who flew beside the pilot."""
-        fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
-        return [said for said in (HELP.get((self.values, self.undo)), fork) if said]
-
     def __str__(self) -> str:
-        return " ".join([self.pilot, *self.additions])
+        fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
+        return " ".join(part for part in (self.pilot, HELP.get((self.values, self.undo)), fork) if part is not None)
 
 
-def called(agent: str) -> str:
-    """What people call who has flown: a pilot, a person, or whatever a record names; with help, and from which step."""
-    credit = Credit.parse(agent)
-    name = "A person" if credit.pilot == HUMAN else getattr(PILOTS.get(credit.pilot), "name", credit.pilot)
-    return str(credit._replace(pilot=name, of=credit.of and called(credit.of)))
-
-
-def tasks_of(pilot: str, networks: Networks) -> list[str]:
-    """Ids of the tasks that a pilot can fly."""
-    return [task.id for task in TASKS.values() if can_fly(pilot, task, networks)]
+def display_name(agent: str) -> str:
+    """The name of an agent for people: pilots by their names, a person as `A person`; the other parts unchanged."""
+    provenance = Provenance.parse(agent)
+    pilot, pilots = provenance.pilot, all_pilots()
+    name = "A person" if pilot == HUMAN else pilots[pilot].name if pilot in pilots else pilot
+    return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
 
 
 def can_fly(pilot: str, task: TaskConfig, networks: Networks) -> bool:
@@ -165,15 +144,15 @@ def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
 
 
 def require_pilot(pilot: str, task: TaskConfig, networks: Networks) -> None:
-    """See that a pilot flies a task, as far as that shows without working on a map.
+    """Check that a pilot can fly a task, without work on a map.
 
     Raises:
         UnknownNameError: if there is no such pilot.
         UnsupportedTaskError: if there is no network for the task.
-        CheckpointError: if its file holds none that fits.
+        CheckpointError: if the network file cannot be used.
     """
-    if pilot not in PILOTS:
-        raise UnknownNameError("pilot", pilot, PILOTS)
+    if pilot not in all_pilots():
+        raise UnknownNameError("pilot", pilot, all_pilots())
     if pilot in SOURCES:
         networks.require(pilot, task)
     elif pilot not in OURS:
@@ -181,17 +160,17 @@ def require_pilot(pilot: str, task: TaskConfig, networks: Networks) -> None:
 
 
 def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
-    """A new agent that flies as a pilot does, None for a person.
+    """A new agent for a pilot, None for a person.
 
     Raises:
         UnknownNameError: if there is no such pilot.
         UnsupportedTaskError: if there is no network for the task.
-        CheckpointError: if its file holds none that fits.
-        TooLargeError: if a map of the task is too large for the pilot to look at.
+        CheckpointError: if the network file cannot be used.
+        TooLargeError: if the maps of the task are too large for the pilot.
         OSError: if the file can no longer be read.
     """
-    if pilot not in PILOTS:
-        raise UnknownNameError("pilot", pilot, PILOTS)
+    if pilot not in all_pilots():
+        raise UnknownNameError("pilot", pilot, all_pilots())
     if pilot == HUMAN:
         return None
     return networks.agent(pilot, task) if pilot in SOURCES else make_agent(pilot, task)

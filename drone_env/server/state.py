@@ -10,11 +10,11 @@ from starlette.requests import HTTPConnection
 from typing_extensions import Self
 
 from drone_env.core.tasks import FINDERS
-from drone_env.files import MAPS, RUNS
+from drone_env.files import MAPS
 from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.logs import RequestLog
-from drone_env.server.model_runs import ModelRuns
+from drone_env.server.model_runs import StoredRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
 from drone_env.server.security import shared_address
@@ -50,7 +50,7 @@ class Shared:
         self._clock = clock
         self.requests = RequestLog()
         self.networks = Networks(settings.weights, settings.data)
-        self.runs = ModelRuns(settings.data / RUNS)
+        self.runs = StoredRuns(settings.data)
         self.maps = DrawnMaps(settings.data / MAPS, settings.maps)
         self._sessions: Sessions | None = None
 

@@ -206,7 +206,6 @@ async def _frame_costs(app: FastAPI, path: str, frames: list[Hostile]) -> list[C
 
 
 def _scope(kind: str, path: str) -> dict[str, Any]:
-    path = path.replace("{env_name}", "drone-env")
     addresses = {"client": ("127.0.0.1", 5000), "server": ("127.0.0.1", 8000)}
     query = {"query_string": b"", "root_path": "", "scheme": "http", "http_version": "1.1", "raw_path": path.encode()}
     return {"type": kind, "asgi": {"version": "3.0"}, "path": path, "state": {}, **addresses, **query}

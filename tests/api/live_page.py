@@ -31,6 +31,14 @@ class Page:
                 return message
             assert message["type"] != "error", message
 
+    def error(self) -> Message:
+        """The next message, an error; only `playing` and `values` may precede it."""
+        while True:
+            message = json.loads(self.socket.receive_text())
+            if message["type"] == "error":
+                return message
+            assert message["type"] in ("playing", "values"), message
+
     def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
         self.send("start", task=task, seed=seed, pilots=pilots, **fields)
         return self.until("flights")["flights"]

@@ -192,7 +192,7 @@ def test_an_observation_from_the_wire_becomes_what_agents_see(task: str) -> None
 def test_openenvs_routes(client: TestClient) -> None:
     assert client.get("/metadata").json()["version"] == __version__
     assert client.get("/openapi.json").json()["info"]["version"] == __version__
-    assert len(client.get("/Drone-Env/splits").json()) == 3 * len(TASKS)
+    assert len(client.get("/drone-env/splits").json()) == 3 * len(TASKS)
     test = {"split": "hard_delivery/test"}
     one = client.post("/drone-env/task", json=test | {"index": 2}).json()["task"]
     assert (one["seed"], one["id"]) == (2**52 + 2**51 + 2, "hard_delivery/test/2")

@@ -33,7 +33,7 @@ def test_no_body_has_many_validation_errors(shared_client: TestClient, counted: 
         for name, content in bodies:
             if not name.endswith(("list of 12345", "many keys", '\\ud800"')):
                 continue
-            answer = shared_client.post(path.replace("{env_name}", "drone-env"), content=content, headers=headers)
+            answer = shared_client.post(path, content=content, headers=headers)
             assert answer.status_code < 500, (path, name, answer.text)
     assert 0 < max(counted) <= MOST
 

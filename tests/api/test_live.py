@@ -125,21 +125,23 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
         assert values["regrets"] == [analysis.values[0] - value for value in analysis.values]
 
 
-def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> None:
+@pytest.mark.parametrize("command", [{"kind": "step"}, {"kind": "undo"}, {"kind": "help"}])
+def test_a_session_that_another_page_has_flown_is_gone_for_this_one(client: TestClient, command: Message) -> None:
     with client.websocket_connect("/live") as one, client.websocket_connect("/live") as other:
         first, second = Page(one), Page(other)
-        session = first.start("random", task="medium")[0]["opening"]["session"]
+        by_hand = command["kind"] != "step"
+        session = first.start("human" if by_hand else "random")[0]["opening"]["session"]
+        fly = {"kind": "fly", "direction": "WAIT"} if by_hand else command
+        first.send(**fly)
+        first.until("frames")
         second.send("attach", sessions=[session])
         second.until("flights")
-        flights: list[list[Message]] = [[], []]
-        for turn in range(12):
-            for page, seen in ((first, flights[0]), (second, flights[1]))[:: 1 if turn % 3 else -1]:
-                page.send("step")
-                seen.extend(moved["frame"] for moved in page.until("frames")["frames"])
-    actions = directions(flown("medium", "random"))
-    for seen in flights:
-        assert [frame["step"] for frame in seen] == list(range(1, len(seen) + 1))
-        assert names(seen) == actions[: len(seen)]
+        second.send(**fly)
+        second.until("frames")
+        first.send(**command)
+        assert first.error()["code"] == "session_gone"
+        second.send(**fly)
+        assert second.until("frames")["frames"][0]["frame"]["step"] == 3
 
 
 def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None:

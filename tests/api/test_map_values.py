@@ -10,8 +10,6 @@ from starlette.testclient import TestClient
 from drone_env.agents.tournet import TournetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rules import score_of
-from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import optimal
@@ -67,28 +65,6 @@ def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
     ended = ask(shared_client, task, 7, flown.actions)
     assert (ended["done"], ended["value"], ended["regret"]) == (True, flown.score, analysis.regret)
     assert [ended[name] for name in ("q_values", "best_actions", "network", "cells", "range", "pads")] == [None] * 6
-
-
-def test_on_a_map_of_one_parcel_the_value_of_a_cell_is_how_far_it_is(
-    shared_client: TestClient, registered: Any
-) -> None:
-    flown: list[Direction] = ["WAIT"]
-    task = registered(width=4, height=3)
-    start = Episode(task, seed=5)
-    ((px, py, _),) = start.parcels
-    answer = ask(shared_client, "toy", 5, flown)
-    cells, steps = answer["cells"], len(flown)
-    for y in range(3):
-        for x in range(4):
-            away = abs(x - px) + abs(y - py)
-            worth = score_of(interpreted(task), 1, 10 - steps - away, steps + away)
-            assert (cells["values"][y][x], answer["range"][y][x]) == (
-                worth,
-                10 - steps - abs(x - start.position[0]) - abs(y - start.position[1]),
-            )
-            nearer: dict[Direction, bool] = {"UP": y > py, "DOWN": y < py, "LEFT": x > px, "RIGHT": x < px}
-            assert cells["best_actions"][y][x] == [name for name, is_nearer in nearer.items() if is_nearer]
-    assert cells["network_actions"][py][px] is cells["disagree"][py][px] is None
 
 
 def test_where_the_drone_cannot_be_there_is_nothing_and_ranges_are_told_from_here_and_from_each_pad(
@@ -171,7 +147,6 @@ HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"task_version": 9}, "version of task 'easy_delivery'"),
         ({"seed": 1 << 53}, "less than or equal to"),
         ({"actions": ["WAIT"] * 61}, "the flight ends after 60 steps, but there are 61 actions"),
     ],

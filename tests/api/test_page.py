@@ -8,18 +8,17 @@ import pytest
 from PIL import Image
 from starlette.testclient import TestClient
 
-from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.envs.rendering import draw_card
 from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.server.app import create_app
-from drone_env.server.links import HELLO
+from drone_env.server.links import FIRST_PAINT
 from drone_env.server.page_files import PAGE
 from drone_env.server.settings import Settings
 from tests.api.live_page import flown
-from tools.hello import draw
+from tools.first_paint import draw
 
 
 class Meta(HTMLParser):
@@ -54,7 +53,7 @@ class TestPreview:
     ) -> None:
         answer = shared_client.get("/preview.png?task=hard&seed=7&pilots=greedy,human&step=1000")
         episode = flown("hard", "greedy")
-        words = [("Greedy", True), (f"score {100 * episode.score:.1f}", False), ("You", True), ("at the start", False)]
+        words = [("Greedy", True), (f"score {100 * episode.score:.1f}", False)]
         best = f"optimum {100 * solve('hard', 7).score:.1f}"
         assert answer.content == draw_card(episode, [*words, ("", False), (best, False)])
         map_alone = shared_client.get("/preview.png?task=hard&seed=7").content
@@ -67,28 +66,12 @@ class TestPreview:
         assert answer.content == draw_card(flown("easy", "random", 3, seed=5), [("somebody", True), ("step 3", False)])
         assert told(client, f"/?episode={stored}")["og:title"] == "somebody: Easy, map 5"
 
-    def test_a_fork_is_shown_as_its_link_says_before_those_that_it_flies_beside(
-        self, shared_client: TestClient
-    ) -> None:
-        episode = flown("hard", "greedy", 20).fly([Action.WAIT, Action.UP])
-        actions = "".join(action.name[0] for action in map(Action, episode.actions))
-        query = f"task=hard&seed=7&pilots=greedy,human&fork=20&actions={actions}&of=greedy"
-        answer = shared_client.get(f"/preview.png?{query}&step=21")
-        words = [("A person", True), ("from step 20 of Greedy", False), ("step 21", False)]
-        words += [("Greedy", True), ("step 21", False)]
-        start = Episode("hard", "tiered", 7)
-        assert answer.content == draw_card(start.fly(episode.actions[:21]), words)
-        head = told(shared_client, f"/?{query}")
-        assert head["og:title"] == "A person from step 20 of Greedy: Hard, map 7"
-        assert shared_client.get(head["og:image"]).content == shared_client.get(f"/preview.png?{query}").content
-
     @pytest.mark.parametrize(
         ("query", "status", "says"),
         [
             ("task=hard", 422, "task=hard&seed=7"),
             ("task=nowhere&seed=7", 404, "unknown task 'nowhere'; allowed: "),
-            ("task=hard&seed=7&pilot=human&fork=1&actions=U", 422, "a fork needs all of"),
-            ("task=hard&seed=7&pilot=human&fork=1&actions=Ux&of=a", 422, "got 'x'"),
+            ("task=hard&seed=7&pilot=nobody", 404, "unknown pilot 'nobody'"),
             ("task=skyline_easy&seed=7&pilot=pathqnet", 422, "'pathqnet' has no skyline_easy_v2.safetensors"),
             ("episode=nothing", 404, "there is no episode 'nothing'"),
         ],
@@ -104,7 +87,7 @@ class TestHead:
         ("query", "title"),
         [
             ("task=hard&seed=7&pilot=pathqnet&step=38", "PathQNet: Hard, map 7, step 38"),
-            ("task=skyline_medium&seed=43&pilots=tournet,greedy", "Tournet against Greedy: Skyline Medium, map 43"),
+            ("task=skyline_medium&seed=43&pilots=tournet,greedy", "Tournet: Skyline Medium, map 43"),
             ("task=easy&seed=7&pilot=human", "Fly it yourself: Easy, map 7"),
         ],
     )
@@ -123,7 +106,7 @@ class TestHead:
     ) -> None:
         head = told(shared_client, f"/{query}")
         assert head["og:title"] == "Drone Delivery"
-        assert head["og:image"] == f"http://testserver/preview.png?{HELLO.query()}"
+        assert head["og:image"] == f"http://testserver/preview.png?{FIRST_PAINT.query()}"
 
     def test_what_callers_write_is_text_there(self, client: TestClient) -> None:
         name = '"><script>alert(1)</script>'
@@ -143,9 +126,9 @@ class TestHead:
 
 class TestHello:
     def test_the_flight_is_as_good_as_can_be_where_greedy_loses_most_of_it(self) -> None:
-        record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "")
+        record = EpisodeRecord.read((PAGE / "first_paint.json").read_bytes(), "")
         task, seed, best = record.task, record.seed, solve(record.task, record.seed).score
-        assert (task, seed, record.agent) == (get_task(HELLO.task).id, HELLO.seed, HELLO.pilot)
+        assert (task, seed, record.agent) == (get_task(FIRST_PAINT.task).id, FIRST_PAINT.seed, FIRST_PAINT.pilot)
         assert record.score == best == flown(task, record.agent, seed=seed).score
         assert flown(task, "greedy", seed=seed).score < best / 2
 
@@ -157,4 +140,4 @@ class TestHello:
 
     def test_its_files_are_drawn_from_the_record(self) -> None:
         for path, text in draw().items():
-            assert path.read_text(encoding="utf-8") == text, "python -m tools.hello draws them again"
+            assert path.read_text(encoding="utf-8") == text, "python -m tools.first_paint draws them again"

@@ -13,9 +13,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.results.result import Result
 from drone_env.server.app import create_app
-from drone_env.server.routes import runs
 from drone_env.server.settings import Settings
 from tests.browser.flights import put_evaluation
 from tests.llm.kept_run import put_run
@@ -71,15 +69,6 @@ def test_an_evaluation_of_too_many_maps_is_not_looked_at(tmp_path: Path) -> None
     config.write_text(json.dumps({**told, "seeds": [0, 20_000]}))
     (unranked,) = boards(tmp_path)["unranked"]
     assert unranked["reason"] == "20000 maps are more than the 10000 that are looked at here"
-
-
-def test_of_many_maps_those_where_most_was_lost_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "LISTED", 2)
-    rows = [
-        Result(seed, score, success=0, steps=9, optimum=0.95, flights=1, id=None)
-        for seed, score in enumerate((0.9, 0.2, 0.8, 0.1))
-    ]
-    assert runs._listed(rows) == [rows[1], rows[3]]
 
 
 @pytest.fixture(scope="module")

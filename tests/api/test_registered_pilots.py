@@ -8,7 +8,7 @@ from starlette.testclient import TestClient
 
 from drone_env.agents import AGENTS, GreedyAgent
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.server.pilots import PILOTS
+from drone_env.server.pilots import all_pilots
 from tests.api.live_page import Page
 
 
@@ -26,7 +26,7 @@ def test_a_registered_agent_flies_on_the_page(client: TestClient) -> None:
         "id": "homebrew",
         "name": "homebrew",
         "summary": "Flies as I think it should.",
-        "colour": len(PILOTS),
+        "colour": len(all_pilots()),
         "automatic": True,
         "tasks": [task.id for task in TASKS.values() if not task.pads],
     }

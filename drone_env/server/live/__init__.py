@@ -1,1 +1,1 @@
-"""The WebSocket of the page: episodes that fly by themselves or by hand, and the news of the server."""
+"""The WebSocket of the page: its episodes, and updates about the server."""

@@ -1,4 +1,4 @@
-"""What the page may send: one JSON object with a `type`."""
+"""The commands of the page: each is one JSON object with a `type`."""
 
 from typing import Annotated, Any, Literal, cast
 
@@ -15,32 +15,31 @@ from drone_env.server.state import LONGEST_ID
 MOST_EPISODES = 4
 
 
-Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The answer repeats it.")]
+Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The response contains it.")]
 PilotName = Annotated[str, Field(max_length=100)]
 FlightNumber = Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
 Topic = Literal["requests", "training", "episodes"]
 
 
 class Fork(Message):
-    """A moment of a flight, and the moves from there on."""
+    """A step of a flight, and the actions from there on."""
 
-    actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="From the start of the map on.")
-    step: Count = Field(description="How many of them belong to the flight it forks from; 0 for one's own flight.")
-    of: AgentName = Field(description="Who flew that, or the own one so far.")
+    actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="All actions from the start.")
+    step: Count = Field(description="Number of actions that belong to the first flight; 0 for your own flight.")
+    of: AgentName = Field(description="The `by` of that flight.")
 
     @model_validator(mode="after")
     def _step_is_there(self) -> Self:
         if self.step > len(self.actions):
-            raise ValueError(f"a fork from step {self.step} has all actions up to there, got {len(self.actions)}")
+            raise ValueError(f"a fork from step {self.step} requires as many actions, got {len(self.actions)}")
         return self
 
 
 class Start(Message):
-    """Fly one map with one to four pilots; the flights before are given up.
+    """Fly one map with one to four pilots, and end the current flights.
 
-    With a fork the last pilot begins after its actions, of which it has flown those after its step, and where that is 0
-    the person; the others that fly by themselves have flown as many steps, or to their end. With a step all those have
-    flown so many.
+    With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions. The agents
+    start after as many steps of their own, or with `step` after that many.
     """
 
     type: Literal["start"]
@@ -60,7 +59,7 @@ class Start(Message):
 
 
 class Attach(Message):
-    """Go on with flights after the connection was lost."""
+    """Continue flights after a lost connection."""
 
     type: Literal["attach"]
     sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_EPISODES)
@@ -68,20 +67,20 @@ class Attach(Message):
 
 
 class Play(Message):
-    """Let the pilots fly by themselves."""
+    """Fly the agents continuously."""
 
     type: Literal["play"]
     speed: float | None = Field(default=None, ge=0.5, le=60, description="Steps per second.")
 
 
 class Plain(Message):
-    """Stop them; have each that flies by itself fly one step; give the flights up."""
+    """Pause the agents, fly one step of each agent, or end the flights."""
 
     type: Literal["pause", "step", "end"]
 
 
 class Fly(Message):
-    """One step of a flight that a person flies."""
+    """Fly one step by hand."""
 
     type: Literal["fly"]
     direction: Direction
@@ -89,14 +88,14 @@ class Fly(Message):
 
 
 class ByHand(Message):
-    """Take back the last step of a flight that a person flies; show what its actions are worth from now on."""
+    """Take back the last step flown by hand, or turn on values."""
 
     type: Literal["undo", "help"]
     flight: FlightNumber = 0
 
 
 class Subscribe(Message):
-    """Which news to send beside the flights; replaces the choice before."""
+    """Choose the topics to receive; replaces the last choice."""
 
     type: Literal["subscribe"]
     topics: list[Topic] = Field(max_length=3)
@@ -107,10 +106,10 @@ _COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discrimina
 
 
 def parse_command(data: bytes) -> Command:
-    """The command in a frame.
+    """Parse a command.
 
     Raises:
-        InvalidValueError: if it is none; the message says what is allowed.
+        InvalidValueError: if it is not a valid command.
     """
     value: Any = parse_json(data)
     if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):

@@ -1,8 +1,8 @@
-"""One episode that a page flies: a session, its pilot, and what is known of its flight ahead of time."""
+"""One episode that a page flies: its session, its pilot, and the values along its flight."""
 
 import asyncio
 import secrets
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -19,113 +19,119 @@ from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, Sessio
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
-from drone_env.server.frames import Frame, MapOf, Opening, frame_of, frames_json, plan, shows_values, values_along
+from drone_env.server.frames import (
+    Beginning,
+    FlightHeader,
+    Frame,
+    begin,
+    frame_of,
+    frames_json,
+    plan,
+    shows_values,
+    values_along,
+)
 from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
-from drone_env.server.pilots import HUMAN, PILOTS, Credit, require_pilot
+from drone_env.server.pilots import HUMAN, Provenance, all_pilots, require_pilot
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.sessions import OtherStepError, flat_json
+from drone_env.server.sessions import flat_json
 from drone_env.server.state import Shared
 
 Result = TypeVar("Result")
 
 
 class LeftError(Exception):
-    """The page shows another flight by now."""
+    """The page shows another flight now."""
 
 
 class LiveEpisode:
-    """An episode that a page flies. The row of its session is the truth; this follows it.
+    """An episode that a page flies. The row of its session in the store is the truth; this is a copy.
 
     Args:
-        row: The session as it stands.
+        row: The session.
         shared: The parts of the server.
-        caller: The address of the page: its jobs take turns with those of others.
+        caller: The address of the page, for the queue of the workers.
 
     Raises:
-        EpisodeError: if none of our pilots flies it.
+        EpisodeError: if the agent of the session is not a pilot of the page.
     """
 
     def __init__(self, row: Session, shared: Shared, caller: str) -> None:
-        self.row = replace(row, episode=row.fly().copy())
-        """The session as it was last seen, with an episode of its own."""
-        self.credit = Credit.parse(row.agent)
-        self.pilot = self.credit.pilot
-        if self.pilot not in PILOTS:
-            raise EpisodeError(f"this session is flown by {row.agent!r}, not from the page")
-        self.map_of = MapOf.of(self.episode)
+        self._see(row)
+        self.pilot = self.provenance.pilot
+        if self.pilot not in all_pilots():
+            raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
+        self.start = Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)
         self.values: list[float] = []
-        """The best score that can still be reached at the frames of the flight, as far as it is known."""
+        """The best score still possible at each frame, as far as it is known."""
         self.unsolved = False
-        """Whether the map could not be solved."""
+        """Whether solving the map failed."""
         self._sessions, self._workers, self._caller = shared.sessions, shared.workers, caller
         self._plan: list[int] | None = None
         self._planning: asyncio.Future[list[int]] | None = None
         self._jobs: set[asyncio.Future[Any]] = set()
-        self._network = shared.networks.beside(self.pilot, self.episode.task)
+        self._network = shared.networks.beside(self.pilot, self.start.task)
 
     @property
     def episode(self) -> Episode:
-        """The episode as it stands."""
+        """The episode in its current state."""
         return self.row.fly()
 
     @property
     def automatic(self) -> bool:
-        """Whether it flies by itself, and has not ended."""
+        """Whether an agent flies it, and it has not ended."""
         return self.pilot != HUMAN and not self.episode.ended
 
     @property
     def lacks_values(self) -> bool:
-        """Whether values are to be shown that are not known yet."""
+        """Whether values are shown that are not known yet."""
         return len(self.values) <= self.episode.steps and self._shown and not self.unsolved
 
     async def planned(self) -> list[int]:
-        """All actions of an automatic episode to its end: its agent flies in a worker process, once.
+        """All actions of an automatic episode to its end, computed once in a worker process.
 
         Raises:
-            LeftError: if the page has left it meanwhile.
-            DroneEnvError: as `Workers.run` and `ahead.plan`.
+            LeftError: if the page has left the flight.
+            DroneEnvError: as `Workers.run` and `plan`.
         """
         if self._plan is None:
             if self._planning is None or self._planning.done():
-                self._planning = self._submit(plan, self.map_of, self.pilot, self.row.actions, self._first)
-            self._plan = await _ended(self._planning)
+                self._planning = self._submit(plan, self.start, self.pilot, self.row.actions, self._first)
+            self._plan = await _finished(self._planning)
         return self._plan
 
     async def solve(self) -> None:
-        """Find out what can still be reached along the flight, of an automatic one to its end.
+        """Compute the values along the flight; for an automatic one to its end.
 
         Raises:
-            LeftError: if the page has left it meanwhile.
-            DroneEnvError: as `Workers.run` and `ahead.values_along`.
+            LeftError: if the page has left the flight.
+            DroneEnvError: as `Workers.run` and `values_along`.
         """
         actions = tuple(await self.planned()) if self.automatic else self.row.actions
-        first = min(len(self.values), len(actions))
         try:
-            values = await _ended(self._submit(values_along, self.map_of, actions, first))
+            values = await _finished(self._submit(values_along, self.start, actions))
         except DroneEnvError:
             self.unsolved = True
             raise
-        flown = self.row.actions
-        if len(self.values) >= first and flown[: len(actions)] == actions[: len(flown)]:
-            self.values[first:] = values
+        if self.automatic or self.row.actions[: len(actions)] == actions:
+            self.values = values
 
     def leave(self) -> None:
-        """Drop its jobs: the page shows another."""
+        """Cancel its jobs: the page shows another flight."""
         for job in self._jobs:
             job.cancel()
 
-    def step(self) -> list[Frame]:
-        """Let the pilot of an automatic episode, which is `planned`, fly one step; the frames that follow from it."""
+    def step(self) -> Frame:
+        """Fly one step of an automatic episode whose actions are `planned`."""
         assert self._plan is not None
         return self._fly(self._plan[self.episode.steps])
 
     def begin_with(self, actions: Sequence[int], planned: list[int] | None) -> None:
-        """Fly and keep what the flight begins with when it is started: a fork, or the steps up to a moment.
+        """Fly the first actions of a new flight and store them.
 
         Args:
-            actions: These steps.
-            planned: What `planned` is to return, if that is known.
+            actions: The actions of a fork, or the pilot's own up to a step.
+            planned: What `planned` returns, None if that is unknown.
         """
         self._plan = planned
         if not actions:
@@ -134,13 +140,13 @@ class LiveEpisode:
             for action in actions:
                 advance(row, action)
             if row.finished:
-                # Named by what it is: however often a link to it is opened, it is kept once.
+                # The id is a digest, so that a link that is opened often stores the episode once.
                 record = row.finished[0].record.to_json()
                 row.episode_id = sha256(record.encode()).hexdigest()[:16]
                 row.finished[0] = row.finished[0].model_copy(update={"id": row.episode_id})
         self._see(row)
 
-    def fly(self, direction: Direction) -> list[Frame]:
+    def fly(self, direction: Direction) -> Frame:
         """Fly one step by hand.
 
         Raises:
@@ -149,91 +155,67 @@ class LiveEpisode:
         self._check_by_hand()
         return self._fly(Action[direction])
 
-    def undo(self) -> list[Frame]:
-        """Take back the last step flown by hand, and say so of who flew.
-
-        Returns:
-            None but where another page has flown on meanwhile: the frames of that, with nothing taken back.
+    def undo(self) -> None:
+        """Take back the last step flown by hand; the provenance shows it.
 
         Raises:
-            EpisodeError: if an agent flies this episode, it has ended, or the person has flown nothing yet.
+            EpisodeError: if an agent flies this episode, it has ended, or the person has flown no step.
         """
         self._check_by_hand()
         if self.episode.steps <= self._first:
-            raise EpisodeError("there is nothing to take back: you have flown no step yet")
-        known = self.row
-        with self._sessions.changing(known.id) as row:
-            self._recognise(row)
-            alone = len(row.actions) == len(known.actions)
-            if alone:
-                row.actions, row.episode = row.actions[:-1], None
-                row.agent = check_agent(str(self.credit._replace(undo=True)))
-        if not alone:
-            return self._follow(row)
+            raise EpisodeError("there is no step to take back: you have flown none")
+        with self._sessions.changing(self.row.id) as row:
+            self._check_unchanged(row)
+            row.actions, row.episode = row.actions[:-1], None
+            row.agent = check_agent(str(self.provenance._replace(undo=True)))
         self._see(row)
         del self.values[self.episode.steps + 1 :]
-        return []
 
     def help(self) -> Frame:
-        """Show a person in flight what the actions are worth from now on, and say so of who flew; the frame with that.
+        """Turn on the values for a person in flight; the provenance shows it. Returns the current frame with values.
 
         Raises:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         self._check_by_hand()
         with self._sessions.changing(self.row.id) as row:
-            self._recognise(row)
-            row.agent = check_agent(str(self.credit._replace(values=True)))
-        self.row.agent, self.credit = row.agent, Credit.parse(row.agent)
-        return self.look()
+            self._check_unchanged(row)
+            row.agent = check_agent(str(self.provenance._replace(values=True)))
+        self._see(row)
+        return self.frame()
 
-    def reachable(self) -> list[float] | None:
-        """The best score that could still be reached at each frame so far; None if it is unknown or hidden."""
+    def shown_values(self) -> list[float] | None:
+        """The best score still possible at each frame so far; None if it is unknown or hidden."""
         known = self._shown and len(self.values) > self.episode.steps
         return self.values[: self.episode.steps + 1] if known else None
 
-    def end(self) -> None:
-        """Give the session back.
+    def frame(self) -> Frame:
+        """The frame of the episode in its current state."""
+        step, network = self.episode.steps, self._network if self._shown else None
+        if self._shown and step < len(self.values):
+            return frame_of(self.episode, network, self.values[step], self.values[0])
+        return frame_of(self.episode, network)
 
-        Raises:
-            StoreError: if the store could not be written.
-        """
-        with suppress(NoSessionError, SessionGoneError):  # it may have been idle for too long
-            self._sessions.end(self.row.id)
+    def view_json(self, frames: str | None) -> str:
+        """The JSON of its `EpisodeView`, with these frames as a JSON array; None for the current frame alone."""
+        header = FlightHeader.of(self.start, self.row.agent, self.row.id).model_dump_json()
+        return f'{{"opening":{header},"frames":{frames or to_json([self.frame()]).decode()}}}'
 
-    def look(self) -> Frame:
-        """The frame of the episode as it stands: its map is drawn once, and a network asked once."""
-        shown, step = self._shown, self.episode.steps
-        known = shown and step < len(self.values)
-        return frame_of(
-            self.episode,
-            self.episode.observation(),
-            self._network if shown else None,
-            self.values[step] if known else None,
-            self.values[0] if known else None,
+    def _fly(self, action: int) -> Frame:
+        row, episode = self._sessions.advance(
+            self.row.id, action, lambda episode, _: episode.copy(), check=self._check_unchanged
         )
-
-    def _fly(self, action: int) -> list[Frame]:
-        steps = len(self.row.actions)
-        try:
-            row, episode = self._sessions.advance(
-                self.row.id, action, lambda episode, _: episode.copy(), after=steps, check=self._recognise
-            )
-        except OtherStepError:  # another page has gone on with the same session
-            return self._follow(self._sessions.store.read_session(self.row.id))
         self.row = replace(row, episode=episode)
-        return [self.look()]
+        return self.frame()
 
     def _see(self, row: Session) -> None:
-        """Note how the session stands."""
-        self.row, self.credit = replace(row, episode=row.fly().copy()), Credit.parse(row.agent)
+        """Copy the session and its episode."""
+        self.row, self.provenance = replace(row, episode=row.fly().copy()), Provenance.parse(row.agent)
 
-    def _recognise(self, row: Session) -> None:
-        """See whether the session still flies this episode. Another page may have asked for help with it meanwhile."""
-        credit = self.credit if row.agent == self.row.agent else Credit.parse(row.agent)
-        if self.credit._replace(values=credit.values, undo=credit.undo) != credit or not row.follows(self.row):
-            raise SessionGoneError("this session flies another episode by now: start a new one")
-        self.credit = credit
+    def _check_unchanged(self, row: Session) -> None:
+        known = self.row
+        if (row.flight, row.agent, row.actions) != (known.flight, known.agent, known.actions):
+            raise SessionGoneError("another page or client flies this session now: start a new flight")
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -241,23 +223,8 @@ class LiveEpisode:
         if self.episode.ended:
             raise EpisodeError("this episode has ended: start another")
 
-    def _follow(self, row: Session) -> list[Frame]:
-        """Fly what another page has flown, and return the frames."""
-        self._recognise(row)
-        episode, missed = self.episode.copy(), row.actions[self.episode.steps :]
-        if self.pilot == HUMAN:
-            del self.values[episode.steps + 1 :]
-        self.row = replace(row, episode=episode)
-        frames: list[Frame] = []
-        for action in missed:
-            episode.step(action)
-            frames.append(self.look())
-        if self._plan is not None and tuple(self._plan[: episode.steps]) != row.actions:
-            self._plan = None  # its agent chooses differently each time
-        return frames
-
     def _submit(self, function: Callable[..., Result], *arguments: object) -> "asyncio.Future[Result]":
-        run = self._workers.run(function, *arguments, caller=self._caller, task=self.map_of.task.id)
+        run = self._workers.run(function, *arguments, caller=self._caller, task=self.start.task.id)
         job = asyncio.ensure_future(run)
         self._jobs.add(job)
         job.add_done_callback(self._jobs.discard)
@@ -265,16 +232,16 @@ class LiveEpisode:
 
     @property
     def _first(self) -> int:
-        """The steps that others have flown, before the pilot began."""
-        return self.credit.forked_at or 0
+        """The number of steps that another pilot flew."""
+        return self.provenance.forked_at or 0
 
     @property
     def _shown(self) -> bool:
-        return shows_values(self.credit, self.episode)
+        return shows_values(self.provenance, self.episode)
 
 
-async def _ended(job: "asyncio.Future[Result]") -> Result:
-    """The result of a job. It goes on if this is cancelled, since others may wait for it."""
+async def _finished(job: "asyncio.Future[Result]") -> Result:
+    """The result of a job. The job continues if this is cancelled, since others may wait for it."""
     await asyncio.wait((job,))
     if job.cancelled():
         raise LeftError
@@ -282,65 +249,67 @@ async def _ended(job: "asyncio.Future[Result]") -> Result:
 
 
 MAPS = 10_000
-"""Where a page names no map, one of so many: people say the numbers to each other."""
+"""A page that names no map gets one of this many: people say the numbers to each other."""
 Opened = list[tuple[LiveEpisode, str]]
-"""The episodes, and each as it is shown: the JSON of a `ShownEpisode`."""
-Beginning = tuple[Sequence[int], str | None, list[int] | None]
-"""The actions that a flight begins with, its frames as a JSON array, and all actions of its pilot; None if unknown."""
+"""Episodes, and the JSON of the `EpisodeView` of each."""
 
 
 async def open_flights(command: Start, shared: Shared, caller: str, last: Episode | None) -> Opened:
-    """Open the sessions of all flights, or of none.
+    """Open the sessions of all flights; of none if one fails.
 
     Args:
-        command: What to start.
+        command: The flights to start.
         shared: The parts of the server.
         caller: The address of the page.
-        last: What was flown before: where no map is named, it is another.
+        last: The last episode of the page: a map that is not named is another one.
 
     Raises:
-        UnknownNameError: if there is no such task, pilot or reward profile.
+        UnknownNameError: if the task, a pilot or the reward profile does not exist.
         UnsupportedTaskError: if there is no network that a pilot needs.
-        CheckpointError: if that cannot be read.
-        InvalidValueError: if a fork goes on after the end of its flight, or is of so many that they cannot be named.
-        EpisodeError: if an agent is said to have flown in a fork what it would not fly.
+        CheckpointError: if the network cannot be read.
+        InvalidValueError: if a fork has actions after the end, or its provenance is too long.
+        EpisodeError: if the moves of an agent in a fork are not those of that agent.
         CapacityError: if there is no room.
         RequestError: if too many requests are waiting for a worker process.
     """
-    start, agents, forking = await run_in_threadpool(_chosen, command, shared, last)
-    fork, map_of = command.fork, MapOf.of(start)
-    ahead = command.step if fork is None else len(fork.actions)
-    begin = partial(_begin, shared, caller, map_of)
-    beginnings = [
-        await begin(agent, fork.actions if fork is not None and number == forking else None, ahead)
-        for number, agent in enumerate(agents)
-    ]
-    return await run_in_threadpool(_open, shared, caller, map_of, zip(agents, beginnings, strict=True))
+    start, agents, forking = await run_in_threadpool(_choose, command, shared, last)
+    fork = command.fork
+    steps = command.step if fork is None else len(fork.actions)
+    beginnings: list[Beginning | None] = []
+    for number, agent in enumerate(agents):
+        forked = None if fork is None or number != forking else fork.actions
+        if forked or (steps and forked is None and Provenance.parse(agent).pilot != HUMAN):
+            job = shared.workers.run(begin, start, agent, forked, steps, caller=caller, task=start.task.id)
+            beginnings.append(await job)
+        else:
+            beginnings.append(None)
+    return await run_in_threadpool(_open, shared, caller, start, agents, beginnings)
 
 
 async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode, str]:
-    """The episode of a session, and all of it so far as the JSON of a `ShownEpisode`.
+    """The episode of a session, and the JSON of its `EpisodeView`.
 
     Raises:
         NoSessionError: if there never was such a session.
         SessionGoneError: if it has ended or expired.
-        EpisodeError: if none of our pilots flies it.
+        EpisodeError: if the agent of the session is not a pilot of the page.
         RequestError: if too many requests are waiting for a worker process.
     """
     live = await run_in_threadpool(_attached, session, shared, caller)
-    run = partial(shared.workers.run, caller=caller, task=live.map_of.task.id)
-    frames = await run(frames_json, live.map_of, live.row.agent, [DIRECTIONS[action] for action in live.row.actions])
-    return live, await run_in_threadpool(_shown, live, frames)
+    run = partial(shared.workers.run, caller=caller, task=live.start.task.id)
+    frames = await run(frames_json, live.start, live.row.agent, [DIRECTIONS[action] for action in live.row.actions])
+    return live, await run_in_threadpool(live.view_json, frames)
 
 
-def end_all(episodes: Sequence[LiveEpisode]) -> None:
-    """Give all their sessions back.
+def end_all(episodes: Sequence[LiveEpisode], shared: Shared) -> None:
+    """End the sessions of these episodes.
 
     Raises:
         StoreError: if the store could not be written.
     """
     for live in episodes:
-        live.end()
+        with suppress(NoSessionError, SessionGoneError):  # it may have expired
+            shared.sessions.end(live.row.id)
 
 
 def _attached(session: str, shared: Shared, caller: str) -> LiveEpisode:
@@ -348,8 +317,8 @@ def _attached(session: str, shared: Shared, caller: str) -> LiveEpisode:
         return LiveEpisode(row, shared, caller)
 
 
-def _chosen(command: Start, shared: Shared, last: Episode | None) -> tuple[Episode, list[str], int | None]:
-    """The flight at its start, who flies, and the number of the one that goes on from the fork."""
+def _choose(command: Start, shared: Shared, last: Episode | None) -> tuple[Episode, list[str], int | None]:
+    """The episode at its start, the agents, and the index of the one that flies the fork."""
     task, fork, agents = get_task(command.task), command.fork, list(command.pilots)
     for pilot in agents:
         require_pilot(pilot, task, shared.networks)
@@ -359,49 +328,29 @@ def _chosen(command: Start, shared: Shared, last: Episode | None) -> tuple[Episo
     start = start_episode(ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile), None)
     if fork is None:
         return start, agents, None
-    # A fork is the last one's; a person who goes on with a flight of his own may have others behind him.
+    # The last pilot flies the fork; a person's own flight may be listed before others.
     own = fork.step == 0 and HUMAN in agents
     forking = agents.index(HUMAN) if own else len(agents) - 1
-    agents[forking] = check_agent(str(Credit.of_fork(agents[forking], fork.step, fork.of)))
+    agents[forking] = check_agent(str(Provenance.of_fork(agents[forking], fork.step, fork.of)))
     return start, agents, forking
 
 
-async def _begin(
-    shared: Shared, caller: str, map_of: MapOf, agent: str, forked: list[Direction] | None, ahead: int
-) -> Beginning:
-    """What a flight begins with: `forked` if that is given, else, of a pilot, its own first `ahead` steps."""
-    credit = Credit.parse(agent)
-    run = partial(shared.workers.run, caller=caller, task=map_of.task.id)
-    directions, planned = forked or [], None
-    if forked is None and credit.pilot != HUMAN and ahead:
-        planned = await run(plan, map_of, credit.pilot, (), 0)
-        directions = [DIRECTIONS[action] for action in planned[:ahead]]
-    if not directions:
-        return (), None, planned
-    actions = [int(Action[direction]) for direction in directions]
-    frames = await run(frames_json, map_of, agent, directions)  # says if it goes on after the end
-    if forked is not None and credit.pilot != HUMAN:
-        planned = await run(plan, map_of, credit.pilot, actions, credit.forked_at or 0, True)
-    return actions, frames, planned
-
-
-def _open(shared: Shared, caller: str, map_of: MapOf, flights: Iterable[tuple[str, Beginning]]) -> Opened:
-    task, seed, profile = map_of
-    opened: Opened = []
+def _open(
+    shared: Shared, caller: str, start: Episode, agents: Sequence[str], beginnings: Sequence[Beginning | None]
+) -> Opened:
+    task, profile = start.task.id, start.reward_profile.id
+    opened: list[LiveEpisode] = []
+    views: list[str] = []
     try:
-        for agent, (actions, frames, planned) in flights:
-            options = ResetOptions(task_name=task.id, seed=seed, reward_profile=profile, agent=agent)
+        for agent, beginning in zip(agents, beginnings, strict=True):
+            options = ResetOptions(task_name=task, seed=start.seed, reward_profile=profile, agent=agent)
             session, _ = shared.sessions.reset(None, options, flat_json)
             live = _attached(session, shared, caller)
-            opened.append((live, ""))
+            opened.append(live)
+            actions, frames, planned = beginning or ((), None, None)
             live.begin_with(actions, planned)
-            opened[-1] = live, _shown(live, frames)
+            views.append(live.view_json(frames))
     except BaseException:
-        end_all([live for live, _ in opened])
+        end_all(opened, shared)
         raise
-    return opened
-
-
-def _shown(live: LiveEpisode, frames: str | None) -> str:
-    opening = Opening.of(live.map_of.start(), live.row.agent, live.row.id).model_dump_json()
-    return f'{{"opening":{opening},"frames":{frames or to_json([live.look()]).decode()}}}'
+    return list(zip(opened, views, strict=True))

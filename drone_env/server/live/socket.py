@@ -1,12 +1,12 @@
-"""The WebSocket `/live`: commands of a page in, frames of its episodes out.
+"""The WebSocket `/live`: receives the commands of a page, sends the frames of its episodes.
 
-The episodes are flown in HTTP sessions, so they outlive the connection and the process: a page that comes back attaches
-to them. On the wire they are flights, by their number among those of the page.
+The episodes belong to HTTP sessions, so they outlive the connection and the process: a page that reconnects attaches to
+them. Messages call them flights and number them per page.
 """
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -32,8 +32,9 @@ PROTOCOL = "drone-env"
 """The subprotocol that browsers offer beside `bearer.TOKEN`: they cannot send headers with a WebSocket."""
 TOO_MANY_PAGES = "too many pages are open"
 SPEED = 6.0
-FEED_SECONDS = 0.25
-Moved = list[tuple[int, list[Frame]]]
+POLL_SECONDS = 0.25
+Moved = Sequence[tuple[int, Frame]]
+"""The new frame of each flight that moved, with the number of the flight."""
 
 
 class LiveSocket:
@@ -48,9 +49,9 @@ class LiveSocket:
         self.pages: set[Page] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one page until it goes."""
+        """Serve one page until it disconnects."""
         socket = WebSocket(scope, receive, send)
-        # Clients may go at any time, even before the server accepts them.
+        # Clients may disconnect at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
             if len(self.pages) >= self.shared.settings.capacity:
@@ -64,7 +65,7 @@ class LiveSocket:
                 self.pages.discard(page)
 
     def keep_sessions(self) -> None:
-        """Count the sessions of all open pages as used: a flight that is looked at may be paused for long.
+        """Mark the sessions of all open pages as used, because a page may pause a flight for long.
 
         Raises:
             StoreError: if the store could not be written.
@@ -75,7 +76,7 @@ class LiveSocket:
 
 
 class Page:
-    """One open page: its episodes, and whether they are flying."""
+    """One open page and its episodes."""
 
     def __init__(self, socket: WebSocket, shared: Shared) -> None:
         self.episodes: list[LiveEpisode] = []
@@ -87,17 +88,17 @@ class Page:
         self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
-        self._lacking = asyncio.Event()
-        self._feed: Feed | None = None
+        self._values_due = asyncio.Event()
+        self._subscription: Subscription | None = None
         self._subscribed = asyncio.Event()
         self._tasks: TaskGroup
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
+        """Serve the page until it disconnects."""
         try:
             async with anyio.create_task_group() as tasks:
                 self._tasks = tasks
-                for work in (self._listen, self._play, self._watch_values, self._tell_news):
+                for work in (self._listen, self._play, self._watch_values, self._watch_topics):
                     tasks.start_soon(work)
         finally:
             for live in self.episodes:
@@ -105,11 +106,11 @@ class Page:
 
     async def _listen(self) -> None:
         async for data in received(self._socket, LARGE):
-            await self._answering(self._obey, data or b"")
+            await self._reporting(self._obey, data or b"")
         self._tasks.cancel_scope.cancel()
 
-    async def _answering(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
-        """Do something, and send the page what goes wrong, unless `silent`. Whether it went well."""
+    async def _reporting(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
+        """Call `act`, send its errors to the page unless `silent`, and return whether it succeeded."""
         try:
             await act(*arguments)
         except Exception as error:
@@ -123,7 +124,7 @@ class Page:
         async with self._flying:
             match command:
                 case Subscribe(topics=topics):
-                    self._feed = Feed(self._shared, topics) if topics else None
+                    self._subscription = Subscription(self._shared, topics)
                     self._subscribed.set() if topics else self._subscribed.clear()
                 case Plain(type="pause"):
                     await self._set_playing(False)
@@ -133,15 +134,18 @@ class Page:
                 case Plain(type="step"):
                     await self._step_all()
                 case Fly(flight=number, direction=direction):
-                    await self._tell([(number, await run_in_threadpool(self._at(number).fly, direction))])
+                    await self._send_frames([(number, await run_in_threadpool(self._at(number).fly, direction))])
                 case ByHand(type="undo", flight=number):
-                    await self._undo(number)
+                    live = self._at(number)
+                    await run_in_threadpool(live.undo)
+                    steps, by = live.episode.steps, live.row.agent
+                    await self._send({"type": "undone", "flight": number, "step": steps, "by": by})
                 case ByHand(flight=number):  # "help"
                     live = self._at(number)
                     frame = await run_in_threadpool(live.help)
                     await self._send({"type": "helped", "flight": number, "by": live.row.agent, "frame": frame})
                     await self._send_values(number, live)
-                    self._lacking.set()
+                    self._values_due.set()
                 case Start():
                     last = self.episodes[0].episode if self.episodes else None
                     opened = await open_flights(command, self._shared, self._caller, last)
@@ -158,14 +162,6 @@ class Page:
             raise UnknownNameError("flight", str(number), [str(i) for i in range(len(self.episodes))])
         return self.episodes[number]
 
-    async def _undo(self, number: int) -> None:
-        live = self._at(number)
-        missed = await run_in_threadpool(live.undo)
-        if missed:
-            await self._tell([(number, missed)])
-        else:
-            await self._send({"type": "undone", "flight": number, "step": live.episode.steps, "by": live.row.agent})
-
     async def _step_all(self) -> None:
         automatic = [(number, live) for number, live in enumerate(self.episodes) if live.automatic]
         for _, live in automatic:
@@ -174,26 +170,26 @@ class Page:
         def step_all() -> Moved:
             return [(number, live.step()) for number, live in automatic]
 
-        await self._tell(await run_in_threadpool(step_all))
+        await self._send_frames(await run_in_threadpool(step_all))
 
-    async def _replace(self, opened: Opened, asked: int | None) -> None:
-        """Show these episodes, and give up those before them that are not among them."""
-        kept = {live.row.id for live, _ in opened}
-        left = [live for live in self.episodes if live.row.id not in kept]
+    async def _replace(self, opened: Opened, request: int | None) -> None:
+        """Show these episodes, and end the sessions of the others."""
+        sessions = {live.row.id for live, _ in opened}
+        left = [live for live in self.episodes if live.row.id not in sessions]
         for live in self.episodes:
             live.leave()
         self.episodes = [live for live, _ in opened]
         self._end_sent.clear()
         await self._set_playing(False)
-        await run_in_threadpool(end_all, left)
-        rest = to_json({"number": asked, "playing": self.playing, "speed": self.speed}).decode()[1:]
-        await self._send_text(f'{{"type":"flights","flights":[{",".join(shown for _, shown in opened)}],{rest}')
-        await self._tell([])
+        await run_in_threadpool(end_all, left, self._shared)
+        rest = to_json({"number": request, "playing": self.playing, "speed": self.speed}).decode()[1:]
+        await self._send_text(f'{{"type":"flights","flights":[{",".join(view for _, view in opened)}],{rest}')
+        await self._send_frames([])
 
-    async def _tell(self, moved: Moved) -> None:
-        """Tell of new frames, and of episodes that have ended."""
-        frames = [{"flight": number, "frame": frame} for number, new in moved for frame in new]
-        if frames:
+    async def _send_frames(self, moved: Moved) -> None:
+        """Send new frames, and the results of episodes that have ended."""
+        if moved:
+            frames = [{"flight": number, "frame": frame} for number, frame in moved]
             await self._send({"type": "frames", "frames": frames})
         for number, live in enumerate(self.episodes):
             if live.episode.ended and live not in self._end_sent:
@@ -202,18 +198,18 @@ class Page:
                     await self._send({"type": "ended", "flight": number, "episode": row})
                 await self._send_values(number, live)
         if any(live.lacks_values for live in self.episodes):
-            self._lacking.set()
+            self._values_due.set()
 
     async def _watch_values(self) -> None:
-        """Find out what could be reached at the frames that were sent without it, and send that, forever."""
+        """Compute and send the values of frames that were sent without them, forever."""
         while True:
-            await self._lacking.wait()
-            self._lacking.clear()
+            await self._values_due.wait()
+            self._values_due.clear()
             for number, live in enumerate(self.episodes):
                 if live.lacks_values:
-                    await self._answering(self._find_values, number, live)
+                    await self._reporting(self._solve, number, live)
 
-    async def _find_values(self, number: int, live: LiveEpisode) -> None:
+    async def _solve(self, number: int, live: LiveEpisode) -> None:
         with suppress(TooLargeError, LeftError):
             await live.solve()
         async with self._flying:
@@ -221,7 +217,7 @@ class Page:
                 await self._send_values(number, live)
 
     async def _send_values(self, number: int, live: LiveEpisode) -> None:
-        values = live.reachable()
+        values = live.shown_values()
         if values is not None:
             regrets = [values[0] - value for value in values]
             await self._send({"type": "values", "flight": number, "values": values, "regrets": regrets})
@@ -232,23 +228,23 @@ class Page:
         await self._send({"type": "playing", "playing": playing, "speed": self.speed})
 
     async def _play(self) -> None:
-        """Let the episodes fly while they are to, forever."""
+        """Fly the automatic episodes while `playing`, forever."""
         clock = asyncio.get_running_loop().time
         ticked = 0.0
         while True:
             pause = ticked + 1 / self.speed - clock() if self.playing else None
             if pause is None or pause > 0:
-                # Woken by a pause or another speed, it looks again.
+                # A pause or a new speed ends the wait.
                 self._changed.clear()
                 with suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._changed.wait(), pause)
                 continue
             ticked = clock()
-            if not await self._answering(self._tick):
+            if not await self._reporting(self._tick):
                 await self._set_playing(False)
 
     async def _tick(self) -> None:
-        # Without the lock, so that the page can pause or start another flight while a pilot plans.
+        # Plans without the lock, so that the page can pause or start another flight meanwhile.
         with suppress(LeftError):
             for live in self.episodes:
                 if live.automatic:
@@ -260,17 +256,17 @@ class Page:
             if not any(live.automatic for live in self.episodes):
                 await self._set_playing(False)
 
-    async def _tell_news(self) -> None:
-        """Look for news while the page wants any: other processes write the log and the store."""
+    async def _watch_topics(self) -> None:
+        """Poll the topics that the page subscribed to: other processes write the log and the store."""
         failing = False
         while True:
             await self._subscribed.wait()
-            failing = not await self._answering(self._send_news, silent=failing)
-            await asyncio.sleep(FEED_SECONDS)
+            failing = not await self._reporting(self._send_updates, silent=failing)
+            await asyncio.sleep(POLL_SECONDS)
 
-    async def _send_news(self) -> None:
-        if self._feed is not None:
-            for message in await run_in_threadpool(list, self._feed.news()):
+    async def _send_updates(self) -> None:
+        if self._subscription is not None:
+            for message in await run_in_threadpool(list, self._subscription.updates()):
                 await self._send(message)
 
     async def _send(self, message: dict[str, Any]) -> None:
@@ -278,17 +274,17 @@ class Page:
 
     async def _send_text(self, text: str) -> None:
         if self._socket.application_state is not WebSocketState.CONNECTED:
-            return  # the page has gone
-        # Where it goes just now, `_listen` hears of that, after the last that the page has said.
+            return
+        # `_listen` handles disconnects, after the last command of the page.
         with suppress(WebSocketDisconnect, OSError):
             await self._socket.send_text(text)
 
 
 def _problem(error: Exception) -> dict[str, str]:
-    """What a page receives of an error."""
+    """Code and detail of an error, for the page."""
     status, code = (503, "unavailable") if isinstance(error, OSError) else status_of(error, "")
     if status == 500:
-        # Unforeseen: a page that lost its connection for it would come back and meet it again, forever.
+        # The connection stays open: a page would reconnect and cause the same error again.
         log.error("/live failed", exc_info=error)
     return {"code": code, "detail": FAILED if status == 500 else str(error)}
 
@@ -297,12 +293,12 @@ EPISODES = 50
 LINES = 200
 
 
-class Feed:
-    """The news of some topics, for one page.
+class Subscription:
+    """The messages of some topics, for one page.
 
     Args:
         shared: The parts of the server.
-        topics: Which news the page wants.
+        topics: The topics.
     """
 
     def __init__(self, shared: Shared, topics: list[Topic]) -> None:
@@ -312,8 +308,8 @@ class Feed:
         self._episode: int | None = None
         self._log = TrainLog(shared.settings.data)
 
-    def news(self) -> Iterator[dict[str, Any]]:
-        """The messages that are due; at first what there is, then what is new.
+    def updates(self) -> Iterator[dict[str, Any]]:
+        """The messages since the last call; the first call returns the current state.
 
         Raises:
             StoreError: if the store cannot be read.

@@ -1,4 +1,4 @@
-"""The routes that say what there is: tasks, graders, health."""
+"""The routes that list tasks, graders, cell kinds and pilots, and the health check."""
 
 from fastapi import APIRouter
 
@@ -8,7 +8,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import COLOURS, HUMAN, PILOTS, can_fly, tasks_of
+from drone_env.server.pilots import COLOURS, HUMAN, all_pilots, can_fly
 from drone_env.server.predict import SOURCES
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
@@ -42,57 +42,49 @@ async def tasks() -> TaskList:
 
 @router.get("/tasks/{task_name}", responses=answers(404, 422))
 def one_task(shared: SharedParts, task_name: str) -> OneTask:
-    """One task with all its numbers, and who can fly it. A drawn map that is kept is found by its name alone."""
+    """One task with all its numbers, and its pilots. Stored drawings are found by name; `/tasks` does not list them."""
     return describe(get_task(task_name), shared)
 
 
 def describe(task: TaskConfig, shared: Shared) -> OneTask:
-    """A task as the page needs it to fly it."""
-    flying = [name for name in PILOTS if can_fly(name, task, shared.networks)]
+    """A task and its pilots."""
+    flying = [name for name in all_pilots() if can_fly(name, task, shared.networks)]
     return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
 
 
 @router.get("/graders")
 async def graders() -> GraderList:
-    """The graders: functions that can be imported under these names."""
+    """The graders: functions with these import paths."""
     found = [GraderInfo(id=task.grader, task=task.id) for task in TASKS.values()]
     return GraderList(graders=found, ids=[grader.id for grader in found])
 
 
 @router.get("/kinds")
 async def kinds() -> KindList:
-    """What can stand in a cell of a map."""
+    """The kinds of cells."""
     return KindList(kinds=[KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()])
 
 
 @router.get("/pilots")
 def pilots(shared: SharedParts) -> PilotList:
-    """Who can fly on the page, and which tasks; a network of your own is among them once it is trained."""
-    return PilotList(
-        pilots=[
-            PilotInfo(
-                id=name,
-                name=pilot.name,
-                summary=pilot.summary,
-                colour=min(colour, COLOURS),
-                automatic=name != HUMAN,
-                tasks=tasks_of(name, shared.networks),
-            )
-            for colour, (name, pilot) in enumerate(PILOTS.items(), 1)
-            if not (name in SOURCES and SOURCES[name].trained) or tasks_of(name, shared.networks)
-        ],
-        most=MOST_EPISODES,
-    )
+    """The pilots of the page and their tasks; networks that you trained are included."""
+    pilots: list[PilotInfo] = []
+    for colour, (name, pilot) in enumerate(all_pilots().items(), 1):
+        tasks = [task.id for task in TASKS.values() if can_fly(name, task, shared.networks)]
+        if tasks or name not in SOURCES or not SOURCES[name].trained:
+            look, automatic = min(colour, COLOURS), name != HUMAN
+            pilots.append(PilotInfo(id=name, **pilot._asdict(), colour=look, automatic=automatic, tasks=tasks))
+    return PilotList(pilots=pilots, most=MOST_EPISODES)
 
 
 @router.head("/health", include_in_schema=False)
 @router.get("/health", responses=answers(503))
 async def health(shared: SharedParts) -> Health:
-    """Whether the server is well, and its files where they belong; answered without a token."""
+    """Whether the server works and its files are in place; requires no token."""
     try:
         shared.store.check()
     except StoreError:
-        # Not the error itself: no stranger needs to know where the folder is.
-        why = "files of the data folder were deleted, moved or replaced while they were in use: nothing more is kept"
-        raise RequestError(503, "store", f"{why} until they are back, or the server is started again") from None
+        # The error itself would reveal the folder.
+        why = "files of the data folder were deleted, moved or replaced while in use: nothing more is stored"
+        raise RequestError(503, "store", f"{why} until they are back or the server restarts") from None
     return Health(version=__version__)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Header, Request, Response
-from pydantic import ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
@@ -47,13 +47,12 @@ from drone_env.server.state import (
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
 STEP_HEADER = "x-step-count"
-LONGEST_COUNT = 9
-"""Digits of a count of steps; no task has that many."""
+STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {
         HEADER: {"description": "The session.", "schema": {"type": "string"}},
-        SHARED_HEADER: {"description": "The address whose callers share it.", "schema": {"type": "string"}},
+        SHARED_HEADER: {"description": "The address of the callers that share it.", "schema": {"type": "string"}},
     },
     "links": {
         name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
@@ -75,24 +74,24 @@ def reset(
 
     Callers that name none share the session of their address, unless the server has a token or a proxy.
 
-    An empty body is the same as `{}`. The answer is a `DroneObservation` with the `session_id`; where the body has
-    `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
+    An empty body equals `{}`. The response is a `DroneObservation` with the `session_id`. If the body contains
+    `episode_id`, as from OpenEnv's clients, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
     show = flat_json if options.episode_id is None else openenv_json
     session, first = shared.sessions.reset(caller.named, options, show, caller.address)
-    # Built from the rules, so it is not validated again; the tests hold it against the documented models.
+    # Not validated again, for speed; tests compare it with the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
     caller.tell(session, response)
     secure = request.url.scheme == "https"
-    # A frame of another site needs SameSite=None, which browsers take over https alone.
+    # A frame in another site requires SameSite=None, which browsers accept over https only.
     response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
     return response
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
 def end_session(shared: SharedParts, caller: CallerOf, response: Response) -> None:
-    """End the session, so that its place is free for others. An episode that has not ended is dropped."""
+    """End the session and free its place. An unfinished episode is dropped."""
     shared.sessions.end(caller.session(shared, response))
     response.delete_cookie(COOKIE)
 
@@ -135,7 +134,7 @@ async def solution(request: Request, shared: SharedParts, caller: CallerOf, answ
 
     episode = await run_in_threadpool(flown)
     if not episode.ended:
-        raise RequestError(409, "in_flight", "the best flight is shown once the episode has ended")
+        raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
     best, path = await shared.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
     return SolutionAnswer(
         task=episode.task.id,
@@ -152,15 +151,15 @@ async def solution(request: Request, shared: SharedParts, caller: CallerOf, answ
 
 @router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415), openapi_extra=LARGE_BODY)
 def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: PredictRequest | None = None) -> Prediction:
-    """What the trained network would do: about the observation in the body, or, without one, about the session's."""
+    """The action of the trained network for the observation in the body, or without one for the session's."""
     if body is not None:
         if body.done:
-            raise RequestError(422, "ended", "the episode of this observation has ended: there is nothing to fly")
+            raise RequestError(422, "ended", "the episode of this observation has ended: there is no next action")
         return shared.networks.predict(*arrays_of(body))
     with shared.sessions.reading(caller.session(shared, answer)) as session:
         episode = session.fly()
         if episode.ended:
-            raise RequestError(409, "ended", "the episode has ended: POST /reset starts another")
+            raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
         task, observation = episode.task, episode.observation()
     return shared.networks.predict(task, observation)
 
@@ -168,39 +167,36 @@ def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: Predi
 class StepRoute(JsonRoute):
     """Flies a valid step without FastAPI, whose overhead exceeds the cost of the step.
 
-    FastAPI answers all others: it knows what is wrong with them.
+    Invalid ones go to FastAPI, which explains the error.
     """
 
     async def answer(
         self, request: JsonRequest, validated: Callable[[Request], Coroutine[Any, Any, Response]]
     ) -> Response:
-        """The answer to a request whose body has been parsed."""
-        caller, after = Caller.of(request), request.headers.get(STEP_HEADER)
-        counted = after is None or (after.isascii() and after.isdecimal() and len(after) <= LONGEST_COUNT)
-        if len(caller.named or "") > LONGEST_ID or not counted:
+        """The response to a request with a parsed body."""
+        caller = Caller.of(request)
+        if len(caller.named or "") > LONGEST_ID:
             return await validated(request)
         try:
             body = StepRequest.model_validate(request.value)
+            after = STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
         except ValidationError:
             return await validated(request)
         shared: Shared = request.app.state.shared
-        step_count = None if after is None else int(after)
-        return await asyncio.get_running_loop().run_in_executor(
-            shared.steps, _advance, shared, caller, body, step_count
-        )
+        return await asyncio.get_running_loop().run_in_executor(shared.steps, _advance, shared, caller, body, after)
 
 
 def _advance(shared: Shared, caller: Caller, body: StepRequest, after: int | None) -> Response:
     session, show = caller.session(shared), flat_json if body.action is None else openenv_json
     _, stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
-    answer = Response(stepped, media_type="application/json")
+    response = Response(stepped, media_type="application/json")
     if caller.named is None:
-        caller.tell(session, answer)
-    return answer
+        caller.tell(session, response)
+    return response
 
 
 stepping = APIRouter(tags=["flight"], route_class=StepRoute)
-"""Goes before all others: most requests are steps."""
+"""Matched first, because most requests are steps."""
 
 
 @stepping.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
@@ -213,15 +209,15 @@ def step(
         Header(
             alias=STEP_HEADER,
             ge=0,
-            description="The `step_count` that this action follows: it is then flown once, however often it is sent.",
+            description="The `step_count` before this action; a repeated request is then flown once.",
         ),
     ] = None,
 ) -> Response:
     """Fly one action.
 
-    `{"direction": "UP"}` is answered with a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` with
-    `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` says so.
+    `{"direction": "UP"}` returns a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` returns
+    `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` explains it.
 
-    With `X-Step-Count` an action is not flown twice: sent again after a lost answer, it is answered as it was.
+    With `X-Step-Count` the server flies a repeated request once and returns the same response.
     """
     return _advance(shared, caller, body, after)

@@ -1,4 +1,4 @@
-"""The routes that look back: finished episodes, their figures, and the logs."""
+"""The routes for finished episodes, their statistics, and the logs."""
 
 from typing import Annotated
 
@@ -24,16 +24,16 @@ FOLLOWERS = 32
 
 
 class Requests(Message):
-    """The last requests that this process answered, oldest first."""
+    """The last requests to this process, oldest first."""
 
     requests: Annotated[list[LoggedRequest], Field(description="At most 200.")]
 
 
 @router.get("/analyse/{task_name}", responses=answers(404, 422, 503))
 def analyse(shared: SharedParts, task_name: str) -> AnalysisAnswer:
-    """Figures of the finished episodes of a task."""
-    found = shared.store.analysis(task_name)
-    return AnalysisAnswer(**dict(found), status="Success" if found.episodes else "No data")
+    """Statistics of the finished episodes of a task."""
+    analysis = shared.store.analysis(task_name)
+    return AnalysisAnswer(**dict(analysis), status="Success" if analysis.episodes else "No data")
 
 
 @router.get("/memory_logs", responses=answers(503))
@@ -45,11 +45,11 @@ def memory_logs(shared: SharedParts) -> EpisodeSummaries:
 @router.get("/episodes", responses=answers(404, 422, 503))
 def episodes(
     shared: SharedParts,
-    task: Annotated[str | None, Query(max_length=100, description="Of this task only.")] = None,
-    agent: Annotated[str | None, Query(max_length=200, description="By this agent only.")] = None,
-    seed: Annotated[int | None, Query(ge=0, le=MAX_SEED, description="Over the map of this number only.")] = None,
+    task: Annotated[str | None, Query(max_length=100, description="Id or short name of a task.")] = None,
+    agent: Annotated[str | None, Query(max_length=200, description="The agent as in the records.")] = None,
+    seed: Annotated[int | None, Query(ge=0, le=MAX_SEED, description="Number of the map.")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the page before.")] = None,
+    before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the last page.")] = None,
 ) -> EpisodePage:
     """Finished episodes, newest first."""
     found = shared.store.listed(limit + 1, task, agent, before, seed=seed)
@@ -59,7 +59,7 @@ def episodes(
 
 @router.get("/episodes/{episode_id}", responses=answers(404, 422, 503), response_model_exclude_none=True)
 def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
-    """The record of a finished episode: a file for `drone-env replay`."""
+    """The record of a finished episode, as `drone-env replay` reads it."""
     return shared.store.episode(episode_id).record
 
 
@@ -87,29 +87,29 @@ def logs(shared: SharedParts) -> LogLines:
     responses=answers(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
 async def terminal_logs(request: Request, shared: SharedParts) -> Response:
-    """The requests that this process answered: as JSON, or live with `Accept: text/event-stream`."""
+    """The requests to this process: as JSON, or live with `Accept: text/event-stream`."""
     if "text/event-stream" in request.headers.get("accept", ""):
         return _LiveRequests(shared.requests)
     return JSONResponse(Requests(requests=shared.requests.since(0)).model_dump())
 
 
 class _LiveRequests(EventSourceResponse):
-    """The requests as server-sent events, for a bounded number of callers: each request is written to all of them."""
+    """The requests as server-sent events, for a bounded number of callers."""
 
     def __init__(self, log: RequestLog) -> None:
         super().__init__(log.follow(), ping=15)
         self._log = log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send them until the caller goes."""
+        """Send them until the caller disconnects."""
         if self._log.followers >= FOLLOWERS:
-            error = RequestError(503, "no_room", f"{FOLLOWERS} callers follow the requests, and no more may: try later")
+            error = RequestError(503, "no_room", f"{FOLLOWERS} callers follow the requests, the maximum: try later")
             await answer_to(error, scope)(scope, receive, send)
             return
         self._log.followers += 1
         try:
             await super().__call__(scope, receive, send)
-            # The server ends, or the caller has gone.
+            # The server stops, or the caller has disconnected.
             await send({"type": "http.response.body", "body": b"", "more_body": False})
         finally:
             self._log.followers -= 1

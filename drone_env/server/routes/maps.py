@@ -1,4 +1,4 @@
-"""The routes of the map editor: a map as a drawing, what a drawing is worth, and drawings that are kept as tasks."""
+"""The routes of the map editor: a map as a drawing, the optimum of a drawing, and drawings stored as tasks."""
 
 from itertools import groupby
 from typing import Annotated, Literal, get_args
@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
-from drone_env.city.city_file import MAX_TEXT, TEXTS, City, city_text, parse_city
+from drone_env.city.city_file import MAX_TEXT, City, city_text, parse_city
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
@@ -30,47 +30,41 @@ router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
 REFUSALS = answers(400, 413, 415, 422, 503)
 Number = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
-"""A `Position` as a list: testers of APIs stumble over tuples that come and go."""
+"""A `Position` as a list, because API test tools do not support tuples in requests."""
 EXAMPLE: JsonValue = {"cells": [[0, 1, 0], [0, 3, 0], [0, 0, 8]], "start": [0, 0], "parcels": [[2, 0]]}
 KINDS = ", ".join(f"{kind:d} {CELL_KINDS[kind].name}" for kind in PLACED)
 
 
 class DrawnMap(Message):
-    """A map as it is drawn: the file of a city as JSON, with start and parcels."""
+    """A drawing: the file of a city as JSON, with start and parcels."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE]})
 
     cells: list[Annotated[list[int], Field(max_length=MAX_SIDE, fail_fast=True)]] = Field(
         max_length=MAX_SIDE, fail_fast=True, description=f"[y][x], kinds of the cells: {KINDS}."
     )
-    start: Pair = Field(description="[x, y] where the drone starts, a road.")
+    start: Pair = Field(description="[x, y] where the drone starts; a road.")
     parcels: list[Pair] = Field(
-        min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel, roads."
+        min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel; roads."
     )
-    numbers: dict[Number, int] = Field(default={}, description="Numbers of the task that do not follow from its size.")
-    attribution: str = Field(default="", max_length=MAX_TEXT, description="Whose data its terrain is.")
-    licence: str = Field(default="", max_length=MAX_TEXT, description="Under which licence that may be handed on.")
-    source: str = Field(default="", max_length=MAX_TEXT, description="Name of the file that it was made from.")
-    cell: float | None = Field(default=None, description="Metres along the side of a cell.")
-    bbox: list[float] | None = Field(default=None, min_length=4, max_length=4, description="West, south, east, north.")
+    numbers: dict[Number, int] = Field(default={}, description="Numbers other than the defaults.")
+    attribution: str = Field(default="", max_length=MAX_TEXT, description="Source of the terrain data.")
+    licence: str = Field(default="", max_length=MAX_TEXT, description="Licence of the terrain data.")
 
     @classmethod
     def of(cls, city: City) -> Self:
-        """A map of a city as a drawing: what the city leaves to the seed is as on its map 0.
+        """A city as a drawing; its map 0 if the city generates maps.
 
         Raises:
-            InvalidTaskError: if the city is no task.
+            InvalidTaskError: if the city is not a valid task.
         """
         drawn = cls.from_episode(Episode(drawn_task(city, "city"), seed=0))
         numbers = {name: number for name, number in city.numbers.items() if name in drawn.numbers}
-        about = {name: getattr(city, name) for name in (*TEXTS, "cell")}
-        whole = np.shape(drawn.cells) == city.grid.shape
-        bbox = list(city.bbox) if city.bbox and whole else None
-        return drawn.model_copy(update={"numbers": numbers, "bbox": bbox, **about})
+        return drawn.model_copy(update={"numbers": numbers, "licence": city.licence})
 
     @classmethod
     def from_episode(cls, episode: Episode) -> Self:
-        """The map of an episode at its start as a drawing, with the numbers of its task."""
+        """The map of an episode at its start as a drawing."""
         task, (x, y) = episode.task, episode.position
         cells = episode.grid()
         cells[y, x] = episode.under
@@ -84,51 +78,48 @@ class DrawnMap(Message):
         )
 
     def city(self) -> City:
-        """It as a city.
+        """The city of the drawing.
 
         Raises:
-            InvalidTaskError: if it is none; the message says why.
+            InvalidTaskError: if it is not a valid city.
         """
         widths, kinds = {len(row) for row in self.cells}, {kind for row in self.cells for kind in row}
         if len(widths) != 1:
             raise InvalidTaskError("cells must be rows of equal width")
         if not kinds <= set(PLACED):
-            raise InvalidTaskError(f"cells hold {KINDS}; got {min(kinds.difference(PLACED))}")
+            raise InvalidTaskError(f"cells must be {KINDS}; got {min(kinds.difference(PLACED))}")
         return City(
             np.array(self.cells, np.uint8),
             self.attribution,
             self.licence,
-            self.source,
-            self.cell,
-            None if self.bbox is None else (self.bbox[0], self.bbox[1], self.bbox[2], self.bbox[3]),
-            (self.start[0], self.start[1]),
-            tuple((x, y) for x, y in self.parcels),
-            {str(name): number for name, number in self.numbers.items()},
+            start=(self.start[0], self.start[1]),
+            parcels=tuple((x, y) for x, y in self.parcels),
+            numbers={str(name): number for name, number in self.numbers.items()},
         )
 
 
 class BestFlight(Message):
     """A best flight over a map."""
 
-    score: Score = Field(description="The highest score that any flight can reach.")
-    success: bool = Field(description="Whether it delivers all parcels; else battery or steps last for no more.")
+    score: Score = Field(description="The highest possible score.")
+    success: bool = Field(description="Whether it delivers all parcels; otherwise battery or steps do not suffice.")
     deliveries: Count
-    steps: Count = Field(description="Steps to its end.")
-    path: list[Position] = Field(description="[x, y] of the drone from its start on; where it waits, once.")
+    steps: Count = Field(description="Length in steps.")
+    path: list[Position] = Field(description="[x, y] of the drone from the start; a wait adds none.")
 
 
 class MapWorth(Message):
-    """What a map is worth, and its file."""
+    """The optimum of a drawing, and its file."""
 
-    name: str = Field(description="Name of the task that it is once it is kept.")
-    toml: str = Field(description="Its file: the city that every command flies.")
-    numbers: dict[Number, Count] = Field(description="The numbers that it is flown with.")
-    optimum: BestFlight | None = Field(description="A best flight; null where the map is too large to be solved.")
-    bounds: tuple[Score, Score] | None = Field(description="If that is null, what the optimum lies between, if known.")
+    name: str = Field(description="Name of its task if it is stored.")
+    toml: str = Field(description="Its city file, which every command accepts.")
+    numbers: dict[Number, Count] = Field(description="The numbers of its task.")
+    optimum: BestFlight | None = Field(description="A best flight; null if the map is too large to be solved.")
+    bounds: tuple[Score, Score] | None = Field(description="Bounds of the optimum if it is null, if known.")
 
 
 class CityFile(Message):
-    """What the file of a city holds."""
+    """The file of a city."""
 
     toml: str = Field(description="Its text.")
 
@@ -137,28 +128,27 @@ class CityFile(Message):
 async def drawn_map(
     request: Request, shared: SharedParts, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
 ) -> Response:
-    """A map as a drawing, to be changed. A drawing is flown by the rules of `skyline`, whatever it was made from."""
+    """A map as a drawing. The rules of drawings are those of `skyline`."""
     return await shared.json(request, _drawing, task_name, seed, task=task_name)
 
 
 @router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def file_as_map(request: Request, shared: SharedParts, file: Annotated[CityFile, Body()]) -> Response:
-    """The file of a city as a drawing; what it leaves to the seed is as on its map 0."""
+    """The file of a city as a drawing; its map 0 if the city generates maps."""
     return await shared.json(request, _file_as_map, file.toml)
 
 
 @router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def worth(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> Response:
-    """What a drawing is worth: the best score that any flight over it can reach, and the text of its file."""
+    """The optimum of a drawing, and the text of its file."""
     return await shared.json(request, _worth, drawn)
 
 
 @router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def keep_map(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
-    """Keep a drawing as a task, whose name follows from what is drawn; its only map is number 0.
+    """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
-    It is found by that name from then on, by all who know it; the lists of tasks do not name it. If the server has no
-    room for another map, the one that was not used for longest is forgotten.
+    Callers find it by its name; no list contains it. If the server is full, it deletes the least recently used map.
     """
     settings = shared.settings
     stranger = None if settings.token is not None else stranger_address(request.scope, settings.host)
@@ -192,7 +182,7 @@ def _worth(drawn: DrawnMap) -> str:
         found = {name: getattr(best, name) for name in ("score", "success", "deliveries", "steps")}
         optimum = BestFlight(**found, path=path)
     except TooLargeError:
-        from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
+        from drone_env.planning.bounds import bounds  # Imported lazily: compiling takes seconds.
 
         try:
             between = bounds(episode)

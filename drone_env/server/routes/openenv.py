@@ -1,8 +1,8 @@
-"""The routes that OpenEnv's tools look for: metadata, schemas, the task API, MCP."""
+"""The routes of OpenEnv's tools: metadata, schemas, the task API, MCP."""
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Depends, Path
+from fastapi import APIRouter, Body
 from pydantic import Field
 
 from drone_env import __version__
@@ -13,22 +13,14 @@ from drone_env.server.openenv import mcp_answer
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, WireAction, WireObservation
 
-
-async def _check_name(
-    env_name: Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])],
-) -> None:
-    if env_name.lower() != ENV_NAME:
-        raise RequestError(404, "unknown_name", f"unknown environment {env_name!r}; there is {ENV_NAME!r}")
-
-
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
-named = APIRouter(prefix="/{env_name}", dependencies=[Depends(_check_name)], route_class=JsonRoute)
-BODY_ERRORS = answers(400, 404, 413, 415, 422)
+named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
+BODY_ERRORS = answers(400, 413, 415, 422)
 api = TaskApi()
 
 
 class Metadata(Message):
-    """What the environment is."""
+    """Name and description of the environment."""
 
     name: str
     description: str
@@ -39,7 +31,7 @@ class Metadata(Message):
 
 
 class Schemas(Message):
-    """JSON Schemas of what travels over `/ws`."""
+    """JSON Schemas of the messages of `/ws`."""
 
     action: dict[str, Any]
     observation: dict[str, Any]
@@ -62,8 +54,8 @@ class TaskRequest(SplitRequest):
 class RangeRequest(SplitRequest):
     """Maps of a split, at most 1,000."""
 
-    start: int | None = Field(default=None, description="The first; 0 without one.")
-    stop: int | None = Field(default=None, description="The one after the last.")
+    start: int | None = Field(default=None, description="Index of the first map; 0 by default.")
+    stop: int | None = Field(default=None, description="Index after the last map.")
 
 
 class TaskSpecs(Message):
@@ -73,13 +65,13 @@ class TaskSpecs(Message):
 
 
 class NamedTaskSpecs(TaskSpecs):
-    """Maps of a split, and the environment's name."""
+    """Maps of a split, and the name of the environment."""
 
     env_name: str = ENV_NAME
 
 
 class TaskCount(Message):
-    """How many maps a split has."""
+    """The number of maps of a split."""
 
     num_tasks: int
 
@@ -92,13 +84,13 @@ class OneTask(Message):
 
 @router.get("/metadata")
 async def metadata() -> Metadata:
-    """What the environment is."""
+    """Name and description of the environment."""
     return Metadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
 
 
 @router.get("/schema")
 async def schema() -> Schemas:
-    """JSON Schemas of what travels over `/ws`."""
+    """JSON Schemas of the messages of `/ws`."""
     observation = WireObservation.model_json_schema()
     return Schemas(
         action=WireAction.model_json_schema(),
@@ -110,17 +102,17 @@ async def schema() -> Schemas:
 
 @router.post("/mcp", responses=answers(400, 413, 415, 422))
 async def mcp(body: Annotated[Any, Body()] = None) -> dict[str, Any]:
-    """MCP over JSON-RPC 2.0. The environment has no tools: it is flown by `/step` or over `/ws`."""
+    """MCP over JSON-RPC 2.0. The environment has no tools; use `/step` or `/ws`."""
     return mcp_answer(body)
 
 
 @router.get("/list_environments")
 async def list_environments() -> list[str]:
-    """The name under which the task API is found."""
+    """The name of the environment, the prefix of the task API."""
     return [ENV_NAME]
 
 
-@named.get("/splits", responses=answers(404, 422))
+@named.get("/splits")
 async def splits() -> list[SplitInfo]:
     """All splits."""
     return api.list_splits()
@@ -134,7 +126,7 @@ def split_tasks(body: SplitRequest) -> NamedTaskSpecs:
 
 @named.post("/num_tasks", responses=BODY_ERRORS)
 async def num_tasks(body: SplitRequest) -> TaskCount:
-    """How many maps a split has."""
+    """The number of maps of a split."""
     return TaskCount(num_tasks=api.num_tasks(body.split))
 
 

@@ -1,4 +1,4 @@
-"""The routes that look at a flight of the past: flown again frame by frame, and analysed move by move."""
+"""The routes for finished flights: replay frame by frame, and analysis move by move."""
 
 from itertools import chain
 from typing import Annotated
@@ -14,7 +14,7 @@ from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, P
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.results.analysis import Label, analyse_flight
 from drone_env.results.record import EpisodeRecord, record_of, replay_steps
-from drone_env.server.frames import Opening, ShownEpisode, frame_of
+from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench
 from drone_env.server.problems import RequestError, answers
@@ -29,56 +29,56 @@ Record = Annotated[EpisodeRecord, Body(openapi_examples={"one step": {"value": R
 
 
 class AnalysedMove(Message):
-    """One move, and what it gave away."""
+    """One move and its regret."""
 
     step: int = Field(ge=1)
     action: Direction
     position: Position = Field(description="[x, y] after it.")
     event: EventName
-    value: Score = Field(description="The best score that could still be reached before it.")
-    regret: float = Field(ge=0, description="What it gave away for good, in score.")
+    value: Score = Field(description="The best score still possible before it.")
+    regret: float = Field(ge=0, description="Score that it lost for good.")
     label: Label
-    mark: str = Field(description="As beside a move of chess: `?!`, `?`, `??`, `!!`, or empty.")
-    best_actions: list[Direction] = Field(description="All actions that give nothing away.")
-    margin: float = Field(ge=0, description="What the next best action gives away.")
+    mark: str = Field(description="Annotation symbol as in chess: `?!`, `?`, `??`, `!!`, or empty.")
+    best_actions: list[Direction] = Field(description="All actions without regret.")
+    margin: float = Field(ge=0, description="Regret of the next best action.")
 
 
 class AnalysedFlight(Message):
-    """A flight beside the exact optimum of its map."""
+    """A flight compared with the exact optimum of its map."""
 
     score: Score
-    optimal_score: Score = Field(description="The highest score that any flight over this map can reach.")
+    optimal_score: Score = Field(description="The highest possible score on this map.")
     regret: float = Field(ge=0, description="optimal_score - score.")
-    accuracy: float | None = Field(description="Share of best moves among those where anything could be lost.")
+    accuracy: float | None = Field(description="Fraction of best moves among moves with a margin.")
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
     optimal_steps: Count = Field(description="Steps of a best flight.")
     optimal_actions: list[Direction] = Field(description="Its actions.")
-    optimal_path: list[Position] = Field(description="[x, y] of the drone on it, from its start on.")
+    optimal_path: list[Position] = Field(description="[x, y] of the drone from the start.")
 
 
-@router.post("/replay", response_model=ShownEpisode, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
+@router.post("/replay", response_model=EpisodeView, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
 async def replay_record(request: Request, shared: SharedParts, record: Record) -> Response:
-    """Fly a record again, check every reward and the score, and show it frame by frame."""
+    """Replay a record, check its rewards and score, and return its frames."""
     return await shared.json(request, _replayed, record, task=record.task)
 
 
 def _replayed(record: EpisodeRecord) -> str:
     steps = replay_steps(record)
     start = next(steps)
-    opening = Opening.of(start, record.agent)
-    network = bench().networks.beside(opening.pilot, start.task)
-    frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
-    return ShownEpisode(opening=opening, frames=frames).model_dump_json()
+    header = FlightHeader.of(start, record.agent)
+    network = bench().networks.beside(header.pilot, start.task)
+    frames = [frame_of(episode, network) for episode in chain([start], steps)]
+    return EpisodeView(opening=header, frames=frames).model_dump_json()
 
 
 @router.post(
     "/annotate", response_model=AnalysedFlight, responses=RECORD_ERRORS | answers(409), openapi_extra=LARGE_BODY
 )
 async def annotate(request: Request, shared: SharedParts, record: Record) -> Response:
-    """What each move of a finished flight gave away, and a best flight over its map. Large maps take seconds."""
+    """The regret of each move of a finished flight, and a best flight over its map. Large maps take seconds."""
     if not record.ended:
-        raise RequestError(409, "in_flight", "only a flight that has ended is annotated")
+        raise RequestError(409, "in_flight", "only a finished flight can be annotated")
     return await shared.json(request, _annotated, record, task=record.task)
 
 
@@ -97,12 +97,12 @@ def _annotated(record: EpisodeRecord) -> str:
 
 
 def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
-    """A best flight over a map, and [x, y] of the drone on it from its start on: for worker processes.
+    """A best flight over a map, and [x, y] of the drone from the start: a job of a worker process.
 
     Raises:
         TooLargeError: if the map is too large to be solved.
     """
     start = Episode(task, seed=seed)
-    # Where every step costs the same, the shortest tour is found without.
+    # If every step costs the same, the shortest tour needs no solver.
     best = solve_episode(start, None if task.uniform else bench().solver_of(task, seed))
     return best, [start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)]

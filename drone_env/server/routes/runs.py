@@ -1,4 +1,4 @@
-"""The routes that show runs that are kept here, of agents and of language models, and what these were asked."""
+"""The routes for evaluations and runs of language models in the data folder, and for the calls of a model."""
 
 from pathlib import Path
 from statistics import fmean
@@ -15,7 +15,6 @@ from drone_env.llm.answers import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, boards_of
-from drone_env.results.result import Result
 from drone_env.results.statistics import Bounds
 from drone_env.server.jobs import bench
 from drone_env.server.problems import RequestError, answers
@@ -24,39 +23,39 @@ from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["compare"])
 LISTED = 1000
-"""Maps of one run that are told: all of an evaluation with the number of maps that it has unless it says another."""
+"""Maximum number of maps listed per run; the default of an evaluation."""
 
 
 class Run(Message):
-    """What an agent or a language model flew over the maps of a board.
+    """The results of an agent or a language model over the maps of a board.
 
-    Each flight of a model was checked: it follows from the model's own answers. Of an agent no actions are kept; its
-    scores are held to the optima of their maps.
+    The server replays every flight of a model from its responses. Evaluations store no actions; the server checks that
+    no score exceeds the optimum of its map.
     """
 
     run: str = Field(description="Name of its folder.")
     kind: Literal["agent", "model"] = Field(description="From `drone-env evaluate`, or from `drone-env infer`.")
-    agent: str = Field(description="Who flew: the model, or the agent as `drone-env evaluate` was told it.")
-    prompt: str | None = Field(description="What the model was asked by; null of an agent, as the next four.")
-    errored: Count | None = Field(description="Flights that were left out, since a request failed for good.")
-    waits: Count | None = Field(description="Steps that are a WAIT because no answer could be used.")
-    unusable_share: float | None = Field(description="Share of answers that could not be used, after their repair.")
-    marked: bool = Field(description="Whether that is more than 5 %: the score says little about the model.")
+    agent: str = Field(description="The model, or the agent as in `drone-env evaluate`.")
+    prompt: str | None = Field(description="Name of the prompt; this and the next four are null for an agent.")
+    errored: Count | None = Field(description="Flights left out because a request failed.")
+    waits: Count | None = Field(description="Steps that are a WAIT because no response was usable.")
+    unusable_share: float | None = Field(description="Fraction of responses that stayed unusable after a repair.")
+    marked: bool = Field(description="Whether `unusable_share` is over 5 %: the score is not reliable.")
     tokens: Count | None
-    flights: Count = Field(description="Those that count.")
+    flights: Count = Field(description="Flights that count.")
     success_rate: float = Field(ge=0, le=1)
     score: float = Field(ge=0, le=1)
     score_ci95: Bounds = Field(description="Over the maps; null for one.")
     regret: float | None
     normalised: float | None = Field(description="(score - random) / (optimum - random) over the same maps.")
     steps: float = Field(description="Mean length in steps, over the maps.")
-    maps: list[AgentMap] = Field(description=f"By number; of more than {LISTED}, those where most was lost.")
+    maps: list[AgentMap] = Field(description=f"By number; the first {LISTED}.")
 
 
 class RunBoard(Message):
     """Runs over the same maps, the best first."""
 
-    maps: str = Field(description="Which maps, in words.")
+    maps: str = Field(description="The maps in words.")
     rows: list[Run]
 
 
@@ -68,7 +67,7 @@ class UnrankedRun(Message):
 
 
 class RunBoards(Message):
-    """The runs over a task that are kept here."""
+    """The evaluations and runs of models over a task."""
 
     task: str = Field(description="Id of the task.")
     boards: list[RunBoard]
@@ -76,22 +75,22 @@ class RunBoards(Message):
 
 
 class ModelCall(Message):
-    """One request to a language model, and its answer."""
+    """One request to a language model, and its response."""
 
-    step: Count = Field(description="The step that it was made for, from 1; that of a whole route is the first.")
-    attempt: Count = Field(description="1, or 2 after an answer that could not be used.")
+    step: Count = Field(description="The step of the request, from 1; 1 for a whole route.")
+    attempt: Count = Field(description="1, or 2 after an unusable response.")
     messages: list[ChatMessage]
-    answer: str | None = Field(description="The text or the tool's arguments; null if there was no answer.")
-    reasoning: str | None = Field(description="What the model thought, where the endpoint tells it.")
-    outcome: str = Field(description="How the answer was understood: `ok`, or why it was no action.")
-    failures: list[Failure] = Field(description="Tries that brought no answer.")
-    latency: float = Field(ge=0, description="Seconds that the last try took.")
+    answer: str | None = Field(description="The text or the tool's arguments; null without a response.")
+    reasoning: str | None = Field(description="The model's reasoning, if the endpoint returns it.")
+    outcome: str = Field(description="`ok`, or why the response is not an action.")
+    failures: list[Failure] = Field(description="Attempts without a response.")
+    latency: float = Field(ge=0, description="Duration of the last attempt in seconds.")
 
 
 class ModelCalls(Message):
-    """All requests of one flight, in order: none where no language model flew it, or its run is not kept here."""
+    """All requests of one flight, in order; none if no run in the data folder flew it."""
 
-    run: str | None = Field(description="Name of the run's folder; null where there is none, as the next two.")
+    run: str | None = Field(description="Name of the run's folder; null without a run, as the next two.")
     model: str | None
     prompt: str | None
     calls: list[ModelCall]
@@ -99,67 +98,59 @@ class ModelCalls(Message):
 
 @router.get("/leaderboard/{task_name}/runs", response_model=RunBoards, responses=answers(404, 422, 503))
 async def run_boards(request: Request, shared: SharedParts, task_name: str) -> Response:
-    """Agents and language models side by side, over the same maps of a task.
+    """Evaluations and language models side by side, over the same maps of a task.
 
-    They are the evaluations (`drone-env evaluate --out`) in `evaluations` of the data folder, and the runs of
-    `drone-env infer` in `llm`, each flown again from the model's own answers before it is ranked. The first look at one
-    takes seconds.
+    The data folder contains evaluations (`drone-env evaluate --out`) in `evaluations`, and runs of `drone-env infer` in
+    `llm`. The server replays a run from the model's responses before it ranks the run; the first request takes seconds.
     """
     task = get_task(task_name)
-    # One by one: each has the time of a job, and its worker remembers it.
-    flights: list[str] = []
-    for path in await shared.work(request, _runs_of, task.id):
-        flights += await shared.work(request, _check_run, path)
-    for path in await shared.work(request, _evaluations):
-        await shared.work(request, _check_evaluation, path, task.id)
-    stored = await run_in_threadpool(shared.store.stored_ids, flights)
+    # One job per folder: each has its own time limit, and its worker caches the result.
+    ids: list[str] = []
+    for path in await shared.work(request, _folders, task.id):
+        ids += await shared.work(request, _load, path, task.id)
+    stored = await run_in_threadpool(shared.store.stored_ids, ids)
     return Response(await shared.work(request, _boards, task.id, stored), media_type="application/json")
 
 
-def _runs_of(task: str) -> list[Path]:
-    return [path for path, config in bench().runs.configs().items() if config is None or config.task == task]
+def _folders(task: str) -> list[Path]:
+    return bench().runs.folders(task)
 
 
-def _check_run(path: Path) -> list[str]:
-    """The ids under which a store may have its flights."""
-    ranked = all(isinstance(entry, LeaderboardEntry) for entry in bench().runs.entries(path))
-    return [id_ for id_, _ in bench().runs.flights(path)] if ranked else []
+def _load(path: Path, task: str) -> list[str]:
+    """Compute the entries of a folder; the ids that its flights may have in the store."""
+    entries = bench().runs.entries(path, task)
+    has_flights = all(isinstance(entry, LeaderboardEntry) and not _is_agent(entry) for entry in entries)
+    return [id_ for id_, _ in bench().runs.flights(path)] if entries and has_flights else []
 
 
-def _evaluations() -> list[Path]:
-    return bench().evaluations.folders()
-
-
-def _check_evaluation(path: Path, task: str) -> None:
-    bench().evaluations.entries(path, task)
+def _is_agent(entry: LeaderboardEntry) -> bool:
+    return "agent" in entry.report
 
 
 def _boards(task: str, stored: set[str]) -> str:
-    found = [entry for path in _runs_of(task) for entry in bench().runs.entries(path)]
-    found += [entry for path in _evaluations() for entry in bench().evaluations.entries(path, task)]
-    answer = RunBoards(
+    entries = [entry for path in _folders(task) for entry in bench().runs.entries(path, task)]
+    boards = RunBoards(
         task=task,
         boards=[
             RunBoard(maps=board.maps, rows=[_row(entry, stored) for entry in board.rows])
-            for board in boards_of(entry for entry in found if isinstance(entry, LeaderboardEntry))
+            for board in boards_of(entry for entry in entries if isinstance(entry, LeaderboardEntry))
         ],
         unranked=[
-            UnrankedRun(run=one.path.name, reason=_without_folder(one.reason, one.path))
-            for one in found
-            if isinstance(one, NotRanked)
+            UnrankedRun(run=entry.path.name, reason=_without_folder(entry.reason, entry.path))
+            for entry in entries
+            if isinstance(entry, NotRanked)
         ],
     )
-    return answer.model_dump_json()
+    return boards.model_dump_json()
 
 
 def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
-    report, results = entry.report, entry.results
-    is_agent = "agent" in report
+    report, results, is_agent = entry.report, entry.results, _is_agent(entry)
     # The newest flight over each map that the store has.
     ids = {} if is_agent else {seed: id_ for id_, seed in bench().runs.flights(entry.path) if id_ in stored}
-    same = ("score", "score_ci95", "regret", "normalised", "success_rate")
+    rows = results.rows()
     return Run(
-        **{name: report[name] for name in same},
+        **{name: report[name] for name in ("score", "score_ci95", "regret", "normalised", "success_rate")},
         run=entry.path.name,
         kind="agent" if is_agent else "model",
         agent=_without_place(entry.agent) if is_agent else entry.agent,
@@ -169,23 +160,15 @@ def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
         unusable_share=None if is_agent else report["unusable"]["share"],
         marked=not is_agent and report["unusable"]["marked"],
         tokens=None if is_agent else sum(report["tokens"].values()),
-        flights=sum(row.flights for row in results.rows()),
+        flights=sum(row.flights for row in rows),
         steps=fmean(results.steps),
-        maps=[AgentMap.of(row._replace(id=ids.get(row.seed))) for row in _listed(results.rows())],
+        maps=[AgentMap.of(row._replace(id=ids.get(row.seed))) for row in rows[:LISTED]],
     )
-
-
-def _listed(rows: list[Result]) -> list[Result]:
-    """As many as a page can show, by number."""
-    if len(rows) <= LISTED:
-        return rows
-    worst = sorted(rows, key=lambda row: row.score - (row.optimum or 1.0))[:LISTED]
-    return sorted(worst, key=lambda row: row.seed)
 
 
 @router.get("/episodes/{episode_id}/calls", response_model=ModelCalls, responses=answers(404, 422, 503))
 async def calls(request: Request, shared: SharedParts, episode_id: str) -> Response:
-    """What a language model was asked at each step of a flight, and what it answered."""
+    """The requests to a language model at each step of a flight, and its responses."""
     found = await shared.work(request, _calls, episode_id)
     if found is None:
         await run_in_threadpool(shared.store.episode, episode_id)
@@ -197,39 +180,34 @@ def _calls(episode_id: str) -> str | None:
     try:
         found = bench().runs.calls(episode_id)
     except InvalidValueError:
-        # Not the error itself: it names the folder.
+        # The error itself would reveal the folder.
         raise RequestError(404, "damaged_run", "the run of this flight is damaged: see drone-env leaderboard") from None
     if found is None:
         return None
-    path, config, asked = found
-    answer = ModelCalls(
+    path, config, calls = found
+    same = ("attempt", "messages", "outcome", "failures", "latency")
+    return ModelCalls(
         run=path.name,
         model=config.model,
         prompt=config.prompt,
         calls=[
             ModelCall(
-                # A turn is a step: a whole route is planned in the first one.
+                **{name: getattr(call, name) for name in same},
                 step=call.turn,
-                attempt=call.attempt,
-                messages=call.messages,
                 answer=None if call.answer is None else call.answer.tool_arguments or call.answer.text,
                 reasoning=None if call.answer is None else call.answer.reasoning,
-                outcome=call.outcome,
-                failures=call.failures,
-                latency=call.latency,
             )
-            for call in asked
+            for call in calls
         ],
-    )
-    return answer.model_dump_json()
+    ).model_dump_json()
 
 
 def _without_folder(reason: str, path: Path) -> str:
-    """Strangers need not know where the folder is."""
+    """Hide the path of the data folder."""
     return " ".join(map(_without_place, reason.replace(str(path), path.name).split(" ")))
 
 
 def _without_place(agent: str) -> str:
-    """Nor where the file of a policy is."""
+    """Hide the path of a policy's file."""
     file = sb3_file(agent)
     return agent if file is None or not file.is_absolute() else sb3_elsewhere(agent, Path(file.name))

@@ -1,4 +1,4 @@
-"""The route that says what can still be reached from a moment of a flight."""
+"""The route for the values of a flight: the best score still possible, for each action and from each cell."""
 
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -8,7 +8,6 @@ from pydantic import ConfigDict, Field
 
 from drone_env.agents.base import BatchAgent
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import MAX_UNITS, get_task
@@ -28,28 +27,26 @@ router = APIRouter(tags=["replay"], route_class=JsonRoute)
 
 
 class FlightSoFar(Message):
-    """The moment of a flight: the head of its record, and the actions flown up to then."""
+    """A flight up to a step: the map, and the actions so far."""
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"task": "hard", "seed": 7, "actions": ["UP", "LEFT"]}]},
     )
 
     task: str = Field(max_length=100, description="Id or short name of the task.")
-    task_version: int | None = Field(default=None, ge=1, description="Version of the task; the current one without.")
     seed: Seed = Field(description="Number of the map.")
-    reward_profile: str | None = Field(default=None, max_length=100, description="No value depends on it.")
     actions: list[Direction] = Field(
         default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
 
     def episode(self) -> Episode:
-        """The episode that has flown so far.
+        """The episode after these actions.
 
         Raises:
-            UnknownNameError: if there is no such task, version or reward profile.
+            UnknownNameError: if the task does not exist.
             InvalidValueError: if there are actions after the end.
         """
-        episode = Episode(get_task(self.task, self.task_version), self.reward_profile or DEFAULT_PROFILE, self.seed)
+        episode = Episode(get_task(self.task), seed=self.seed)
         for _ in fly_directions(episode, self.actions):
             pass
         return episode
@@ -57,38 +54,38 @@ class FlightSoFar(Message):
 
 Item = TypeVar("Item")
 Rows = list[list[Item | None]]
-"""[y][x], null at the cells of which there is nothing to say."""
+"""[y][x], null at cells without a value."""
 
 
-class AskedNetwork(Message):
-    """The network that was asked about every cell."""
+class CellNetwork(Message):
+    """The network that chose an action for every cell."""
 
-    pilot: str = Field(description="Who flies by it, as in `/pilots`.")
+    pilot: str = Field(description="Id of its pilot, as in `/pilots`.")
     file: str = Field(description="Name of its file.")
     digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
 
 
 class CellValues(Message):
-    """What there is to do if the drone were at each cell, [y][x], with all else as it is; null where it cannot be.
+    """Values if the drone were at each cell, [y][x], in an otherwise equal state; null where it cannot be.
 
-    A parcel that waits there has then been delivered by arriving; on a pad nothing has been charged yet.
+    A parcel at the cell counts as delivered. A pad there has not charged the battery yet.
     """
 
     values: Rows[Score] | None = Field(description="The best score still possible; null if the map is not solved.")
-    best_actions: Rows[list[Direction]] | None = Field(description="All actions that give nothing away.")
-    network_actions: Rows[Direction] | None = Field(description="What the network would fly; null without a network.")
-    disagree: Rows[bool] | None = Field(description="Whether the network's action gives something away.")
+    best_actions: Rows[list[Direction]] | None = Field(description="All actions without regret.")
+    network_actions: Rows[Direction] | None = Field(description="The network's action; null without a network.")
+    disagree: Rows[bool] | None = Field(description="Whether the network's action has regret.")
 
 
 class PadRange(Message):
-    """Which cells a full battery reaches from a pad."""
+    """The cells in range of a full battery from a pad."""
 
     position: Position = Field(description="[x, y] of the pad.")
     units: Rows[Count] = Field(description="As `range`.")
 
 
 class ValuesAnswer(Message):
-    """What can still be reached from a moment of a flight. The fields from `q_values` on are null after the end."""
+    """The values of a flight after a step. The fields from `q_values` on are null after the end."""
 
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
@@ -97,19 +94,19 @@ class ValuesAnswer(Message):
     position: Position = Field(description="[x, y] of the drone.")
     battery_units: Count
     deliveries_done: Count
-    done: bool = Field(description="Whether the flight has ended: there is nothing more to be said of cells then.")
-    unsolved: str | None = Field(description="Why the exact values are null; null where the map is solved.")
-    optimum: Score | None = Field(description="The highest score that any flight over this map can reach.")
+    done: bool = Field(description="Whether the flight has ended.")
+    unsolved: str | None = Field(description="Why the exact values are null; null if the map is solved.")
+    optimum: Score | None = Field(description="The highest possible score on this map.")
     value: Score | None = Field(description="The best score still possible; after the end, the score.")
-    regret: float | None = Field(ge=0, description="optimum - value: what the flight has given away for good.")
+    regret: float | None = Field(ge=0, description="optimum - value: the score lost for good.")
     q_values: dict[Direction, float] | None = Field(default=None, description="The best score after each action.")
-    best_actions: list[Direction] | None = Field(default=None, description="All actions that give nothing away.")
-    network: AskedNetwork | None = Field(default=None, description="The network; null if the task has none.")
-    cells: CellValues | None = Field(default=None, description="What there is to do from each; null after the end.")
+    best_actions: list[Direction] | None = Field(default=None, description="All actions without regret.")
+    network: CellNetwork | None = Field(default=None, description="The network; null if the task has none.")
+    cells: CellValues | None = Field(default=None, description="The values at each cell.")
     range: Rows[Count] | None = Field(
         default=None,
-        description="[y][x], the most battery units left on arrival at each cell by moves alone, in the steps left, "
-        "without charging; with 0 the flight ends there, null where it cannot get. Null after the end.",
+        description="[y][x], the most battery units left on arrival at each cell, in the steps left and without "
+        "charging; 0 ends the flight there, null is out of range.",
     )
     pads: list[PadRange] | None = Field(default=None, description="The same with a full battery, from each pad.")
 
@@ -152,11 +149,11 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
     from drone_env.planning.elsewhere import battery_range, charging_pads
 
     task, networks = episode.task, bench().networks
-    asked, agent, network = networks.asked(task), None, None
-    if asked is not None:
-        agent = networks.agent(asked, task)
+    pilot, agent, network = networks.asked(task), None, None
+    if pilot is not None:
+        agent = networks.agent(pilot, task)
         assert isinstance(agent, BatchAgent)
-        network = AskedNetwork(pilot=asked, file=networks.file(asked, task).name, digest=str(agent.config["network"]))
+        network = CellNetwork(pilot=pilot, file=networks.file(pilot, task).name, digest=str(agent.config["network"]))
     cells, q_values = _cell_values(episode, solver, agent)
     x, y = episode.position
 
@@ -182,7 +179,7 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
 def _cell_values(
     episode: Episode, solver: "Solver | None", agent: BatchAgent | None
 ) -> tuple[CellValues, dict[Direction, float] | None]:
-    """What there is to do at each cell, and the score that is still possible after each action at the drone's."""
+    """The values at each cell, and the best score still possible after each action at the drone's."""
     from drone_env.planning.elsewhere import places_in_parts
 
     task, q_here = episode.task, None
@@ -220,9 +217,9 @@ def _cell_values(
     "/values", response_model=ValuesAnswer, responses=answers(400, 413, 415, 422, 503), openapi_extra=LARGE_BODY
 )
 async def values(request: Request, shared: SharedParts, flight: Annotated[FlightSoFar, Body()]) -> Response:
-    """The best score still possible from a moment of a flight: by each action, and from every cell of the map.
+    """The best score still possible after a step of a flight, for each action and from every cell of the map.
 
-    Beside it stands what the network would do at every cell, and how far the battery reaches. No session is needed. Of
-    a task whose maps are too large to be solved the exact values are null.
+    The response also contains the network's action at every cell and the range of the battery. It requires no session.
+    If the map is too large to be solved, the exact values are null.
     """
     return await shared.json(request, values_json, flight, task=flight.task)

@@ -171,7 +171,6 @@ export class Drawing extends Emitter {
       const corner = same(map.start, [width - 1, height - 1]) ? [0, 0] : [width - 1, height - 1];
       if (!map.parcels.length) map.parcels = [corner];
       for (const stop of [map.start, ...map.parcels]) this.put(stop, this.road);
-      map.bbox = null;
     });
   }
 }

@@ -1,10 +1,10 @@
-"""Draw what a visitor sees first: a map with a recorded flight that moves before any script has run.
+"""Draw the first paint of the page: a map with a recorded flight that moves before any script has run.
 
-    python -m tools.hello
+    python -m tools.first_paint
 
-writes `hello.html` and `css/hello-motion.css` of the page from the record `hello.json`, a flight of the tour network
-over map 43 of skyline_medium. Of the maps below 100 of hard and of skyline_medium it is the one on which greedy loses
-most, 75 points of 95: its battery is empty after one parcel of four. The network flies there as well as can be.
+The tool reads the record `first_paint.json`, a flight of the tour network over map 43 of skyline_medium, and writes
+`first_paint.html` and `css/hello-motion.css`. Of the first 100 maps of hard and skyline_medium this is the one on which
+greedy loses most, 75 points of 95, since its battery is empty after one parcel of four. The network scores the optimum.
 """
 
 import re
@@ -19,9 +19,9 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.results.record import EpisodeRecord, replay
-from drone_env.server.links import HELLO, Link
+from drone_env.server.links import FIRST_PAINT, Link
 from drone_env.server.page_files import ART, PAGE
-from drone_env.server.pilots import HUMAN, PILOTS
+from drone_env.server.pilots import HUMAN, OURS
 
 RIVALS = (HUMAN, "tournet", "greedy")
 SECOND, PAUSE = 4, 8
@@ -36,15 +36,18 @@ VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
 
 def draw() -> dict[Path, str]:
     """The files of the page that show the recorded flight, and what they contain."""
-    episode = replay(EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "hello.json is not a record"))
-    return {PAGE / "hello.html": _section(HELLO, episode) + "\n", PAGE / "css" / "hello-motion.css": _motion(episode)}
+    episode = replay(EpisodeRecord.read((PAGE / "first_paint.json").read_bytes(), "first_paint.json is not a record"))
+    return {
+        PAGE / "first_paint.html": _section(FIRST_PAINT, episode) + "\n",
+        PAGE / "css" / "hello-motion.css": _motion(episode),
+    }
 
 
 def _section(flight: Link, episode: Episode) -> str:
     yourself = flight.model_copy(update={"pilot": HUMAN})
     race = Link(task=flight.task, seed=flight.seed, pilots=",".join(RIVALS))
     score = f"scored {100 * episode.score:.1f}, and nobody can do better on this map."
-    who = f"{PILOTS[flight.pilot].name}, the network that flies here,"
+    who = f"{OURS[flight.pilot].name}, the network that flies here,"
     where = f'data-task="{flight.task}" data-seed="{flight.seed}"'
     return f"""<section id="hello" class="hello" aria-labelledby="hello-title" {where}>
 <div class="hello-words">

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drone_env.server.pilots import Credit
+from drone_env.server.pilots import Provenance
 
 WORDS = st.sampled_from(
     ["human", "greedy", " with values", " with undo", " and undo", " from step ", "07", "7", " of "]
@@ -14,7 +14,7 @@ WORDS = st.sampled_from(
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(WORDS, max_size=12).map("".join) | st.text())
 def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
-    assert str(Credit.parse(agent)) == agent
+    assert str(Provenance.parse(agent)) == agent
 
 
 @pytest.mark.parametrize(
@@ -36,5 +36,5 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
         ("optimal", 30, "human from step 20 of greedy", "optimal from step 30 of human from step 20 of greedy"),
     ],
 )
-def test_a_fork_names_who_flew_each_part(pilot: str, step: int, of: str, expected: str) -> None:
-    assert str(Credit.of_fork(pilot, step, of)) == expected
+def test_a_fork_names_who_flew_each_part(pilot: str, step: int, of: str, said: str) -> None:
+    assert str(Provenance.of_fork(pilot, step, of)) == said
