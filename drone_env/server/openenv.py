@@ -25,8 +25,9 @@ from drone_env.models import DroneState
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import start_episode
+from drone_env.server.observation_json import openenv_json
 from drone_env.server.schemas import ResetOptions, WireAction
-from drone_env.server.sessions import ANONYMOUS, openenv_json
+from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)

@@ -8,14 +8,10 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
-from typing import Any, TypeVar
-
-from pydantic_core import to_json
+from typing import TypeVar
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import LEGEND, map_rows, observation_numbers, shown
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
 from drone_env.server.map_choice import start_episode
@@ -221,44 +217,3 @@ class Sessions:
     def _forget(self, session: str) -> None:
         with self._lock:
             self._live.pop(session, None)
-
-
-def flat_json(episode: Episode, _: float | None = None) -> str:
-    """The JSON of `DroneObservation.of(episode)`, written without the models, which take a third of a step's time.
-
-    It is put together from the JSON of the map's rows, of which a step changes one or two.
-    """
-    return _observation_json(episode, observation_numbers(episode)) + "}"
-
-
-def openenv_json(episode: Episode, reward: float | None) -> str:
-    """The same as OpenEnv sends it: reward and done beside the rest.
-
-    Args:
-        episode: The episode.
-        reward: The reward of the last step, None after a reset.
-    """
-    numbers = observation_numbers(episode)
-    done = numbers.pop("done")
-    observation = _observation_json(episode, numbers)
-    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
-
-
-def _json(value: object) -> str:
-    return to_json(value).decode()
-
-
-LEGEND_JSON = _json(LEGEND)
-
-
-def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
-    """The JSON of an observation, without the brace at its end."""
-    rows = [_row_json(row) for row in map_rows(episode)]
-    grid, cell_types = (",".join([row[i] for row in rows]) for i in (0, 1))
-    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
-
-
-@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 rows
-def _row_json(row: bytes) -> tuple[str, str]:
-    emoji, names = shown(row)
-    return _json(emoji), _json(names)

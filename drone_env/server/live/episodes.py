@@ -22,9 +22,10 @@ from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import Frame, MapOf, Opening, frame_of, frames_json, plan, shows_values, values_along
 from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
+from drone_env.server.observation_json import flat_json
 from drone_env.server.pilots import HUMAN, PILOTS, Credit, require_pilot
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.sessions import OtherStepError, flat_json
+from drone_env.server.sessions import OtherStepError
 from drone_env.server.state import Shared
 
 Result = TypeVar("Result")

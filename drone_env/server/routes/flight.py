@@ -14,6 +14,7 @@ from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneObservation, DroneState
 from drone_env.server.incoming import LARGE_BODY, JsonRequest, JsonRoute
+from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight
@@ -32,7 +33,6 @@ from drone_env.server.schemas import (
     StepResult,
     examples,
 )
-from drone_env.server.sessions import flat_json, openenv_json
 from drone_env.server.state import (
     COOKIE,
     HEADER,
