@@ -69,14 +69,12 @@ def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
     assert [ended[name] for name in ("q_values", "best_actions", "network", "cells", "range", "pads")] == [None] * 6
 
 
-def test_on_a_map_of_one_parcel_the_value_of_a_cell_is_how_far_it_is(
-    shared_client: TestClient, registered: Any
-) -> None:
+def test_on_a_map_of_one_parcel_the_value_of_a_cell_is_how_far_it_is(client: TestClient, registered: Any) -> None:
     flown: list[Direction] = ["WAIT"]
     task = registered(width=4, height=3)
     start = Episode(task, seed=5)
     ((px, py, _),) = start.parcels
-    answer = ask(shared_client, "toy", 5, flown)
+    answer = ask(client, "toy", 5, flown)
     cells, steps = answer["cells"], len(flown)
     for y in range(3):
         for x in range(4):
@@ -153,11 +151,9 @@ def test_which_network_is_asked(tmp_path: Path) -> None:
         assert asked(client) == "trained-tournet"
 
 
-def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(
-    shared_client: TestClient, registered: Any
-) -> None:
+def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(client: TestClient, registered: Any) -> None:
     registered(width=20, height=20, deliveries=16, max_steps=600, battery_capacity=600)
-    answer = ask(shared_client, "toy", 1, ["UP"])
+    answer = ask(client, "toy", 1, ["UP"])
     assert "GB are allowed" in answer["unsolved"]
     assert [answer[name] for name in ("value", "optimum", "regret", "q_values", "best_actions")] == [None] * 5
     cells = answer["cells"]
