@@ -1,7 +1,4 @@
-"""Who may call, and with what: pure ASGI middlewares.
-
-From the outside in: `SecurityHeaders`, `AllowedCallers`. `incoming.JsonRoute` reads the bodies.
-"""
+"""ASGI middlewares: security headers, and checks of host, origin and token."""
 
 import base64
 import binascii
@@ -20,17 +17,17 @@ from drone_env.server.problems import RequestError, answer_to
 from drone_env.server.settings import Settings
 
 OPEN_PATHS = {"/health", "/"}
-"""Answered without a token, as the files of the page: programs that watch the process have none, and the page asks."""
+"""These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 
 
 class SecurityHeaders:
-    """Headers that tell browsers what the answers may be used for.
+    """Adds security and cache headers.
 
     Args:
-        app: The application within.
-        frame_ancestors: Who may show the page in a frame.
+        app: The wrapped application.
+        frame_ancestors: Sites that may show the page in a frame.
     """
 
     def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
@@ -49,12 +46,12 @@ class SecurityHeaders:
         ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Add the headers to an HTTP answer."""
+        """Add the headers to an HTTP response."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
 
-        # Browsers ask whether the page has changed, so that an update of the package is seen at once.
+        # Browsers must revalidate the page, so that users see an update of the package at once.
         is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
 
         async def send_with_headers(message: Message) -> None:
@@ -69,14 +66,14 @@ class SecurityHeaders:
 
 
 class AllowedCallers:
-    """Answers what is addressed to the server's hosts, comes from no page of another origin, and carries the token.
+    """Checks the host, the origin and the token of a request.
 
-    A server on loopback answers for the names of this machine and for `allowed_hosts` only: DNS rebinding would let any
-    web page call it. Browsers name the origin of a page in the `Origin` header; programs send none.
+    A server on loopback accepts only names of this machine and `allowed_hosts`: with DNS rebinding, any web page could
+    call it otherwise. Browsers send the origin of a page in the `Origin` header; other programs send none.
 
     Args:
-        app: The application within.
-        settings: Which hosts and origins, and the token, if any.
+        app: The wrapped application.
+        settings: The allowed hosts and origins, and the token.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -87,7 +84,7 @@ class AllowedCallers:
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what is allowed; a WebSocket that is not is closed before it opens."""
+        """Pass on an allowed request. A refused WebSocket is closed before it opens."""
         try:
             if scope["type"] in ("http", "websocket"):
                 self._check(scope, Headers(scope=scope))
@@ -103,16 +100,14 @@ class AllowedCallers:
         named = headers.get("host", "")
         host = host_name(named)
         if not self._answers(host, scope):
-            detail = f"this server does not answer for host {host!r}; DRONE_ENV_ALLOWED_HOSTS lists those it does"
-            raise RequestError(403, "host", detail)
+            raise RequestError(403, "host", f"host {host!r} is not allowed; add it to DRONE_ENV_ALLOWED_HOSTS")
         origin = headers.get("origin")
         if origin is not None and not self._allowed(origin.lower(), named.lower()):
-            detail = f"pages of {origin!r} may not call this server; DRONE_ENV_ALLOWED_ORIGINS lists those that may"
-            raise RequestError(403, "origin", detail)
+            raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
         if self.expected is not None and scope["path"] not in OPEN_PATHS and not is_file(scope["path"]):
             given = _sent_token(scope) or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):
-                detail = "this server asks for a token: send Authorization: Bearer TOKEN"
+                detail = "this server requires a token: send Authorization: Bearer TOKEN"
                 raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
 
     def _answers(self, host: str, scope: Scope) -> bool:
@@ -123,19 +118,19 @@ class AllowedCallers:
         return is_local_name(host) or host == self.listens
 
     def _allowed(self, origin: str, host: str) -> bool:
-        # Hosts are compared, not schemes: behind a proxy that ends TLS the server sees http.
+        # Compare hosts, not schemes: behind a proxy that terminates TLS, the server sees http.
         scheme, _, authority = origin.partition("://")
         return origin in self.origins or (scheme in ("http", "https") and authority == host != "")
 
 
 def _sent_token(scope: Scope) -> bytes:
-    """The token of `Authorization: Bearer TOKEN`; the scheme may be written in any case (RFC 9110, 11.1)."""
+    """Return the token of `Authorization: Bearer TOKEN`. The scheme is case-insensitive (RFC 9110, 11.1)."""
     scheme, _, token = dict(scope["headers"]).get(b"authorization", b"").partition(b" ")
     return token.strip() if scheme.lower() == b"bearer" else b""
 
 
 def _offered_token(scope: Scope) -> bytes:
-    """The token from the subprotocol `bearer.` + URL-safe base64: browsers send no headers with a WebSocket."""
+    """Return the token of the subprotocol `bearer.` + URL-safe base64: browsers cannot send WebSocket headers."""
     for protocol in scope.get("subprotocols", []):
         if protocol.startswith(OFFER):
             text = protocol.removeprefix(OFFER)
@@ -147,7 +142,7 @@ def _offered_token(scope: Scope) -> bytes:
 
 
 def protect(app: FastAPI, settings: Settings) -> None:
-    """Put the middlewares around an application."""
+    """Add the middlewares to an application."""
     app.add_middleware(AllowedCallers, settings=settings)
     app.add_middleware(SecurityHeaders, frame_ancestors=settings.frame_ancestors)
 
@@ -158,7 +153,7 @@ BROWSER_HEADERS = ("origin", "sec-fetch-site")
 
 @lru_cache(maxsize=1024)
 def is_local_name(host: str) -> bool:
-    """Whether a host name or an address, in lower case, always means the loopback interface."""
+    """Return whether a lower-case host name or address always means the loopback interface."""
     name = host.rstrip(".")
     if name == "localhost" or name.endswith(".localhost"):
         return True
@@ -169,23 +164,22 @@ def is_local_name(host: str) -> bool:
 
 
 def listens_on_loopback(scope: Scope, host: str) -> bool:
-    """Whether only programs on this machine can reach the server, as far as a request shows.
+    """Return whether only programs on this machine can reach the server.
 
-    A request that arrives at another address proves the opposite. One that arrives at loopback does not prove it: a
-    server on all addresses gets it as well.
+    A request that arrives at loopback does not prove it, because a server on all addresses receives it as well.
 
     Args:
         scope: The request; `server` is the local end of its connection.
-        host: The configured address. uvicorn started by hand may listen elsewhere.
+        host: The configured address; uvicorn started by hand may use another.
     """
     server = scope.get("server")
     return server is not None and is_local_name(server[0].lower()) and not _is_wildcard(host)
 
 
 def shared_address(scope: Scope) -> str | None:
-    """The address whose callers share a session; None for browsers, and for requests through a proxy.
+    """Return the address whose callers share a session.
 
-    Browsers keep cookies. A proxy brings many callers under one address.
+    None for browsers, which keep cookies, and for proxies, which have many callers under one address.
     """
     client = scope.get("client")
     if client is None or _comes_through_proxy(scope) or any(name in BROWSER_HEADERS for name in Headers(scope=scope)):
@@ -194,9 +188,9 @@ def shared_address(scope: Scope) -> str | None:
 
 
 def stranger_address(scope: Scope, host: str) -> str | None:
-    """The address of a caller of a server that strangers reach; None if nobody but this machine reaches it.
+    """Return the address of a caller, or None if only this machine can reach the server.
 
-    A proxy may bring strangers. For IPv6 it is the network of 64 bits: whoever has one of its addresses has them all.
+    A proxy may forward strangers. For IPv6 it is the /64 network, because one host owns all its addresses.
     """
     client = (scope.get("client") or ("unknown",))[0].lower()
     if not _comes_through_proxy(scope) and is_local_name(client) and listens_on_loopback(scope, host):
@@ -212,7 +206,7 @@ def stranger_address(scope: Scope, host: str) -> str | None:
 
 
 def _comes_through_proxy(scope: Scope) -> bool:
-    """Whether a request shows a proxy: proxies that add no header speak HTTP/1.0."""
+    """Return whether a request came through a proxy. Proxies that add no header use HTTP/1.0."""
     names = Headers(scope=scope).keys()
     added = any(name in PROXY_HEADERS or name.startswith(FORWARDED) for name in names)
     return added or scope.get("http_version") == "1.0"
@@ -220,7 +214,7 @@ def _comes_through_proxy(scope: Scope) -> bool:
 
 @lru_cache(maxsize=1024)
 def host_name(header: str) -> str:
-    """The name in a `Host` header, without port, in lower case."""
+    """Return the lower-case name in a `Host` header, without port."""
     try:
         return urlsplit(f"//{header}").hostname or ""
     except ValueError:

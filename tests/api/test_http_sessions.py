@@ -61,7 +61,7 @@ class TestSessions:
             for number in range(5):
                 session, _ = sessions.reset(None, ResetOptions(seed=number), flat_json)
                 sessions.advance(session, Action.WAIT, flat_json)
-                assert len(sessions._live) <= 2
+                assert len(sessions._cache) <= 2
                 store.end_session(session)  # as another process would, which tells nobody
             first, second = (sessions.reset(None, ResetOptions(seed=7), flat_json)[0] for _ in range(2))
             for session in (first, second, first):
