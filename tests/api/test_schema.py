@@ -28,8 +28,8 @@ import schemathesis
 def filter_case(context, case):
     return "x-schemathesis-unknown-property" not in (case.headers or {})
 """
-"""HTTP allows unknown headers, and so does Schemathesis if the other headers are valid. But it takes `x-step-count: 0` for
-an invalid string, and so reports the response 200, which it gets if the shared session has no steps yet."""
+"""Servers ignore unknown headers, which Schemathesis accepts only if the other headers are valid. It takes the header
+`x-step-count: 0` for an invalid string, so it reports a 200, which is right if the shared session has no steps."""
 EXAMPLES = int(os.environ.get("DRONE_ENV_SCHEMA_EXAMPLES", "1"))
 
 
