@@ -33,7 +33,7 @@ from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs, values
-from drone_env.server.security import protect
+from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared, SharedParts
 
@@ -96,7 +96,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.live = live
     install(app)
     # The last middleware is the outermost.
-    protect(app, settings)
+    app.add_middleware(Security, settings=settings)
     app.add_middleware(LogRequests, log=shared.requests)
     app.include_router(flight.stepping)
     for routes in (flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):

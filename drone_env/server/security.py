@@ -1,14 +1,12 @@
-"""ASGI middlewares: security headers, and checks of host, origin and token."""
+"""Checks of the host, origin and token of a request, and its address."""
 
 import base64
 import binascii
 import hmac
 import ipaddress
-from collections.abc import Collection
 from functools import lru_cache
 from urllib.parse import urlsplit
 
-from fastapi import FastAPI
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -22,17 +20,24 @@ POLICY_VIOLATION = 1008
 OFFER = "bearer."
 
 
-class SecurityHeaders:
-    """Adds security and cache headers.
+class Security:
+    """Middleware that checks the host, the origin and the token of a request, and adds security and cache headers.
+
+    A server on loopback accepts only names of this machine and `allowed_hosts`: with DNS rebinding, any web page could
+    call it otherwise. Browsers send the origin of a page in the `Origin` header; other programs send none.
 
     Args:
         app: The wrapped application.
-        frame_ancestors: Sites that may show the page in a frame.
+        settings: The allowed hosts, origins and frame ancestors, and the token.
     """
 
-    def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
-        framing = " ".join(frame_ancestors) or "'none'"
+        self.hosts = {host.lower() for host in settings.allowed_hosts}
+        self.listens = settings.host.lower()
+        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
+        self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
+        framing = " ".join(settings.frame_ancestors) or "'none'"
         policy = (
             # 'self' includes WebSockets of the same origin since Chrome 71, Firefox 63 and Safari 16.
             f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
@@ -46,45 +51,18 @@ class SecurityHeaders:
         ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Add the headers to an HTTP response."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-
-        # Browsers must revalidate the page, so that users see an update of the package at once.
-        is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
+        """Pass on an allowed request. A refused WebSocket is closed before it opens."""
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = [*message.get("headers", ()), *self.headers]
                 if not any(name.lower() == b"cache-control" for name, _ in headers):
+                    # Browsers must revalidate the page, so that users see an update of the package at once.
+                    is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
                     headers.append((b"cache-control", b"no-cache" if is_page else b"no-store"))
                 message["headers"] = headers
             await send(message)
 
-        await self.app(scope, receive, send_with_headers)
-
-
-class AllowedCallers:
-    """Checks the host, the origin and the token of a request.
-
-    A server on loopback accepts only names of this machine and `allowed_hosts`: with DNS rebinding, any web page could
-    call it otherwise. Browsers send the origin of a page in the `Origin` header; other programs send none.
-
-    Args:
-        app: The wrapped application.
-        settings: The allowed hosts and origins, and the token.
-    """
-
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self.app = app
-        self.hosts = {host.lower() for host in settings.allowed_hosts}
-        self.listens = settings.host.lower()
-        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
-        self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on an allowed request. A refused WebSocket is closed before it opens."""
         try:
             if scope["type"] in ("http", "websocket"):
                 self._check(scope, Headers(scope=scope))
@@ -92,9 +70,9 @@ class AllowedCallers:
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
             else:
-                await answer_to(error, scope)(scope, receive, send)
+                await answer_to(error, scope)(scope, receive, send_with_headers)
             return
-        await self.app(scope, receive, send)
+        await self.app(scope, receive, send_with_headers)
 
     def _check(self, scope: Scope, headers: Headers) -> None:
         named = headers.get("host", "")
@@ -139,12 +117,6 @@ def _offered_token(scope: Scope) -> bytes:
             except binascii.Error:
                 return b""
     return b""
-
-
-def protect(app: FastAPI, settings: Settings) -> None:
-    """Add the middlewares to an application."""
-    app.add_middleware(AllowedCallers, settings=settings)
-    app.add_middleware(SecurityHeaders, frame_ancestors=settings.frame_ancestors)
 
 
 PROXY_HEADERS, FORWARDED = ("forwarded", "via", "x-real-ip"), "x-forwarded-"

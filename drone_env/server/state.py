@@ -24,7 +24,6 @@ from drone_env.server.workers import Workers
 
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
-SHARED_HEADER = "X-Session-Shared"
 NEW = "new"
 """As `X-Session-Id` of a reset, this opens a private session."""
 LONGEST_ID = 200
@@ -138,7 +137,7 @@ class Caller(NamedTuple):
         return cls(None, shared_address(request.scope))
 
     def session(self, shared: Shared, answer: Response | None = None) -> str:
-        """Return the session id. The headers of `answer` name a shared session.
+        """Return the session id. The header of `answer` contains the id of a shared session.
 
         Raises:
             RequestError: if there is no session.
@@ -149,14 +148,8 @@ class Caller(NamedTuple):
         if session is None:
             raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
         if answer is not None:
-            self.tell(session, answer)
+            answer.headers[HEADER] = session
         return session
-
-    def tell(self, session: str, answer: Response) -> None:
-        """Set the session headers of a response."""
-        answer.headers[HEADER] = session
-        if self.address is not None:
-            answer.headers[SHARED_HEADER] = self.address
 
 
 async def caller_of(

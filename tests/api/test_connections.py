@@ -402,7 +402,7 @@ def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.
     assert [logged(1) for _ in range(LINES + 3)] == ["no luck"] * LINES + [None] * 3
     assert logged(2) == "no luck"
     now[0] += LINE_SECONDS
-    assert [logged(1) for _ in range(2)] == ["no luck (3 such lines before this one were not logged)", "no luck"]
+    assert [logged(1) for _ in range(2)] == ["no luck (3 similar lines were dropped)", "no luck"]
     assert logged(3, cancelled) is None
 
 

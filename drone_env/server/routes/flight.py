@@ -38,7 +38,6 @@ from drone_env.server.state import (
     HEADER,
     LONGEST_ID,
     SESSION_ERRORS,
-    SHARED_HEADER,
     Caller,
     CallerOf,
     Shared,
@@ -51,10 +50,7 @@ LONGEST_COUNT = 9
 """Digits of a count of steps; no task has that many."""
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
-    "headers": {
-        HEADER: {"description": "The session.", "schema": {"type": "string"}},
-        SHARED_HEADER: {"description": "The address whose callers share it.", "schema": {"type": "string"}},
-    },
+    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
     "links": {
         name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
         for name in IN_SESSION
@@ -83,7 +79,7 @@ def reset(
     session, first = shared.sessions.reset(caller.named, options, show, caller.address)
     # Built from the rules, so it is not validated again; the tests hold it against the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
-    caller.tell(session, response)
+    response.headers[HEADER] = session
     secure = request.url.scheme == "https"
     # A frame of another site needs SameSite=None, which browsers take over https alone.
     response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
@@ -195,7 +191,7 @@ def _advance(shared: Shared, caller: Caller, body: StepRequest, after: int | Non
     _, stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
     answer = Response(stepped, media_type="application/json")
     if caller.named is None:
-        caller.tell(session, answer)
+        answer.headers[HEADER] = session
     return answer
 
 
