@@ -86,12 +86,12 @@ class Bench:
             raise FullError
 
 
-_benches: list[Bench] = []
+_contexts: list[Bench] = []
 
 
 def bench() -> Bench:
     """The state that the jobs of this process share."""
-    return _benches[0]
+    return _contexts[0]
 
 
 def serve(
@@ -116,8 +116,8 @@ def serve(
     TASKS.update(registered[0])
     REWARD_PROFILES.update(registered[1])
     FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
-    shared = Bench(settings)
-    _benches.append(shared)
+    context = Bench(settings)
+    _contexts.append(context)
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))
     limits = Limits(settings)
@@ -134,14 +134,14 @@ def serve(
         except DroneEnvError as raised:
             error = raised
         except (FullError, MemoryError):
-            if not shared.is_new:
+            if not context.is_new:
                 connection.send((None, None, AGAIN))
                 return
             error = TooLargeError(limits.too_much)
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
-        shared.is_new = False
+        context.is_new = False
         connection.send((result, error, LAST if limits.outgrown else NEXT))
 
 

@@ -117,7 +117,7 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
-async def shared_of(request: Request) -> Shared:
+async def get_app_state(request: Request) -> Shared:
     """The parts of the server that handles a request."""
     return request.app.state.shared
 
@@ -152,7 +152,7 @@ class Caller(NamedTuple):
         return session
 
 
-async def caller_of(
+async def get_caller(
     request: Request,
     _: Annotated[
         str | None,
@@ -167,5 +167,5 @@ async def caller_of(
     return Caller.of(request)
 
 
-SharedParts = Annotated[Shared, Depends(shared_of)]
-CallerOf = Annotated[Caller, Depends(caller_of)]
+SharedParts = Annotated[Shared, Depends(get_app_state)]
+CallerOf = Annotated[Caller, Depends(get_caller)]
