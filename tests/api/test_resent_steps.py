@@ -1,4 +1,4 @@
-"""A step whose answer was lost is sent again: it is flown once."""
+"""A repeated step with the same `X-Step-Count` is flown once."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The WebSocket: frames that nobody planned for, capacity, idleness, what is kept."""
+"""OpenEnv's WebSocket: invalid frames, capacity, idle sockets, stored episodes."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""Callers that name no session share that of their address, unless a token is set or a proxy is visible."""
+"""Callers without a session id share the session of their address, except with a token or behind a proxy."""
 
 from collections.abc import Callable, Generator
 from contextlib import ExitStack

@@ -1,4 +1,4 @@
-"""Worker processes: limits, turns, and what becomes of a job that nobody waits for."""
+"""Worker processes: limits, fairness, dropped jobs."""
 
 import asyncio
 import os

@@ -1,4 +1,4 @@
-"""Several processes that serve one data folder."""
+"""Several server processes on one data folder."""
 
 import os
 import signal

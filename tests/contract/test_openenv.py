@@ -1,4 +1,4 @@
-"""OpenEnv's own tools against our server and our environment: clients, server, validator."""
+"""OpenEnv's clients, server and validator with our server and environment."""
 
 import json
 import shutil
