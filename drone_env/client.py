@@ -1,12 +1,12 @@
-"""Clients of the server: flat JSON over HTTP, and OpenEnv over WebSocket.
+"""Clients of the server.
 
     with DroneEnvClient("http://localhost:8000") as client:
         observation = client.reset("hard_delivery", seed=7)
         while not observation["done"]:
             observation = client.step("RIGHT")
 
-`DroneDeliveryClient` is the OpenEnv client; it is imported when it is first asked for, because OpenEnv takes seconds.
-`python -m drone_env.client URL` flies one map as a check.
+`DroneDeliveryClient` is the OpenEnv client. It is imported on first access, because importing OpenEnv takes seconds.
+`python -m drone_env.client URL` flies one map as a smoke test.
 """
 
 import argparse
@@ -35,11 +35,11 @@ BROKEN = (httpx.ReadError, httpx.RemoteProtocolError, httpx.WriteError)
 
 
 class ServerError(DroneEnvError):
-    """The server did not do what was asked.
+    """A request failed.
 
     Attributes:
-        status: The HTTP status, 0 where there was no answer.
-        code: What went wrong, for programs.
+        status: The HTTP status; 0 without a response.
+        code: The error code.
     """
 
     def __init__(self, status: int, code: str, message: str) -> None:
@@ -49,14 +49,16 @@ class ServerError(DroneEnvError):
 
 
 class DroneEnvClient:
-    """One session of the server over HTTP. Observations and answers are dictionaries, as the server's JSON has them.
+    """One session of the server over HTTP. Methods return the JSON of the response as a dictionary.
+
+    All methods raise `ServerError` if the server cannot be reached or returns an error.
 
     Args:
-        base_url: Where the server is.
-        timeout: Seconds that an answer may take.
-        token: The server's token, if it asks for one; `DRONE_ENV_TOKEN` of the environment without one.
-        http: A client to send with instead, such as Starlette's `TestClient`, which needs no network; the other
-            arguments are then its affair, and so is closing it.
+        base_url: URL of the server.
+        timeout: Timeout of a request in seconds.
+        token: The server's token; default: the environment variable `DRONE_ENV_TOKEN`.
+        http: An `httpx.Client` such as Starlette's `TestClient`, which replaces the other arguments. The caller closes
+            it.
     """
 
     def __init__(
@@ -67,8 +69,8 @@ class DroneEnvClient:
         self._owns = http is None
         self._http = http or httpx.Client(base_url=base_url, timeout=timeout, headers=headers)
         self.session_id: str | None = None
-        """The session; set it to go on with another client's."""
-        self._known: dict[str | None, int] = {}  # the session that was reset here, and its step_count
+        """The session id; set it to continue the session of another client."""
+        self._step_counts: dict[str | None, int] = {}  # of the session that this client has reset
 
     def __enter__(self) -> Self:
         return self
@@ -80,21 +82,21 @@ class DroneEnvClient:
         """Close the connection, and end the session.
 
         Args:
-            keep_session: Leave the session on the server, for a client that is given its `session_id`.
+            keep_session: Do not end the session, so that another client can continue it.
         """
         if self.session_id is not None and not keep_session:
-            # A server that cannot be reached ends it by itself, when it has been idle for too long.
+            # The server also ends idle sessions.
             with suppress(ServerError):
                 self.end_session()
         if self._owns:
             self._http.close()
 
     def health(self) -> dict[str, Any]:
-        """Whether the server is well, and its version."""
+        """Return the status and version of the server."""
         return self._call("GET", "/health")
 
     def tasks(self) -> dict[str, Any]:
-        """All tasks and reward profiles."""
+        """Return all tasks and reward profiles."""
         return self._call("GET", "/tasks")
 
     def reset(
@@ -104,57 +106,57 @@ class DroneEnvClient:
         reward_profile: str | None = None,
         agent: str | None = None,
     ) -> dict[str, Any]:
-        """Start an episode and return its first observation. What is left out is chosen by the server.
+        """Start an episode and return its first observation. The server chooses what is None.
 
         Args:
             task_name: Id, short name or grader of the task.
             seed: Number of the map.
-            reward_profile: What steps pay.
-            agent: Who flies, for the records.
+            reward_profile: Id of the reward profile.
+            agent: Name of the agent in the records.
         """
-        given = {"task_name": task_name, "seed": seed, "reward_profile": reward_profile, "agent": agent}
-        answer = self._call("POST", "/reset", {name: value for name, value in given.items() if value is not None})
+        options = {"task_name": task_name, "seed": seed, "reward_profile": reward_profile, "agent": agent}
+        answer = self._call("POST", "/reset", {name: value for name, value in options.items() if value is not None})
         self.session_id = str(answer.pop("session_id"))
-        self._known = {self.session_id: answer["step_count"]}
+        self._step_counts = {self.session_id: answer["step_count"]}
         return answer
 
     def step(self, direction: str) -> dict[str, Any]:
         """Fly one action, `UP`, `DOWN`, `LEFT`, `RIGHT` or `WAIT`, and return the observation.
 
-        In a session that this client has reset, an action whose answer was lost may be sent again: it is flown once. If
-        another client has stepped the session meanwhile, the step is refused; `state` brings this one up to date.
+        In a session that this client has reset, a step whose response was lost is repeated, and flown once. If another
+        client has stepped the session meanwhile, the server refuses the step; `state` updates the step count.
         """
-        count = self._known.get(self.session_id)
-        more = None if count is None else {"X-Step-Count": str(count)}
-        return self._noted(self._call("POST", "/step", {"direction": direction}, more))
+        count = self._step_counts.get(self.session_id)
+        headers = None if count is None else {"X-Step-Count": str(count)}
+        return self._counted(self._call("POST", "/step", {"direction": direction}, headers))
 
     def end_session(self) -> None:
-        """End the session, so that its place on the server is free. An episode that has not ended is dropped."""
+        """End the session. An episode that has not ended is dropped."""
         self._call("DELETE", "/session")
         self.session_id = None
 
     def state(self) -> dict[str, Any]:
-        """The full state of the episode."""
-        return self._noted(self._call("GET", "/state"))
+        """Return the full state of the episode."""
+        return self._counted(self._call("GET", "/state"))
 
     def grade(self, task_name: str) -> dict[str, Any]:
-        """The graded score of the episode, which must be of this task."""
+        """Return the graded score of the episode, which must be of this task."""
         return self._call("GET", f"/grade/{task_name}")
 
     def analyse(self, task_name: str) -> dict[str, Any]:
-        """Figures of the finished episodes of a task."""
+        """Return statistics of the finished episodes of a task."""
         return self._call("GET", f"/analyse/{task_name}")
 
     def path_history(self) -> dict[str, Any]:
-        """The flight so far."""
+        """Return the steps of the episode."""
         return self._call("GET", "/path_history")
 
     def solution(self) -> dict[str, Any]:
-        """The best flight over the map, once the episode has ended."""
+        """Return an optimal flight, once the episode has ended."""
         return self._call("GET", "/solution")
 
     def predict(self) -> dict[str, Any]:
-        """What the trained network would do now."""
+        """Return the next action by the trained network."""
         return self._call("POST", "/predict")
 
     def run_random_episode(self, task: str = "easy_delivery", verbose: bool = False) -> dict[str, Any]:
@@ -165,7 +167,7 @@ class DroneEnvClient:
             verbose: Print every step.
 
         Returns:
-            The last observation, with `task` and `steps`.
+            The last observation, and `task` and `steps`.
         """
         observation = self.reset(task, agent="random")
         while not observation["done"]:
@@ -178,33 +180,33 @@ class DroneEnvClient:
                 )
         return {"task": task, "steps": observation["step_count"], **observation}
 
-    def _noted(self, answer: dict[str, Any]) -> dict[str, Any]:
-        if self.session_id in self._known:
-            self._known[self.session_id] = answer["step_count"]
+    def _counted(self, answer: dict[str, Any]) -> dict[str, Any]:
+        if self.session_id in self._step_counts:
+            self._step_counts[self.session_id] = answer["step_count"]
         return answer
 
     def _call(
-        self, method: str, path: str, body: dict[str, Any] | None = None, more: dict[str, str] | None = None
+        self, method: str, path: str, body: dict[str, Any] | None = None, idempotency: dict[str, str] | None = None
     ) -> dict[str, Any]:
-        """Send a request and return its JSON. Where the connection breaks, it is sent once more if that is harmless.
+        """Send a request and return its JSON. After a broken connection an idempotent request is sent once more.
 
         Args:
-            method: GET is harmless.
-            path: Where to.
-            body: To be sent as JSON.
-            more: Headers of a request that is harmless to send twice.
+            method: GET is idempotent.
+            path: The path.
+            body: The body, sent as JSON.
+            idempotency: Headers that make another method idempotent.
 
         Raises:
-            ServerError: if there is no answer, one that tells a problem, or one that is not a JSON object.
+            ServerError: if there is no response, or it is an error or not a JSON object.
         """
-        # Callers that name no session share one.
-        headers = {"X-Session-Id": self.session_id or "new", **(more or {})}
+        # Without an id, callers would share a session.
+        headers = {"X-Session-Id": self.session_id or "new", **(idempotency or {})}
         try:
             try:
                 response = self._http.request(method, path, json=body, headers=headers)
             except BROKEN:
-                # The other side had closed the connection while it lay idle, as nginx does when it is reloaded.
-                if method != "GET" and more is None:
+                # For example nginx closes idle connections when it is reloaded.
+                if method != "GET" and idempotency is None:
                     raise
                 response = self._http.request(method, path, json=body, headers=headers)
         except httpx.HTTPError as error:
@@ -212,25 +214,25 @@ class DroneEnvClient:
         answer: Any = None
         with suppress(ValueError):
             answer = {} if response.status_code == httpx.codes.NO_CONTENT else response.json()
-        found = cast(dict[str, Any], answer) if isinstance(answer, dict) else {"detail": response.text[:200]}
-        if response.is_success and found is answer:
-            return found
-        message = f"{method} {path}: {response.status_code}: {found.get('detail', '')}"
-        raise ServerError(response.status_code, found.get("code", "http"), message)
+        fields = cast(dict[str, Any], answer) if isinstance(answer, dict) else {"detail": response.text[:200]}
+        if response.is_success and fields is answer:
+            return fields
+        message = f"{method} {path}: {response.status_code}: {fields.get('detail', '')}"
+        raise ServerError(response.status_code, fields.get("code", "http"), message)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one map at random against a server and print the result; 0 if all answers came, 1 otherwise."""
+    """Fly one map at random and print the result; return 0, or 1 after an error."""
     parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying one map.")
-    parser.add_argument("url", nargs="?", default=DEFAULT_URL, help="where the server is (%(default)s)")
+    parser.add_argument("url", nargs="?", default=DEFAULT_URL, help="URL of the server (%(default)s)")
     parser.add_argument("--task", default="easy_delivery", help="the task to fly (%(default)s)")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        with DroneEnvClient(given.url) as client:
+        with DroneEnvClient(options.url) as client:
             print(f"health: {client.health()}")
-            result = client.run_random_episode(given.task, verbose=True)
-            print(f"grade: {client.grade(given.task)}")
-            analysis = client.analyse(given.task)
+            result = client.run_random_episode(options.task, verbose=True)
+            print(f"grade: {client.grade(options.task)}")
+            analysis = client.analyse(options.task)
         print(f"episodes of {analysis['task']} on this server: {analysis['episodes_total']}")
         print(f"score: {result['score']:.4f} in {result['steps']} steps")
     except (DroneEnvError, httpx.InvalidURL) as error:

@@ -1,7 +1,7 @@
-"""What travels between the world and those who fly in it: actions, observations and states as Pydantic models.
+"""Actions, observations and states as Pydantic models.
 
 Unknown fields, wrong types and numbers out of range are validation errors that name the field. All models are
-immutable; positions are `[x, y]` in JSON.
+immutable. Positions are `[x, y]` in JSON.
 """
 
 from functools import lru_cache
@@ -22,7 +22,7 @@ MAX_SEED = N_SEEDS - 1
 Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
 CellName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "drone", "unknown", "pad"]
 GroundName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "pad"]
-"""The kinds that can lie below the drone: `tasks.TERRAIN` in words."""
+"""Names of the cells that can be below the drone, as `tasks.TERRAIN`."""
 EventName = Literal["delivery", "battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step"]
 OutcomeName = Literal["flying", "delivered", "battery_dead", "out_of_steps"]
 Score = Annotated[float, Field(ge=0.01, le=0.99)]
@@ -40,20 +40,20 @@ EMOJI_OF = dict(zip(NAMES, EMOJI, strict=True))
 
 
 class Message(BaseModel):
-    """Base of all that travels: immutable, strict, no unknown fields, no NaN or infinity."""
+    """Base of all models: immutable, strict, without unknown fields, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     @classmethod
     def read(cls, text: str | bytes, wrong: str) -> Self:
-        """The message that is written as this JSON.
+        """Parse JSON.
 
         Args:
             text: The JSON.
-            wrong: What to say where it is none, such as `line 3 is no call`; why follows.
+            wrong: Start of the error message, such as `line 3 is not a call`; the reason follows.
 
         Raises:
-            InvalidValueError: if it is none.
+            InvalidValueError: if it is invalid.
         """
         try:
             return cls.model_validate_json(text)
@@ -61,18 +61,9 @@ class Message(BaseModel):
             raise InvalidValueError(f"{wrong}: {text_of(error)}") from None
 
 
-def _require(holds: bool, message: str) -> None:
-    if not holds:
+def _require(condition: bool, message: str) -> None:
+    if not condition:
         raise ValueError(message)
-
-
-def _require_at_most(name: str, value: int, bound: str, most: int) -> None:
-    _require(value <= most, f"{name} {value} exceeds {bound} {most}")
-
-
-def _require_inside(name: str, position: tuple[int, int] | None, width: int, height: int) -> None:
-    inside = position is None or (position[0] < width and position[1] < height)
-    _require(inside, f"{name} {position} is off the {width} x {height} grid")
 
 
 class DroneAction(Message):
@@ -82,12 +73,12 @@ class DroneAction(Message):
 
     @property
     def action(self) -> Action:
-        """The action as the number that the dynamics take."""
+        """The number of the action."""
         return Action[self.direction]
 
 
 class DroneObservation(Message):
-    """What an agent sees after a reset or a step."""
+    """The observation after a reset or a step."""
 
     grid: list[str] = Field(fail_fast=True, description="The map as one row of emoji per line, top row first.")
     cell_types: list[Annotated[list[CellName], Field(fail_fast=True)]] = Field(
@@ -115,28 +106,25 @@ class DroneObservation(Message):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        width, height = self.grid_width, self.grid_height
-        _require(len(self.grid) == height, f"grid has {len(self.grid)} rows, grid_height says {height}")
+        width, height, x, y = self.grid_width, self.grid_height, self.drone_x, self.drone_y
         shaped = len(self.cell_types) == height and all(len(row) == width for row in self.cell_types)
         _require(shaped, f"cell_types is not {height} rows of {width}")
-        for y, row in enumerate(self.cell_types):
-            emoji = "".join([EMOJI_OF[name] for name in row])
-            _require(self.grid[y] == emoji, f"row {y} of grid is {self.grid[y]!r}; cell_types makes it {emoji!r}")
-        _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
-        at_drone = self.cell_types[self.drone_y][self.drone_x]
-        _require(at_drone == "drone", f"drone_x, drone_y are at a {at_drone} of cell_types")
-        _require_inside("current_target", self.current_target, width, height)
-        _require_at_most("deliveries_done", self.deliveries_done, "deliveries_total", self.deliveries_total)
+        emoji = ["".join([EMOJI_OF[name] for name in row]) for row in self.cell_types]
+        _require(self.grid == emoji, "grid and cell_types differ")
+        _require(x < width and y < height and self.cell_types[y][x] == "drone", "drone_x, drone_y: no drone is there")
+        target = self.current_target
+        _require(target is None or (target[0] < width and target[1] < height), "current_target is outside the grid")
+        _require(self.deliveries_done <= self.deliveries_total, "deliveries_done exceeds deliveries_total")
         below = cast(str | None, self.cell_below)
         seen = sum(row.count("delivered") for row in self.cell_types) + (below == "delivered")
-        why = f"cell_types and cell_below {below!r} show {seen} delivered, deliveries_done says {self.deliveries_done}"
+        why = f"cell_types and cell_below {below!r} show {seen} delivered, deliveries_done is {self.deliveries_done}"
         _require(seen == self.deliveries_done or (below is None and seen + 1 == self.deliveries_done), why)
-        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
+        _require(self.step_count <= self.max_steps, "step_count exceeds max_steps")
         return self
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
-        """What an agent sees of the episode now.
+        """Return the current observation of an episode.
 
         Raises:
             EpisodeError: before the first reset.
@@ -145,7 +133,7 @@ class DroneObservation(Message):
 
 
 def observation_fields(episode: Episode) -> dict[str, Any]:
-    """The fields of `DroneObservation.of(episode)` as a dictionary, unchecked: what to send where speed counts.
+    """Return the fields of `DroneObservation.of(episode)` without validation, which is faster.
 
     Raises:
         EpisodeError: before the first reset.
@@ -160,7 +148,7 @@ def observation_fields(episode: Episode) -> dict[str, Any]:
 
 
 def map_rows(episode: Episode) -> list[bytes]:
-    """The map as the drone sees it: one row of cell ids after another, top first.
+    """Return the rows of the visible map, top first, as bytes of cell ids.
 
     Raises:
         EpisodeError: before the first reset.
@@ -170,13 +158,13 @@ def map_rows(episode: Episode) -> list[bytes]:
 
 
 def observation_numbers(episode: Episode) -> dict[str, Any]:
-    """The fields of `DroneObservation.of(episode)` that are neither map nor legend.
+    """Return the fields of `DroneObservation.of(episode)` except for map and legend.
 
     Raises:
         EpisodeError: before the first reset.
     """
     x, y = episode.position
-    away = episode.distance_to_target
+    distance = episode.distance_to_target
     return {
         "grid_width": episode.task.width,
         "grid_height": episode.task.height,
@@ -188,7 +176,7 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
         "deliveries_total": episode.task.deliveries,
         "deliveries_done": episode.deliveries_done,
         "current_target": episode.target,
-        "distance_to_target": None if away is None else float(away),
+        "distance_to_target": None if distance is None else float(distance),
         "step_count": episode.steps,
         "max_steps": episode.task.max_steps,
         "reward_last": episode.reward_last,
@@ -201,12 +189,12 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
 
 @lru_cache(maxsize=4096)
 def shown(row: bytes) -> tuple[str, tuple[str, ...]]:
-    """A row of cell ids as emoji and as names; a step changes one or two rows of a map."""
+    """Return a row of cell ids as emoji and as names. Cached: a step changes one or two rows of a map."""
     return "".join([EMOJI[cell] for cell in row]), tuple([NAMES[cell] for cell in row])
 
 
 class PathPoint(Message):
-    """One flown step: the action and what it led to."""
+    """One step of a flight: the action and its effect."""
 
     step: int = Field(ge=1, description="Number of the step, from 1.")
     action: Direction
@@ -226,11 +214,11 @@ class ParcelState(Message):
 
 
 class DroneState(Message):
-    """The full state of an episode, with the flight so far."""
+    """The full state of an episode, including its steps."""
 
     episode_id: str | None = Field(
         default=None,
-        description="Names the episode: over `/ws` as its reset did; over HTTP as the store does, once it has ended.",
+        description="Over `/ws` the id from the reset; over HTTP the id in the store, once the episode has ended.",
     )
     task_name: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
@@ -251,28 +239,28 @@ class DroneState(Message):
     reward_total: float = Field(description="Sum of all rewards.")
     score: Score = Field(description="The graded score as the episode stands.")
     done: bool = Field(description="Whether the episode has ended.")
-    outcome: OutcomeName = Field(description="How the episode stands.")
+    outcome: OutcomeName = Field(description="Outcome of the episode; `flying` until it ends.")
     path_history: list[PathPoint] = Field(description="All steps flown, in order; may be left empty.")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         counts = (len(self.parcels), sum(parcel.delivered for parcel in self.parcels))
         expected = (self.deliveries_total, self.deliveries_done)
-        _require(counts == expected, f"parcels say {counts}; (deliveries_total, deliveries_done) say {expected}")
+        _require(counts == expected, f"parcels: {counts}, but (deliveries_total, deliveries_done) is {expected}")
         units, capacity = self.battery_steps_remaining, self.battery_capacity
-        _require_at_most("battery_steps_remaining", units, "battery_capacity", capacity)
+        _require(units <= capacity, "battery_steps_remaining exceeds battery_capacity")
         _require(self.battery == units / capacity, f"battery {self.battery} is not {units} / {capacity}")
-        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
+        _require(self.step_count <= self.max_steps, "step_count exceeds max_steps")
         _require(self.done == (self.outcome != "flying"), f"done {self.done} contradicts outcome {self.outcome!r}")
         complete = self.deliveries_done == self.deliveries_total
         _require(complete == (self.outcome == "delivered"), f"outcome {self.outcome!r} contradicts deliveries_done")
-        flown = len(self.path_history)
-        _require(flown in (0, self.step_count), f"path_history holds {flown} of {self.step_count} steps")
+        steps = len(self.path_history)
+        _require(steps in (0, self.step_count), f"path_history has {steps} of {self.step_count} steps")
         return self
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
-        """The full state of the episode now.
+        """Return the full state of an episode.
 
         Raises:
             EpisodeError: before the first reset.

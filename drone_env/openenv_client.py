@@ -10,14 +10,14 @@ from drone_env.models import DroneAction, DroneObservation, DroneState
 
 
 class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, DroneState]):
-    """Flies over `/ws`: asynchronous as it is, synchronous through `sync()`.
+    """A client of `/ws`: asynchronous, or synchronous after `sync()`.
 
         with DroneDeliveryClient("http://localhost:8000").sync() as env:
             result = env.reset(task_name="hard", seed=7)
             while not result.done:
                 result = env.step(DroneAction(direction="RIGHT"))
 
-    `reset` takes `seed`, `episode_id`, `task_name`, `reward_profile`, `agent`, or `split` and `index`.
+    Options of `reset`: `seed`, `episode_id`, `task_name`, `reward_profile`, `agent`, or `split` and `index`.
     """
 
     def _step_payload(self, action: object) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The server's application and command where OpenEnv's tools look for them."""
+"""The application and the command at the path that OpenEnv's tools expect."""
 
 from drone_env.errors import needs
 
@@ -10,7 +10,7 @@ __all__ = ["app", "main"]
 
 
 def main() -> None:
-    """Serve until told to stop; see `--help`."""
+    """Serve until stopped; see `--help`."""
     server.main()
 
 

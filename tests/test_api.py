@@ -1,4 +1,4 @@
-"""The HTTP interface: every endpoint is requested, as flat JSON, by a client that keeps its cookie as browsers do."""
+"""The HTTP interface: requests to every endpoint, with a session cookie as in a browser."""
 
 import json
 import re

@@ -1,7 +1,7 @@
-"""The application, and the command that serves it.
+"""The ASGI application, and the command that serves it.
 
-OpenEnv's server package is not imported: it costs seconds and 150 MB, most of it for Gradio. `server.openenv` and
-`routes.openenv` speak its protocol, and `grid_world_environment` is the environment for those who bring OpenEnv.
+OpenEnv's server package is not imported, because it takes seconds and 150 MB. `server.openenv` and `routes.openenv`
+implement its protocol; `grid_world_environment` is the environment for use with that package.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs, values
-from drone_env.server.security import protect
+from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared, SharedParts
 
@@ -42,22 +42,21 @@ log = logging.getLogger(__name__)
 DESCRIPTION = """
 A drone delivers parcels on a generated city grid.
 
-`POST /reset` opens a session and gives it back as `session_id`, as the header `X-Session-Id` and as a cookie; send it
-with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
+`POST /reset` opens a session and returns its id as `session_id`, as the header `X-Session-Id` and as a cookie. Send it
+with every further request. OpenEnv's clients use the WebSocket `/ws` instead; each connection is a session.
 """
 SWEEP_SECONDS = 5.0
 
 
 def create_app(settings: Settings | None = None, clock: Callable[[], float] | None = None) -> FastAPI:
-    """The server as an ASGI application. Nothing is opened or written before it starts.
+    """Create the ASGI application. It opens and writes no file before it starts.
 
     Args:
-        settings: The configuration; None for the environment's.
-        clock: Gives the time in seconds, by which sessions are idle; None for a steady one.
+        settings: The settings; None to read the environment.
+        clock: Returns the time in seconds, for idle times; None for a monotonic clock.
 
     Raises:
-        InvalidValueError: if a variable of the environment has a value that it cannot have, or a file of a reward
-            profile does.
+        InvalidValueError: if an environment variable or a file of a reward profile is invalid.
         OSError: if a file of a reward profile cannot be read.
     """
     load_plugins()
@@ -71,9 +70,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
-        # Seen where uvicorn itself was started; the command has printed it.
-        for line in shared.networks.described():
-            logging.getLogger("uvicorn.error").info("%s", line)
         sweeper = asyncio.create_task(_sweep(shared, socket, live))
         try:
             yield
@@ -90,7 +86,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         lifespan=lifespan,
         responses=answers(401, 403),
         generate_unique_id_function=lambda route: route.name,
-        # FastAPI's own pages fetch their scripts from elsewhere.
+        # FastAPI's own pages load scripts from a CDN.
         docs_url=None,
         redoc_url=None,
         openapi_url=None,
@@ -99,8 +95,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
-    # The first is the innermost.
-    protect(app, settings)
+    # The last middleware is the outermost.
+    app.add_middleware(Security, settings=settings)
     app.add_middleware(LogRequests, log=shared.requests)
     app.include_router(flight.stepping)
     for routes in (flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
@@ -116,28 +112,28 @@ def _add_page(app: FastAPI) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html")
 
-    kept: list[bytes] = []
+    cached: list[bytes] = []
     lock = asyncio.Lock()
 
-    # FastAPI's own holds up the event loop for 0.3 s, and writes it each time.
+    # A worker process computes it once: FastAPI's own route blocks the event loop for 0.3 s.
     @app.get("/openapi.json", include_in_schema=False)
     async def description(request: Request, shared: SharedParts) -> Response:
         async with lock:
-            if not kept:
+            if not cached:
                 settings = shared.settings.model_copy(update={"token": None, "reward_profiles": ()})
-                kept.append(await shared.work(request, _describe, settings, task=DEFAULT_TASK))
-        return Response(kept[0], media_type="application/json")
+                cached.append(await shared.work(request, _describe, settings, task=DEFAULT_TASK))
+        return Response(cached[0], media_type="application/json")
 
     app.mount("/static", PageFiles())
 
 
 def _describe(settings: Settings) -> bytes:
-    """The description of the routes, as JSON: a job of a worker process."""
+    """Return the OpenAPI description as JSON."""
     return to_json(create_app(settings).openapi())
 
 
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
-    """End what is idle, forever."""
+    """End idle sessions and sockets periodically."""
     interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
     while True:
         await asyncio.sleep(interval)
@@ -146,22 +142,22 @@ async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> Non
             await run_in_threadpool(live.keep_sessions)
             await run_in_threadpool(shared.sessions.expire)
         except DroneEnvError as error:
-            log.error("idle sessions could not be ended; tried again every %g s: %s", interval, error)
+            log.error("cannot end idle sessions, next attempt in %g s: %s", interval, error)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Serve until stopped. Options go before the environment.
+    """Serve until stopped. Options override environment variables.
 
     Args:
-        arguments: Those of the command line if None.
+        arguments: The options; None for those of the command line.
     """
     parser = argparse.ArgumentParser("server", description="Serve the environment over HTTP and WebSocket.")
     try:
         defaults = load_settings()
         parser.add_argument("--host", default=defaults.host, help="address to listen on (%(default)s)")
         parser.add_argument("--port", default=defaults.port, type=int, help="port to listen on (%(default)s)")
-        parser.add_argument("--workers", default=defaults.workers, type=int, help="processes that serve (%(default)s)")
-        parser.add_argument("--data", default=defaults.data, type=Path, help="folder of what is kept (%(default)s)")
+        parser.add_argument("--workers", default=defaults.workers, type=int, help="server processes (%(default)s)")
+        parser.add_argument("--data", default=defaults.data, type=Path, help="data folder (%(default)s)")
         run(**vars(parser.parse_args(arguments)))
     except (DroneEnvError, OSError) as error:
         sys.exit(f"server: {error}")
@@ -171,7 +167,7 @@ app: FastAPI
 
 
 def __getattr__(name: str) -> FastAPI:
-    """`app`, made when it is first asked for: importing this module reads no configuration."""
+    """Create `app` on first access, so that importing this module reads no settings."""
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()["app"] = create_app()

@@ -1,4 +1,4 @@
-"""The environment for those who bring OpenEnv: in process, or behind OpenEnv's own server.
+"""The environment as a subclass of OpenEnv's `Environment`, for use in a process or with OpenEnv's server.
 
     from openenv.core.env_server import create_fastapi_app
 
@@ -26,36 +26,36 @@ from drone_env.server.schemas import DESCRIPTION, ENV_NAME, ResetOptions, WireAc
 
 
 class DroneEnvAction(WireAction, Action):
-    """One action, as OpenEnv's classes have it."""
+    """One action as an OpenEnv `Action`."""
 
     model_config = ConfigDict(frozen=False)
 
 
 class DroneEnvObservation(WireObservation, Observation):
-    """One observation, as OpenEnv's classes have it."""
+    """One observation as an OpenEnv `Observation`."""
 
     model_config = ConfigDict(frozen=False)
 
 
 class DroneEnvState(DroneState, State):
-    """The full state, as OpenEnv's classes have it."""
+    """The full state as an OpenEnv `State`."""
 
     model_config = ConfigDict(frozen=False, extra="forbid")
 
 
 class GradeRubric(Rubric):
-    """What the grader says: the graded score of the episode as it stands; provisional until it has ended."""
+    """The graded score of the episode; provisional until it has ended."""
 
     def forward(self, action: Any, observation: Any) -> float:
-        """The score of the observation."""
+        """Return the score of the observation."""
         return observation.score
 
 
 class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObservation, DroneEnvState]):
-    """One drone on one map, by OpenEnv's rules. Rewards are those of the reward profile; `rubric` is the grader.
+    """One episode at a time. Rewards come from the reward profile; `rubric` is the grader.
 
     Args:
-        task: The task of a reset that names none.
+        task: The default task of a reset.
 
     Raises:
         UnknownNameError: if there is no such task.
@@ -69,16 +69,16 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         self._episode_id = ""
 
     def reset(self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any) -> DroneEnvObservation:
-        """Start an episode. On an error the running one is left as it was.
+        """Start an episode. After an error the current one continues.
 
         Args:
-            seed: Number of the map, 0 to 2^53 - 1; without one, the map after the last on a fixed walk, and at first
-                one that is drawn at random from the train split.
-            episode_id: Names the episode in the state; a random one without.
+            seed: Number of the map, 0 to 2^53 - 1. Default: the next on a fixed walk, and at first a random map of the
+                train split.
+            episode_id: Id of the episode in the state; default: a random one.
             kwargs: `task_name`, `reward_profile`, `agent`, or `split` and `index` of the task API.
 
         Raises:
-            InvalidValueError: if one of them is unknown or has a value that is not allowed.
+            InvalidValueError: if an option is unknown or not allowed.
             UnknownNameError: if there is no such task, profile or split.
         """
         try:
@@ -92,12 +92,12 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         return self._observe(None)
 
     def step(self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any) -> DroneEnvObservation:
-        """Fly one action. After the end it changes nothing, pays 0, and `message` says so.
+        """Fly one action. After the end of the episode it changes nothing and pays 0.
 
         Args:
-            action: Where to fly.
-            timeout_s: OpenEnv's; a step takes microseconds.
-            kwargs: OpenEnv's; nothing is taken.
+            action: The action.
+            timeout_s: Ignored.
+            kwargs: Ignored.
 
         Raises:
             EpisodeError: before the first reset.
@@ -108,13 +108,13 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
 
     @property
     def state(self) -> DroneEnvState:
-        """The full state."""
+        """The full state of the episode."""
         return DroneEnvState(**dict(DroneState.of(self._episode).model_copy(update={"episode_id": self._episode_id})))
 
     def get_metadata(self) -> EnvironmentMetadata:
-        """What the environment is."""
+        """Return name, description and version."""
         return EnvironmentMetadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
 
     def _observe(self, reward: float | None) -> DroneEnvObservation:
-        # Made from the rules, so it needs no validation.
+        # The fields come from the rules, so validation is not needed.
         return DroneEnvObservation.model_construct(**observation_fields(self._episode), reward=reward, metadata={})

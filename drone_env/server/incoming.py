@@ -1,8 +1,8 @@
-"""Request bodies and WebSocket frames: JSON, parsed once, with bounded work.
+"""JSON in request bodies and WebSocket frames, parsed once and at bounded cost.
 
-A limit of bytes does not bound the work by itself: each wrong list item or unknown key costs a validation error, which
-takes a hundred times as long as parsing. So lists in request models stop at the first wrong item (`fail_fast`), and
-the number of keys is limited as well.
+A byte limit alone does not bound the cost: each invalid list item or unknown key is a validation error, which takes a
+hundred times as long as parsing. So lists in request models stop at the first invalid item (`fail_fast`), and the
+number of keys is limited.
 """
 
 import asyncio
@@ -20,23 +20,23 @@ from drone_env.server.problems import RequestError
 
 TOO_BIG, TRY_LATER = 1009, 1013
 SMALL = 8192
-"""Bytes of a body or frame unless it says otherwise: enough for the longest valid reset with all text escaped."""
+"""Default limit of a body or frame in bytes: enough for the longest valid reset with all text escaped."""
 LARGE = 131_072
-"""Bytes of one that carries a record, an observation or a map; jiter parses the worst of that size in 3 ms."""
+"""Limit of a body with a record, an observation or a map. jiter parses any text of that size within 3 ms."""
 LIMIT = "x-max-bytes"
 """Key of the limit in the OpenAPI description of a route."""
 LARGE_BODY = {LIMIT: LARGE}
 """`openapi_extra` of a route with a large body."""
 MOST_PARTS = 500
-"""Lists, objects and keys of a body or frame, where the largest map needs 170. 40,000 new lists start a full garbage
-collection, which takes 60 ms, and each unknown key is a validation error. Characters in strings count, too."""
+"""Most lists, objects and keys of a body or frame; the largest map needs 170. Every `[`, `{` and `:` counts, also in
+strings. 40,000 new lists would start a full garbage collection, which takes 60 ms."""
 
 
 def parse_json(data: bytes) -> Any:
-    """The value of a JSON text. NaN, Infinity, duplicate keys, lone surrogates and nesting beyond 200 are errors.
+    """Parse JSON. NaN, Infinity, duplicate keys, lone surrogates and nesting beyond 200 are errors.
 
     Raises:
-        InvalidValueError: if it is not JSON, or has too many parts; the message says what is wrong.
+        InvalidValueError: if it is not JSON, or has too many parts.
     """
     if data.count(b"[") + data.count(b"{") + data.count(b":") > MOST_PARTS:
         raise InvalidValueError(f"JSON may have {MOST_PARTS} lists, objects and keys here")
@@ -47,7 +47,7 @@ def parse_json(data: bytes) -> Any:
 
 
 class JsonRequest(Request):
-    """A request whose body has been read and parsed."""
+    """A request with a parsed body."""
 
     content = b""
     value: Any = None
@@ -56,15 +56,15 @@ class JsonRequest(Request):
         """Read and parse the body.
 
         Args:
-            most: Bytes that it may have.
+            most: The limit in bytes.
 
         Raises:
-            RequestError: if it is too large, not declared as JSON, or not JSON.
+            RequestError: if the body is too large, has another content type, or is not JSON.
         """
         body = bytearray()
         try:
-            async for piece in self.stream():
-                body += piece
+            async for chunk in self.stream():
+                body += chunk
                 if len(body) > most:
                     detail = f"the body of {self.url.path} may have {most} bytes"
                     raise RequestError(413, "too_large", detail, {"Connection": "close"})
@@ -83,18 +83,18 @@ class JsonRequest(Request):
             raise RequestError(400, "not_json", str(error)) from None
 
     async def body(self) -> bytes:
-        """The bytes of the body, for FastAPI."""
+        """Return the body. FastAPI calls this."""
         return self.content
 
     async def json(self) -> Any:
-        """The value of the body, for FastAPI, which validates it."""
+        """Return the parsed body. FastAPI calls this, and validates it."""
         return self.value
 
 
 class JsonRoute(APIRoute):
-    """A route that reads and parses a body once, within the limit in its OpenAPI description.
+    """A route that parses its body once, within the limit in its OpenAPI description.
 
-    Every router with bodies needs this `route_class`; a test over the description finds one without.
+    Every router with bodies needs this `route_class`; a test over the description enforces it.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -103,7 +103,7 @@ class JsonRoute(APIRoute):
             self.openapi_extra = {LIMIT: SMALL, **(self.openapi_extra or {})}
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """What answers a request."""
+        """Return the handler of requests."""
         answer = super().get_route_handler()
         if self.body_field is None:
             return answer
@@ -118,21 +118,21 @@ class JsonRoute(APIRoute):
     async def answer(
         self, request: JsonRequest, validated: Callable[[Request], Coroutine[Any, Any, Response]]
     ) -> Response:
-        """The answer to a request whose body has been parsed.
+        """Handle a request with a parsed body.
 
         Args:
             request: The request.
-            validated: FastAPI's way to it.
+            validated: FastAPI's handler, which validates it.
         """
         return await validated(request)
 
 
 async def received(socket: WebSocket, most: int) -> AsyncGenerator[bytes | None, None]:
-    """The bytes of each text frame, None for a binary one, until the socket is closed; one that is too big closes it.
+    """Yield the bytes of each text frame, and None for a binary frame, until the socket is closed.
 
     Args:
-        socket: The socket.
-        most: Bytes that a frame may have.
+        socket: The socket. A frame that is too large closes it.
+        most: The limit of a frame in bytes.
     """
     while True:
         message = await socket.receive()
@@ -144,5 +144,5 @@ async def received(socket: WebSocket, most: int) -> AsyncGenerator[bytes | None,
             await socket.close(TOO_BIG, f"a frame may have {most} bytes")
             return
         yield None if text is None else data
-        # Where more has come already, nothing above needs to wait: others get their turn.
+        # If the next frame is here already, nothing above waits, so other tasks would starve.
         await asyncio.sleep(0)

@@ -1,7 +1,4 @@
-"""What runs in a worker process: its loop, the limits of a job, and what jobs share.
-
-A process keeps the maps that it solved last, and what it knows of files that have not changed since.
-"""
+"""The main function of a worker process, the limits of its jobs, and the state that its jobs share."""
 
 import logging
 import os
@@ -16,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES, RewardProfile
-from drone_env.core.tasks import FINDERS, PACKAGE_TASKS, TASKS, TaskConfig
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.tasks import FINDERS, TASKS, TaskConfig
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.files import MAPS
@@ -33,24 +30,26 @@ if sys.platform != "win32":
     import resource
 
 log = logging.getLogger(__name__)
-KEPT_SOLVERS = 16 << 20
-"""Bytes of solved maps that a process keeps; a map of skyline_hard takes 2 MB."""
+CACHED_SOLVERS = 16 << 20
+"""Bytes of solved maps that a process caches; a map of skyline_hard takes 2 MB."""
 GROWTH = 32 << 20
-"""Bytes by which a process may grow over its jobs; then another takes its place."""
+"""Bytes by which a process may grow over its jobs; then a new one replaces it."""
 
 NEXT, LAST, AGAIN = range(3)
-"""What a process does after a job: take the next, end, or end because the job needs a new process."""
+"""What a process does after a job: take the next one, end, or end because the job needs a new process."""
+Registered = tuple[dict[str, TaskConfig], dict[str, RewardProfile]]
+"""The tasks and reward profiles of the server."""
 
 
 class FullError(BaseException):
-    """Memory ran out in a process that keeps memory of earlier jobs. The job runs again in a new process."""
+    """Memory ran out in a process that has run other jobs. The job runs again in a new process."""
 
 
 class Bench:
-    """What the jobs of a process share.
+    """State that the jobs of a process share: networks, runs, and the maps solved last.
 
     Args:
-        settings: The configuration of the server.
+        settings: The settings of the server.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -61,12 +60,12 @@ class Bench:
         """Whether this process runs its first job."""
 
     def solver_of(self, task: TaskConfig, seed: int) -> "Solver":
-        """What can still be reached on a map, from its start.
+        """Return the exact values of a map.
 
         Raises:
-            TooLargeError: if solving it would take too much memory, even in a new process.
+            TooLargeError: if solving it takes too much memory, even in a new process.
         """
-        from drone_env.planning.optimal import solver_of  # loads Numba, which the process that serves does without
+        from drone_env.planning.optimal import solver_of  # loads Numba, which server processes do not need
 
         key = (task, seed)
         try:
@@ -76,67 +75,56 @@ class Bench:
             raise TooLargeError(f"the exact values of this map of {task.id!r} take too much memory") from None
         self._solvers[key] = solver
         self._solvers.move_to_end(key)
-        while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > KEPT_SOLVERS:
+        while len(self._solvers) > 1 and sum(cached.nbytes for cached in self._solvers.values()) > CACHED_SOLVERS:
             self._solvers.popitem(last=False)
         return solver
 
     def require_new(self) -> None:
-        """Call this when memory has run out: a process that has run other jobs leaves the job to a new one."""
+        """Call this when memory has run out: if this process has run other jobs, a new one repeats the job."""
         if not self.is_new:
             raise FullError
 
 
-_benches: list[Bench] = []
+_contexts: list[Bench] = []
 
 
 def bench() -> Bench:
-    """What the jobs of this process share."""
-    return _benches[0]
+    """The state that the jobs of this process share."""
+    return _contexts[0]
 
 
-def prepare(settings: Settings) -> None:
-    """Load the plugins, and make the bench."""
-    load_plugins()
-    FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
-    _benches.append(Bench(settings))
-
-
-def _register(tasks: dict[str, TaskConfig], profiles: dict[str, RewardProfile]) -> None:
-    """Have the tasks and reward profiles that the server has."""
-    for id_ in TASKS.keys() - PACKAGE_TASKS:
-        del TASKS[id_]
-    TASKS.update(tasks)
-    for id_ in REWARD_PROFILES.keys() - PACKAGE_PROFILES:
-        del REWARD_PROFILES[id_]
-    REWARD_PROFILES.update(profiles)
-
-
-def serve(connection: Connection, others: Connection, settings: Settings, environment: dict[str, str]) -> None:
-    """Run jobs until the server closes the connection: the main function of a worker process.
+def serve(
+    connection: Connection, others: Connection, settings: Settings, environment: dict[str, str], registered: Registered
+) -> None:
+    """Run jobs until the server closes the connection.
 
     Args:
-        connection: Functions and arguments come in, results and errors go out.
-        others: The server's end. It is closed here, so that the end of the server is seen.
-        settings: The configuration of the server.
-        environment: Variables of the server's environment.
+        connection: Receives functions and arguments, sends results and errors.
+        others: The server's end. It is closed here, so that the worker notices if the server dies.
+        settings: The settings of the server.
+        environment: Environment variables of the server.
+        registered: The tasks and reward profiles of the server.
     """
     others.close()
     os.environ.update(environment)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's to handle
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     if sys.platform != "win32":
         with suppress(OSError):
-            os.nice(10)  # flying has priority
-    prepare(settings)
-    # OpenBLAS allocates its buffer with the first large product. If it cannot, it ends the process.
+            os.nice(10)  # stepping has priority
+    load_plugins()
+    TASKS.update(registered[0])
+    REWARD_PROFILES.update(registered[1])
+    FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
+    context = Bench(settings)
+    _contexts.append(context)
+    # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))
     limits = Limits(settings)
     while True:
         try:
-            function, arguments, registered = connection.recv()
+            function, arguments = connection.recv()
         except (EOFError, OSError):
             return
-        if registered is not None:
-            _register(*registered)
         result: Any = None
         error: DroneEnvError | None = None
         try:
@@ -145,25 +133,25 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
         except DroneEnvError as raised:
             error = raised
         except (FullError, MemoryError):
-            if not bench().is_new:
+            if not context.is_new:
                 connection.send((None, None, AGAIN))
                 return
             error = TooLargeError(limits.too_much)
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
-        bench().is_new = False
+        context.is_new = False
         connection.send((result, error, LAST if limits.outgrown else NEXT))
 
 
 class Limits:
-    """Limits the CPU time and memory of a job inside a `with`; nothing on Windows, no memory on other than Linux.
+    """Context manager that limits the CPU time and memory of a job. Memory only on Linux, nothing on Windows.
 
-    Python code that runs too long is interrupted by a `TooLargeError`. Compiled code is not; after as long again the
-    kernel kills the process. Numba's compiling does not count: it happens once per machine.
+    A `TooLargeError` interrupts Python code. It cannot interrupt compiled code, so the kernel kills the process after
+    twice the time. Numba's compilation does not count, because it happens once per machine.
 
     Args:
-        settings: The configuration of the server.
+        settings: The settings of the server.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -172,7 +160,7 @@ class Limits:
         self._compiling = 0
         self._first = _allocated()
         self._compilers = 0
-        """Bytes that compiling has allocated. They are not the job's."""
+        """Bytes allocated by compilation, which do not count."""
         if sys.platform != "win32":
             from numba.core import event
 
@@ -197,11 +185,11 @@ class Limits:
 
     @property
     def outgrown(self) -> bool:
-        """Whether the process holds more memory than it should keep."""
+        """Whether the process has grown too much to be reused."""
         return _allocated() > self._first + self._compilers + GROWTH
 
     def __enter__(self) -> None:
-        """Limit time and memory from now on."""
+        """Set the limits."""
         if sys.platform != "win32":
             used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
             _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * self.seconds)
@@ -224,17 +212,17 @@ class Limits:
 
 
 def too_much(megabytes: int) -> str:
-    """What a caller is told whose job took too much memory."""
+    """The message of a job that needs too much memory."""
     return f"this takes more than {megabytes} MB of memory, the limit for one request"
 
 
 def too_long(seconds: int) -> str:
-    """What a caller is told whose job took too much CPU time."""
+    """The message of a job that needs too much CPU time."""
     return f"this takes more than {seconds} s of CPU time, the limit for one request"
 
 
 def _allocated() -> int:
-    """Bytes that this process has allocated, as the kernel counts them for `RLIMIT_DATA`; 0 on other than Linux."""
+    """Return the allocated bytes, as the kernel counts them for `RLIMIT_DATA`; 0 except on Linux."""
     if sys.platform != "linux":
         return 0
     with open("/proc/self/status", encoding="ascii") as status:

@@ -1,6 +1,6 @@
-"""The last requests that were answered: `/terminal_logs` and the page show them.
+"""The request log, for `/terminal_logs` and the page, and the training log.
 
-An entry says when, what and how long, never a body, a query, a header or a session.
+The request log contains no bodies, queries, headers or sessions.
 """
 
 import asyncio
@@ -21,22 +21,22 @@ from drone_env.files import open_file, stamp
 KEPT = 200
 LONGEST_PATH = 200
 BATCH_SECONDS = 0.25
-"""Followers receive the requests of this time together."""
+"""Event streams send the requests of this time together."""
 
 
 class LoggedRequest(models.Message):
-    """One answered request."""
+    """One request."""
 
-    number: int = Field(ge=1, description="Counted since the process started.")
-    time: str = Field(description="When it was answered, UTC, ISO 8601.")
+    number: int = Field(ge=1, description="Number of the request since the process started.")
+    time: str = Field(description="Time of the response, UTC, ISO 8601.")
     method: str = Field(description="The method, `WEBSOCKET` for a connection.")
     path: str = Field(description="The path, without query.")
-    status: int = Field(description="HTTP status; 101 for a WebSocket that was opened, 403 for one that was refused.")
-    milliseconds: float = Field(ge=0, description="How long it took; a WebSocket counts when it is closed.")
+    status: int = Field(description="HTTP status; 101 for an opened WebSocket, 403 for a refused one.")
+    milliseconds: float = Field(ge=0, description="Duration; a WebSocket is logged when it is closed.")
 
 
 class RequestLog:
-    """The log of one process."""
+    """The request log of one process."""
 
     def __init__(self) -> None:
         self.recent: deque[LoggedRequest] = deque(maxlen=KEPT)
@@ -46,7 +46,7 @@ class RequestLog:
         self._batch: tuple[int, int, bytes] = (0, 0, b"")
 
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
-        """Note one answer."""
+        """Add a request."""
         self.count += 1
         entry = LoggedRequest(
             number=self.count,
@@ -60,22 +60,22 @@ class RequestLog:
         self._changed.set()
 
     def since(self, number: int) -> list[LoggedRequest]:
-        """What is kept of the requests after this one, oldest first."""
+        """Return the stored requests after a number, oldest first."""
         return [entry for entry in self.recent if entry.number > number]
 
     async def follow(self) -> AsyncGenerator[bytes, None]:
-        """Server-sent events of the requests, at first those that are kept."""
-        seen = 0
+        """Yield server-sent events of the stored requests, and then of new ones."""
+        sent = 0
         while True:
-            if seen == self.count:
+            if sent == self.count:
                 self._changed.clear()
                 await self._changed.wait()
                 await asyncio.sleep(BATCH_SECONDS)
-            start, seen = seen, self.count
+            start, sent = sent, self.count
             yield self._events(start)
 
     def _events(self, start: int) -> bytes:
-        """The events after this number, written once for all followers that are equally far."""
+        """Return the events after a number. Streams at the same number share them."""
         if self._batch[:2] != (start, self.count):
             lines = [f"id: {one.number}\r\ndata: {one.model_dump_json()}\r\n\r\n" for one in self.since(start)]
             self._batch = start, self.count, "".join(lines).encode()
@@ -83,11 +83,11 @@ class RequestLog:
 
 
 class LogRequests:
-    """Middleware that notes every answer.
+    """Middleware that logs every request.
 
     Args:
-        app: The application within.
-        log: Where to.
+        app: The wrapped application.
+        log: The log.
     """
 
     def __init__(self, app: ASGIApp, log: RequestLog) -> None:
@@ -95,7 +95,7 @@ class LogRequests:
         self.log = log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, and note the result."""
+        """Pass on a request, and log it."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
@@ -125,7 +125,7 @@ POINTS = 400
 
 
 class TrainLog:
-    """The log in a folder, there or not.
+    """The training log in a data folder; it may be missing.
 
     Args:
         folder: The data folder.
@@ -133,30 +133,30 @@ class TrainLog:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FILE_NAME
-        self._seen: object = False
+        self._stamp: object = False
 
     def has_changed(self) -> bool:
-        """Whether it is another one than at the last call; true at the first."""
-        before, self._seen = self._seen, stamp(self.path)
-        return self._seen != before
+        """Return whether the file has changed since the last call; true for the first call."""
+        before, self._stamp = self._stamp, stamp(self.path)
+        return self._stamp != before
 
     def tail(self, lines: int) -> list[str]:
-        """Its last lines, oldest first; none where there is no file. Reads at most its last 256 KiB."""
+        """Return the last lines, oldest first, from at most 256 KiB. Empty without a file."""
         return list(deque(self._end(TAIL_BYTES), lines))
 
     def curve(self) -> dict[str, list[float | None]]:
-        """The figures of the last training by name, in the order of its lines; none where there are no such lines.
+        """Return the metrics of the training by name; empty without a file.
 
-        At most 400 lines, evenly spread, the last among them, of the last 32 MiB. A line has figures where it is all
-        `name=value`, as `drone_env.rl.run.log_line` writes it, and as the first of them; null is what there is not yet.
+        It reads at most 32 MiB and samples at most 400 lines evenly, including the last. Lines consist of `name=value`,
+        as `drone_env.rl.run.log_line` writes them; lines with other names than the first are skipped.
         """
         lines = self._end(CURVE_BYTES)
-        chosen = lines[:: -max(1, -(-len(lines) // POINTS))][::-1]
-        rows = [row for row in map(_figures, chosen) if row]
+        sample = lines[:: -max(1, -(-len(lines) // POINTS))][::-1]
+        rows = [row for row in map(_metrics, sample) if row]
         return {name: [row[name] for row in rows if row.keys() == rows[0].keys()] for name in rows[0]} if rows else {}
 
     def _end(self, size: int) -> list[str]:
-        """Its last lines, of at most so many bytes; none where there is no file.
+        """Return the last lines, of at most `size` bytes. Empty without a file.
 
         Raises:
             StoreError: if it cannot be read.
@@ -174,8 +174,8 @@ class TrainLog:
         return text.splitlines()[1 if start else 0 :]
 
 
-def _figures(line: str) -> dict[str, float | None]:
-    """The figures of a line; none where it is another one."""
+def _metrics(line: str) -> dict[str, float | None]:
+    """Return the metrics of a line; empty if it has none."""
     parts = [part.partition("=") for part in line.split()]
     try:
         values = [None if value == "-" else float(value) for _, _, value in parts]

@@ -1,9 +1,8 @@
-"""OpenEnv's WebSocket: one session per connection, speaking the protocol of OpenEnv's own server.
+"""OpenEnv's WebSocket protocol: one session per connection.
 
-That server would do, except for what it does with frames that nobody planned for (a list ends the session, 16 MiB are
-read, unknown options are dropped without a word), with idle sessions (the slot is freed, the socket is not), and with
-time: it validates every observation twice, in a thread of its own. The frames are the same, and the tests hold both
-servers side by side.
+OpenEnv's own server is not used: a list as a frame ends its session, it reads 16 MiB, drops unknown options silently,
+does not close idle sockets, and validates every observation twice in a thread. The frames are equal, and the tests
+compare both servers.
 """
 
 import asyncio
@@ -19,14 +18,15 @@ from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.core.episode import NOT_STARTED, Episode
+from drone_env.core.episode import NOT_STARTED
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
 from drone_env.models import DroneState
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import start_episode
+from drone_env.server.observation_json import openenv_json
 from drone_env.server.schemas import ResetOptions, WireAction
-from drone_env.server.sessions import ANONYMOUS, openenv_json
+from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
@@ -36,12 +36,12 @@ ALLOWED_TYPES = "reset, step, state, close, mcp"
 
 
 class RefusedError(Exception):
-    """A frame that is answered with an error; the session goes on.
+    """A frame whose response is an error; the session continues.
 
     Args:
         code: OpenEnv's code.
-        message: What is wrong, for people.
-        more: What else the error says: `errors`, the parts that are wrong.
+        message: The message for people.
+        more: Further fields of the error, such as `errors`.
     """
 
     def __init__(self, code: str, message: str, **more: object) -> None:
@@ -51,100 +51,22 @@ class RefusedError(Exception):
 
 
 class Connection:
-    """The session of a connection, and the name that its client gave the episode."""
-
-    def __init__(self) -> None:
-        self._session: Session | None = None
-        self._episode_id = ""
-
-    def reset(self, options: ResetOptions) -> Episode:
-        """Start an episode. On an error the running one is left as it was.
-
-        Raises:
-            UnknownNameError: if there is no such task, profile or split.
-            InvalidValueError: if the split has no such map.
-        """
-        episode = start_episode(options, None if self._session is None else self._session.seed)
-        self._session = Session("", *flight_of(episode), options.agent or ANONYMOUS, episode=episode)
-        self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
-        return episode
-
-    def started(self) -> Session:
-        """The session.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
-        if self._session is None:
-            raise EpisodeError(NOT_STARTED)
-        return self._session
-
-    def state(self) -> DroneState:
-        """The full state. Raises as `started`."""
-        return DroneState.of(self.started().fly()).model_copy(update={"episode_id": self._episode_id})
-
-
-class OpenEnvSocket:
-    """The WebSocket endpoint: an ASGI application. A socket on which nothing arrives for too long is closed.
+    """The session of a connection.
 
     Args:
         shared: The parts of the server.
-        clock: Gives the time in seconds since any start.
     """
 
-    def __init__(self, shared: Shared, clock: Callable[[], float] = time.monotonic) -> None:
-        self.shared = shared
-        self._clock = clock
-        self.touched: dict[WebSocket, float] = {}
-        """When each open socket was last used."""
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
+        self._session: Session | None = None
+        self._episode_id = ""
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one connection to its end."""
-        socket = WebSocket(scope, receive, send)
-        # Clients may go at any time, even before the server accepts them.
-        with suppress(WebSocketDisconnect, OSError):
-            await socket.accept()
-            capacity = self.shared.settings.capacity
-            try:
-                if "session_id" in socket.query_params:
-                    message = "every connection has a session of its own: leave out session_id"
-                    raise RefusedError("SESSION_ERROR", message)
-                if len(self.touched) >= capacity:
-                    message = f"{capacity} sessions are open, and no more are allowed: try again later"
-                    raise RefusedError("CAPACITY_REACHED", message)
-                self.touched[socket] = self._clock()
-                await self._serve(socket)
-            except RefusedError as refusal:
-                await socket.send_text(refusal.frame)
-                await socket.close(TRY_LATER, str(refusal)[:120])
-            finally:
-                self.touched.pop(socket, None)
-
-    async def _serve(self, socket: WebSocket) -> None:
-        connection = Connection()
-        async for data in received(socket, SMALL):
-            if socket not in self.touched:
-                return  # closed as idle
-            self.touched[socket] = self._clock()
-            try:
-                if data is None:
-                    raise RefusedError("INVALID_JSON", "send text frames with JSON")
-                answer = await self._answer(connection, data)
-            except RefusedError as refusal:
-                answer = refusal.frame
-            if answer is None:
-                await socket.close(NORMAL)
-                return
-            if socket not in self.touched:
-                return
-            await socket.send_text(answer)
-            self.touched[socket] = self._clock()
-
-    async def _answer(self, connection: Connection, received: bytes) -> str | None:
-        """The answer to a frame, None where it asks to close.
+    async def answer(self, received: bytes) -> str | None:
+        """Return the response to a frame; None if the client closes the session.
 
         Raises:
-            RefusedError: if the frame cannot be answered.
+            RefusedError: if the frame is invalid or cannot be executed.
         """
         try:
             frame = parse_json(received)
@@ -159,12 +81,12 @@ class OpenEnvSocket:
         data = cast(dict[str, Any], data)
         try:
             if kind == "step":
-                return await self._step(connection, data)
+                return await self._step(WireAction.model_validate(data))
             if kind == "reset":
-                episode = connection.reset(ResetOptions.model_validate(data))
-                return _frame("observation", openenv_json(episode, None))
+                return self._reset(ResetOptions.model_validate(data))
             if kind == "state":
-                return _frame("state", connection.state().model_dump_json())
+                state = DroneState.of(self._started().fly()).model_copy(update={"episode_id": self._episode_id})
+                return _frame("state", state.model_dump_json())
         except ValidationError as error:
             errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
@@ -178,46 +100,112 @@ class OpenEnvSocket:
             return _frame("mcp", to_json(mcp_answer(data)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
-    async def _step(self, connection: Connection, data: dict[str, Any]) -> str:
-        action = WireAction.model_validate(data).action
-        session = connection.started()
+    def _reset(self, options: ResetOptions) -> str:
+        """Start an episode. After an error the current one continues."""
+        episode = start_episode(options, None if self._session is None else self._session.seed)
+        self._session = Session("", *flight_of(episode), options.agent or ANONYMOUS, episode=episode)
+        self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
+        return _frame("observation", openenv_json(episode, None))
+
+    def _started(self) -> Session:
+        if self._session is None:
+            raise EpisodeError(NOT_STARTED)
+        return self._session
+
+    async def _step(self, action: WireAction) -> str:
+        session = self._started()
         episode = session.fly()
-        # Ended and not kept, it has answered an error: the same step again is answered as it would have been.
-        reward = episode.reward_last if session.finished else advance(session, action)
+        # If storing the ended episode failed, the client repeats the last step, and gets the same response.
+        reward = episode.reward_last if session.finished else advance(session, action.action)
         if session.finished:
-            await asyncio.get_running_loop().run_in_executor(self.shared.steps, self.shared.store.keep, session)
+            await asyncio.get_running_loop().run_in_executor(self._shared.steps, self._shared.store.keep, session)
         return _frame("observation", openenv_json(episode, reward))
 
+
+class OpenEnvSocket:
+    """The WebSocket endpoint, an ASGI application. It closes idle sockets.
+
+    Args:
+        shared: The parts of the server.
+        clock: Returns the time in seconds.
+    """
+
+    def __init__(self, shared: Shared, clock: Callable[[], float] = time.monotonic) -> None:
+        self.shared = shared
+        self._clock = clock
+        self.touched: dict[WebSocket, float] = {}
+        """Time of the last use of each open socket."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection."""
+        socket = WebSocket(scope, receive, send)
+        # Clients may disconnect at any time, even before the server accepts them.
+        with suppress(WebSocketDisconnect, OSError):
+            await socket.accept()
+            capacity = self.shared.settings.capacity
+            try:
+                if "session_id" in socket.query_params:
+                    raise RefusedError("SESSION_ERROR", "each connection has its own session: omit session_id")
+                if len(self.touched) >= capacity:
+                    message = f"{capacity} sessions are open, which is the limit: try again later"
+                    raise RefusedError("CAPACITY_REACHED", message)
+                self.touched[socket] = self._clock()
+                await self._serve(socket)
+            except RefusedError as refusal:
+                await socket.send_text(refusal.frame)
+                await socket.close(TRY_LATER, str(refusal)[:120])
+            finally:
+                self.touched.pop(socket, None)
+
+    async def _serve(self, socket: WebSocket) -> None:
+        connection = Connection(self.shared)
+        async for data in received(socket, SMALL):
+            if socket not in self.touched:
+                return  # closed because it was idle
+            self.touched[socket] = self._clock()
+            try:
+                if data is None:
+                    raise RefusedError("INVALID_JSON", "send text frames with JSON")
+                answer = await connection.answer(data)
+            except RefusedError as refusal:
+                answer = refusal.frame
+            if answer is None:
+                await socket.close(NORMAL)
+                return
+            if socket not in self.touched:
+                return
+            await socket.send_text(answer)
+            self.touched[socket] = self._clock()
+
     async def close_idle(self) -> None:
-        """Close the sockets that were idle for too long."""
+        """Close idle sockets."""
         limit = self._clock() - self.shared.settings.idle_seconds
         idle = [socket for socket, touched in self.touched.items() if touched < limit]
         for socket in idle:
             del self.touched[socket]
-        # All at once: each waits for its client to say goodbye, which may take seconds.
+        # Concurrently, because each waits for the close frame of its client, which may take seconds.
         await asyncio.gather(*map(self._close_idle, idle))
 
     async def _close_idle(self, socket: WebSocket) -> None:
         try:
             await socket.close(GOING_AWAY, f"idle for {self.shared.settings.idle_seconds:g} s: connect again")
         except (RuntimeError, WebSocketDisconnect, OSError):
-            log.debug("an idle socket had been closed already")
+            log.debug("an idle socket was closed already")
 
 
 def mcp_answer(request: Any) -> dict[str, Any]:
-    """The JSON-RPC answer to any MCP request: this environment has no tools."""
-    asked = cast(dict[str, Any], request) if isinstance(request, dict) else {}
-    valid = asked.get("jsonrpc") == "2.0" and isinstance(asked.get("method"), str)
-    number = asked.get("id")
+    """Return the JSON-RPC response to an MCP request: this environment has no tools."""
+    fields = cast(dict[str, Any], request) if isinstance(request, dict) else {}
+    number = fields.get("id")
     answer: dict[str, Any] = {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
-    if not valid:
-        message = 'a request has "jsonrpc": "2.0" and a method'
-        return answer | {"error": {"code": -32600, "message": f"Invalid Request: {message}"}}
-    if asked["method"] == "tools/list":
+    if fields.get("jsonrpc") != "2.0" or not isinstance(fields.get("method"), str):
+        message = 'Invalid Request: a request has "jsonrpc": "2.0" and a method'
+        return answer | {"error": {"code": -32600, "message": message}}
+    if fields["method"] == "tools/list":
         return answer | {"result": {"tools": []}}
     return answer | {"error": {"code": -32601, "message": "Method not found: this environment has no MCP tools"}}
 
 
 def _frame(kind: str, data: str) -> str:
-    """A frame around the JSON of its data."""
+    """Return a frame with this JSON as its data."""
     return f'{{"type":"{kind}","data":{data}}}'

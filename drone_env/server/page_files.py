@@ -1,4 +1,4 @@
-"""The files of the page. Under `/static/v-EDITION/` browsers keep them: another edition has other addresses."""
+"""The static files of the page. URLs under `/static/v-EDITION/` contain a content hash, so browsers cache them."""
 
 import os
 import re
@@ -12,7 +12,7 @@ from starlette.types import Scope
 
 PAGE = Path(__file__).with_name("static")
 ART = Path(__file__).parents[1] / "envs" / "art"
-"""What the pictures of Gymnasium and the page are both drawn from."""
+"""Sprites of Gymnasium's renderer and of the page."""
 FILES = [(folder, path) for folder in (PAGE, ART) for path in sorted(folder.rglob("*.*"))]
 PATHS = {f"/static/{path.relative_to(folder).as_posix()}" for folder, path in FILES}
 VERSIONED = re.compile("v-[0-9a-f]{16}/")
@@ -20,13 +20,13 @@ FOREVER = "max-age=31536000, immutable"
 
 
 def edition() -> str:
-    """16 hexadecimal digits of what all files of the page hold now."""
+    """Return 16 hexadecimal digits of the content hash of all files."""
     return _digest(tuple((path.stat().st_mtime_ns, path.stat().st_size) for _, path in FILES))
 
 
 @lru_cache(maxsize=1)
 def _digest(_changed: tuple[tuple[int, int], ...]) -> str:
-    """The same, read again only when a file has changed."""
+    """Compute the hash. Cached until a file changes."""
     digest = sha256()
     for _, path in FILES:
         content = path.read_bytes()
@@ -35,24 +35,24 @@ def _digest(_changed: tuple[tuple[int, int], ...]) -> str:
 
 
 def is_file(path: str) -> bool:
-    """Whether this is the path of a file of the page, with an edition or without."""
+    """Return whether this is the path of a file of the page, with or without an edition."""
     return VERSIONED.sub("", path, count=1) in PATHS
 
 
 class PageFiles(StaticFiles):
-    """Answers with the files of the page: those of the present edition to be kept, others to be asked for again."""
+    """Serves the files of the page. Browsers cache those of the current edition."""
 
     def __init__(self) -> None:
         super().__init__(directory=PAGE, packages=[("drone_env.envs", ART.name)])
 
     def get_path(self, scope: Scope) -> str:
-        """The path of a file within its folder."""
+        """Return the path of a file within its folder."""
         return VERSIONED.sub("", super().get_path(scope), count=1)
 
     def file_response(
         self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
-        """The file; a page of another edition that is still open gets what there is, but not to keep."""
+        """Return the response. A page of an older edition gets the current file, uncached."""
         response = super().file_response(full_path, stat_result, scope, status_code)
         if f"/v-{edition()}/" in scope["path"]:
             response.headers["Cache-Control"] = FOREVER

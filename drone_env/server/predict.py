@@ -1,6 +1,8 @@
-"""The networks of the server: who flies by them, and what PathQNet would do, asked about any observation."""
+"""The networks of the server: which pilots use them, and `/predict`."""
 
 import threading
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,16 +23,16 @@ from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
 
 NETWORK, TRAINED = "pathqnet", "trained"
-"""The pilots that fly by a PathQNet: by the one that is shipped, and by the one that was trained here."""
+"""The pilots that fly by a PathQNet: the shipped one, and the one from the data folder."""
 
 
 class Source(NamedTuple):
-    """Which file a pilot flies by, and how."""
+    """The network of a pilot."""
 
     agent: str
-    """Of `NETWORK_AGENTS`."""
+    """Key of `NETWORK_AGENTS`."""
     trained: bool
-    """Whether it is one that was trained here, not a shipped one."""
+    """Whether the network is in the data folder; shipped networks are not."""
 
 
 SOURCES = {
@@ -42,37 +44,37 @@ SOURCES = {
 }
 """The pilots that fly by a network."""
 WHOLE_MAPS = ("trained-tournet", "tournet", TRAINED, NETWORK)
-"""Who is asked what to do at every cell of a map: the first of them that flies its task."""
+"""The first of these that supports a task computes the actions for a whole map."""
 
 
 class Networks:
-    """The networks of the server: of PathQNet one for each task, and the tour network; shipped, and trained here.
+    """The PathQNets and tour networks of the server, shipped and trained. Thread-safe.
 
-    The PathQNet that was trained here goes before: it answers `/predict`, and its values stand on the page. A file that
-    is written again, as training does, is read again, so nothing has to be restarted. Safe to share between threads.
+    A trained PathQNet has priority over the shipped one. A file that has changed is read again, so a server uses a new
+    network without a restart.
 
     Args:
-        shipped: Folder of the shipped networks, `<task id>_v<version>.safetensors` and `tournet_v1.safetensors`.
-        trained: The data folder, with `<short name>`, `tournet_<short name>` and `tournet`, all `.safetensors`.
+        shipped: Folder with `<task id>_v<version>.safetensors` and `tournet_v1.safetensors`.
+        trained: Data folder with `<short name>`, `tournet_<short name>` and `tournet`, all `.safetensors`.
     """
 
     def __init__(self, shipped: Path, trained: Path) -> None:
         self._shipped, self._trained = shipped, trained
-        self._read: dict[Path, tuple[object, PathQNetAgent | Path | CheckpointError]] = {}
+        self._loaded: dict[Path, tuple[object, PathQNetAgent | Path | CheckpointError]] = {}
         self._lock = threading.Lock()
 
     def predict(self, task: TaskConfig, observation: Observation) -> Prediction:
-        """The values of the actions by the PathQNet that goes before.
+        """Compute the action values of a task's PathQNet.
 
         Raises:
             RequestError: if there is no network for the task.
-            CheckpointError: if its file holds none that fits.
+            CheckpointError: if its file is invalid.
         """
         source = self._first(task)
         if source is None:
-            detail = f"there is no network for {task.id!r}: drone-env train --task {task.short_name} trains one"
+            detail = f"there is no network for {task.id!r}; train one: drone-env train --task {task.short_name}"
             raise RequestError(503, "no_network", detail)
-        agent = self.agent(source, task)
+        agent = self.require(source, task)
         assert isinstance(agent, PathQNetAgent)
         values = agent.q_values(observation)
         return Prediction(
@@ -82,88 +84,72 @@ class Networks:
         )
 
     def beside(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
-        """The PathQNet whose values are shown beside a flight: the pilot's own, for others the one that goes before.
+        """Return the PathQNet whose values the page shows for a flight: the pilot's own, or else the preferred one.
 
-        None where there is none, or its file holds none that fits.
+        None if there is none, or its file is invalid.
         """
         source = pilot if pilot in (TRAINED, NETWORK) else self._first(task)
         found = None if source is None else self._at(source, task)
         return found if isinstance(found, PathQNetAgent) else None
 
     def asked(self, task: TaskConfig) -> str | None:
-        """Who is asked about whole maps of a task; None if nobody flies it, or can be read."""
+        """Return the pilot that computes the actions for a whole map, or None."""
         return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
 
     def flies(self, source: str, task: TaskConfig) -> bool:
-        """Whether there is a network for a task that can be read; `source` is one of `SOURCES`."""
+        """Return whether a pilot of `SOURCES` has a valid network for a task."""
         found = self._at(source, task)
         return found is not None and not isinstance(found, CheckpointError)
 
     def require(self, source: str, task: TaskConfig) -> PathQNetAgent | Path:
-        """What flies a task by a network: PathQNet, or the file of a tour network.
+        """Return the network of a pilot for a task: the PathQNet, or the file of a tour network.
 
         Raises:
-            UnsupportedTaskError: if there is none; the message names the tasks that have one.
-            CheckpointError: if its file holds none that fits; the message names it, but not where it lies.
+            UnsupportedTaskError: if there is none; the message lists the tasks that have one.
+            CheckpointError: if its file is invalid; the message contains its name, but not its folder.
         """
-        found, file = self._at(source, task), self.file(source, task)
+        found = self._at(source, task)
         if found is None:
-            flown = [other.short_name for other in TASKS.values() if self.flies(source, other)]
+            supported = [other.short_name for other in TASKS.values() if self.flies(source, other)]
             raise UnsupportedTaskError(
-                f"there is no network for {task.id!r}: {source!r} has no {file.name}; "
-                f"it flies {', '.join(flown) or 'nothing here'}"
+                f"there is no network for {task.id!r}: {source!r} has no {self.file(source, task).name}; "
+                f"it flies {', '.join(supported) or 'nothing here'}"
             )
         if isinstance(found, CheckpointError):
-            raise CheckpointError(str(found).replace(str(file), file.name))
+            raise CheckpointError(str(found))
         return found
 
     def agent(self, source: str, task: TaskConfig) -> Agent:
-        """What flies by the network of a task. PathQNet keeps nothing of a flight, so all share it; others are new.
+        """Return an agent for a task. PathQNet agents have no state and are shared; others are new.
 
         Raises:
             UnsupportedTaskError, CheckpointError: as `require`.
-            TooLargeError: if what there is to see on a map of the task would take too much memory.
-            OSError: if the file can no longer be read.
+            TooLargeError: if the features of a map would take too much memory.
+            OSError: if the file cannot be read.
         """
-        found, file = self.require(source, task), self.file(source, task)
-        try:
+        found = self.require(source, task)
+        with _folder_hidden(self.file(source, task)):
             return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
-        except CheckpointError as error:
-            raise CheckpointError(str(error).replace(str(file), file.name)) from None
 
-    def described(self) -> list[str]:
-        """Lines for the start of the server: which network files are flown by, and which are refused."""
-        lines: dict[Path, str] = {}
-        for source in SOURCES:
-            for task in TASKS.values():
-                file, found = self.file(source, task), self._at(source, task)
-                if found is not None:
-                    told = f"refused: {found}" if isinstance(found, CheckpointError) else f"{source!r} flies by {file}"
-                    lines.setdefault(file, told)
-        return list(lines.values())
+    def file(self, source: str, task: TaskConfig) -> Path:
+        """Return the path of a pilot's network for a task, whether it exists or not."""
+        agent, trained = SOURCES[source]
+        folder = self._trained if trained else self._shipped
+        if agent == "pathqnet":
+            return folder / (f"{task.short_name}.safetensors" if trained else shipped_network(task).name)
+        if not trained:
+            return folder / tournet.SHIPPED.name
+        # A network of this task has priority over one of all tasks.
+        alone = folder / f"tournet_{task.short_name}.safetensors"
+        return alone if alone.exists() else folder / "tournet.safetensors"
 
     def _first(self, task: TaskConfig) -> str | None:
         return next((source for source in (TRAINED, NETWORK) if self._at(source, task) is not None), None)
 
-    def file(self, source: str, task: TaskConfig) -> Path:
-        """The file of a pilot's network for a task, there or not."""
-        agent, trained = SOURCES[source]
-        if agent == "pathqnet":
-            return (
-                self._trained / f"{task.short_name}.safetensors"
-                if trained
-                else self._shipped / shipped_network(task).name
-            )
-        if not trained:
-            return self._shipped / tournet.SHIPPED.name
-        # The one that has learned this task alone goes before the one that has learned all.
-        alone = self._trained / f"tournet_{task.short_name}.safetensors"
-        return alone if alone.exists() else self._trained / "tournet.safetensors"
-
     def _at(self, source: str, task: TaskConfig) -> PathQNetAgent | Path | CheckpointError | None:
-        """What flies by a file as it is now: PathQNet, or the file of a tour network, whose agents are not shared.
+        """Return the network in the current file, or the error if the file is invalid; None without a file.
 
-        If the file is wrong, what is; None where there is none.
+        Agents of tour networks have state, so for these it is the path.
         """
         file = self.file(source, task)
         try:
@@ -171,37 +157,42 @@ class Networks:
             if now is None:
                 return None
             with self._lock:
-                read = self._read.get(file)
-                if read is None or read[0] != now:
+                loaded = self._loaded.get(file)
+                if loaded is None or loaded[0] != now:
                     try:
-                        found = PathQNetAgent(task, file) if source in (TRAINED, NETWORK) else tour_file(file)
+                        with _folder_hidden(file):
+                            network = PathQNetAgent(task, file) if source in (TRAINED, NETWORK) else _tour_file(file)
                     except CheckpointError as error:
-                        found = error
-                    read = self._read[file] = (now, found)
-                return read[1]
+                        network = error
+                    loaded = self._loaded[file] = (now, network)
+                return loaded[1]
         except OSError as error:
-            return CheckpointError(f"{file} cannot be read: {error}")
+            return CheckpointError(f"{file.name} cannot be read: {error.strerror}")
 
 
-def tour_file(file: Path) -> Path:
-    """A file that says of itself that it holds a tour network. All of it is read by what flies by it, which compiles.
+@contextmanager
+def _folder_hidden(file: Path) -> Generator[None, None, None]:
+    """Replace the path of a file by its name in errors: clients must not see where the server's files are."""
+    try:
+        yield
+    except CheckpointError as error:
+        raise CheckpointError(str(error).replace(str(file), file.name)) from None
 
-    Raises:
-        CheckpointError: if it does not.
-        OSError: if it cannot be read.
-    """
-    found = network_of(file)
-    if found != TOURNET:
-        raise CheckpointError(f"{file} holds a network of {found!r}, not of {TOURNET!r}")
+
+def _tour_file(file: Path) -> Path:
+    """Return the file if its header names a tour network. Agents read the rest, which compiles code."""
+    network = network_of(file)
+    if network != TOURNET:
+        raise CheckpointError(f"{file} holds a network of {network!r}, not of {TOURNET!r}")
     return file
 
 
 def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:
-    """The task that an observation is of, and the observation as agents take it.
+    """Return the task and the arrays of an observation, as agents need them.
 
     Raises:
-        InvalidValueError: if it is of no task of ours, has more battery than its task, or lacks the cell below
-            the drone in a task with pads.
+        InvalidValueError: if no task matches, the battery exceeds the task's capacity, or `cell_below` is missing in a
+            task with pads.
     """
     shape = (observation.grid_width, observation.grid_height, observation.deliveries_total, observation.max_steps)
     shapes = {(task.width, task.height, task.deliveries, task.max_steps): task for task in TASKS.values()}
@@ -219,7 +210,7 @@ def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfi
     if below not in possible and (below is not None or task.pads):
         raise InvalidValueError(
             f"cell_below {'is missing' if below is None else f'cannot be {below}'}: in {task.id!r} one of "
-            f"{', '.join(possible)} lies below the drone; /reset and /step answer it"
+            f"{', '.join(possible)} is below the drone; /reset and /step return it"
         )
     target = observation.current_target
     telemetry = telemetry_of(

@@ -1,7 +1,8 @@
-"""What goes wrong, as callers read it: one JSON model, and the status of every exception."""
+"""Error responses: one JSON model, the HTTP status of each exception, the exception handlers."""
 
 import logging
 from collections.abc import Mapping
+from http import HTTPStatus
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -35,28 +36,28 @@ WHAT_TO_DO = "POST /reset opens a session; send the header X-Session-Id: SESSION
 
 
 class FieldProblem(Message):
-    """What is wrong with one part of a request."""
+    """An error in one field of a request."""
 
-    where: str = Field(description="The part, such as `body.direction`.")
+    where: str = Field(description="The field, such as `body.direction`.")
     message: str = Field(description="What is wrong with it.")
 
 
 class Problem(Message):
-    """Why a request was not answered."""
+    """An error response."""
 
-    code: str = Field(description="What went wrong, for programs.")
-    detail: str = Field(description="What went wrong and what is allowed, for people.")
-    errors: list[FieldProblem] = Field(default_factory=list[FieldProblem], description="The parts that are wrong.")
+    code: str = Field(description="Error code for programs.")
+    detail: str = Field(description="What is wrong and what is allowed, for people.")
+    errors: list[FieldProblem] = Field(default_factory=list[FieldProblem], description="The invalid fields.")
 
 
 class RequestError(DroneEnvError):
-    """A request that is answered with a `Problem`.
+    """An error with its own HTTP status.
 
     Args:
         status: The HTTP status.
-        code: What went wrong, for programs.
-        detail: What went wrong, for people.
-        headers: More headers of the answer.
+        code: The error code for programs.
+        detail: The message for people.
+        headers: Headers of the response.
     """
 
     def __init__(self, status: int, code: str, detail: str, headers: dict[str, str] | None = None) -> None:
@@ -77,29 +78,16 @@ STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
     (InvalidValueError, 422, "invalid_request"),
     (EpisodeError, 409, "wrong_moment"),
 ]
-"""The first that fits holds."""
-
-_MEANINGS = {
-    400: "The body is not JSON; in the task API also an index that the split does not have.",
-    401: "The token is missing or wrong.",
-    403: "A host, or a web page of an origin, that is not allowed; or something that this server has turned off.",
-    404: "There is no such thing; `detail` lists what there is.",
-    409: "No session was named, or the episode is not at the right point.",
-    410: "The session is gone.",
-    413: "The body is too large.",
-    415: "The body is not declared as JSON.",
-    422: "A value that is not allowed.",
-    503: "No room, no network, the server is busy, or its store is busy or gone.",
-}
+"""The first class that matches decides."""
 
 
 def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The error answers of a route, for its documentation."""
-    return {status: {"model": Problem, "description": _MEANINGS[status]} for status in statuses}
+    """Return the `responses` of a route for these errors."""
+    return {status: {"model": Problem, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
 def status_of(error: Exception, method: str) -> tuple[int, str]:
-    """HTTP status and code of an error; an unknown name is 404 in a path (GET) and 422 in a body."""
+    """Return the HTTP status and code of an error. An unknown name is 404 in a path (GET) and 422 in a body."""
     if isinstance(error, RequestError):
         return error.status, error.code
     if isinstance(error, UnknownNameError):
@@ -108,7 +96,7 @@ def status_of(error: Exception, method: str) -> tuple[int, str]:
 
 
 def answer_to(error: Exception, scope: Scope) -> JSONResponse:
-    """The answer that says what went wrong with a request."""
+    """Return the error response of a request."""
     status, code, detail = 500, "internal", FAILED
     headers: Mapping[str, str] | None = None
     errors: list[FieldProblem] = []
@@ -125,7 +113,7 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
             detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
         if isinstance(error, RequestError):
             headers = error.headers
-        if status == 503 and code not in ("no_network", "not_started"):  # where waiting helps
+        if status == 503 and code not in ("no_network", "not_started"):  # a retry cannot help these
             headers = {"Retry-After": "5"}
     problem = Problem(code=code, detail=detail, errors=errors)
     return JSONResponse(problem.model_dump(), status, headers)
@@ -136,6 +124,6 @@ async def _answer(request: Request, error: Exception) -> JSONResponse:
 
 
 def install(app: FastAPI) -> None:
-    """Tell all problems of an application in this way. The trace of an unforeseen one is the server's to log."""
+    """Add the exception handlers. uvicorn logs the trace of an unexpected exception."""
     for kind in (DroneEnvError, RequestValidationError, HTTPException, Exception):
         app.add_exception_handler(kind, _answer)

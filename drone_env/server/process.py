@@ -1,4 +1,4 @@
-"""The process of a server: its start, where it listens, how many connections it may have, and with whom it ends."""
+"""The server process: uvicorn's configuration, the listening socket, the connection limit."""
 
 import asyncio
 import logging
@@ -18,44 +18,43 @@ from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 from drone_env.results.store import Store
 from drone_env.server.incoming import LARGE
-from drone_env.server.predict import Networks
-from drone_env.server.settings import load_settings, misspelt_variables
+from drone_env.server.settings import load_settings
 
 if sys.platform != "win32":
     import resource
 
 RECEIVED, SENT = 16_384, 131_072
-"""Bytes that the kernel keeps of a connection each way (Linux doubles them). What has come is read at once, which holds
-up all others; what is to go would be megabytes for each caller that does not read.
+"""Kernel buffers of a connection in bytes (Linux doubles them). The event loop reads a full buffer at once, and a
+client that does not read would otherwise hold megabytes.
 """
 UNREAD_SECONDS = 75
-"""Linux ends a connection whose other side has taken nothing of what it is sent for this many seconds."""
+"""Linux closes a connection if the other side has acknowledged no data for this time."""
 CONNECTIONS = 1000
-"""Connections of a process, beside one for each session that it may have."""
+"""Connections of a process, in addition to one per session."""
 STARTUP_FAILED = 3
-"""Exit status where the application could not start, as uvicorn has it."""
+"""uvicorn's exit status if the application cannot start."""
 LINES, LINE_SECONDS = 10, 60.0
-"""Most lines that one place in the code logs within this time: callers cause some of them."""
+"""Most log lines from one place in the code within this time, because clients can trigger them."""
 OTHER_FILES = 128
-"""Files of a process that are no connections: the store, logs, what a request opens."""
+"""Open files that are not connections: the store, logs, files of requests."""
 
 
 class BoundedLog(logging.Filter):
-    """Drops lines beyond `LINES` from one place in the code, and traces of work that the server's end cancels."""
+    """Drops lines beyond `LINES` from one place in the code, and traces of tasks that are cancelled at shutdown."""
 
     def __init__(self) -> None:
         super().__init__()
         self._places: dict[tuple[str, int], tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to log a line; the first after some that were dropped shows their number."""
+        """Return whether to log a line. The first line after dropped ones shows their number."""
         if record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError):
             return False
         place, now = (record.pathname, record.lineno), time.monotonic()
         since, count = self._places.get(place, (now, 0))
         if now - since >= LINE_SECONDS:
             if count > LINES:
-                record.msg = f"{record.msg} ({count - LINES} such lines before this one were not logged)"
+                record.msg = f"{record.msg} ({count - LINES} similar lines were dropped)"
             since, count = now, 0
         self._places[place] = since, count + 1
         return count < LINES
@@ -69,46 +68,42 @@ LOGGING = {
     "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line", "filters": ["bounded"]}},
     "root": {"handlers": ["stderr"]},
 }
-"""Standard error as the only log."""
+"""Log to standard error only."""
 
 
 def run(
     host: str | None, port: int | None, workers: int | None, data: Path | None, reward_profiles: Sequence[Path] = ()
 ) -> None:
-    """Serve until stopped; what is None comes from the environment.
+    """Serve until stopped. Arguments that are None come from the environment.
 
     Args:
         host: Address to listen on.
         port: Port to listen on.
-        workers: Processes that serve.
-        data: Folder of what is kept.
+        workers: Number of server processes.
+        data: Data folder.
         reward_profiles: Files of reward profiles.
 
     Raises:
-        InvalidValueError: if one of them is not allowed, or the address is taken.
+        InvalidValueError: if an argument is not allowed, or the address is taken.
         OSError: if a file cannot be read.
         StoreError: if the data folder cannot be used.
     """
-    # The workers are processes of their own, which read the environment.
+    # Server processes read the environment.
     files = ",".join(map(str, reward_profiles)) or None
-    chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data, "REWARD_PROFILES": files}
-    os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items() if value is not None})
+    options = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data, "REWARD_PROFILES": files}
+    os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in options.items() if value is not None})
     settings = load_settings()
+    # Errors in reward files and the data folder raise here; in a server process each would log a long trace.
     for file in settings.reward_profiles:
-        register_reward_file(file)  # an error is said here in a line, as below
+        register_reward_file(file)
     import uvicorn
     from uvicorn.supervisors import Multiprocess
 
     with listen(settings.host, settings.port) as listening:
-        # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
         Store(settings.data).close()
-        for name, meant in misspelt_variables().items():
-            print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
         url = f"http://{settings.host}:{listening.getsockname()[1]}"
         folder = settings.data.resolve()
         print(f"drone-env {__version__}: {url}, docs at {url}/docs, files in {folder}", file=sys.stderr, flush=True)
-        for line in Networks(settings.weights, settings.data).described():
-            print(f"drone-env: {line}", file=sys.stderr, flush=True)
         config = uvicorn.Config(
             "drone_env.server.app:app",
             http="drone_env.server.protocols:Http",
@@ -116,19 +111,16 @@ def run(
             workers=settings.workers,
             log_config=LOGGING,
             access_log=False,
-            # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
-            log_level="warning",
+            log_level="warning",  # at "info" uvicorn logs two lines for each WebSocket
             server_header=False,
             ws_max_size=LARGE,
             ws_per_message_deflate=False,
             limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,
-            # A caller that thinks for longer than the usual 5 s would find its connection closed under what it sends.
-            timeout_keep_alive=75,
-            # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word.
-            timeout_worker_healthcheck=60,
+            timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
+            timeout_worker_healthcheck=60,  # after the default of 5 s uvicorn kills slow processes
         )
-        # As `uvicorn.run` does, which would bind by itself.
+        # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):
             if settings.workers > 1:
                 Multiprocess(config, [listening]).run()
@@ -143,18 +135,18 @@ def listen(host: str, port: int) -> socket.socket:
     """Listen on an address.
 
     Args:
-        host: The address, or a name that stands for an IPv4 address.
-        port: The port; 0 for any that is free.
+        host: Address, or a name that resolves to an IPv4 address.
+        port: Port; 0 for any free port.
 
     Raises:
-        InvalidValueError: if one cannot listen there.
+        InvalidValueError: if the address is not available.
     """
     try:
         sock = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
         message = f"cannot listen on {host}: {error.strerror}; --host and --port choose another address"
         raise InvalidValueError(message) from None
-    # Linux has connections inherit these.
+    # On Linux, connections inherit these options.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT)
     if sys.platform == "linux":
@@ -162,16 +154,16 @@ def listen(host: str, port: int) -> socket.socket:
     return sock
 
 
-def most_connections(wanted: int) -> int:
-    """How many connections this process may have: as many as wanted, or as its limit of open files leaves room for."""
+def most_connections(target: int) -> int:
+    """Return the connection limit of this process: the target, or fewer if the limit of open files requires it."""
     if sys.platform == "win32":
-        return wanted
+        return target
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return wanted if files == resource.RLIM_INFINITY else min(wanted, max(files - OTHER_FILES, files // 2))
+    return target if files == resource.RLIM_INFINITY else min(target, max(files - OTHER_FILES, files // 2))
 
 
 def end_with_parent() -> None:
-    """Where this process is a worker: have it end when the process that started it is gone, however that ended."""
+    """End this process when its parent process ends, even if the parent is killed."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return

@@ -1,8 +1,8 @@
 """Limits of each connection, on top of uvicorn's protocols.
 
-uvicorn parses whatever has arrived: any number of headers, chunks, requests and frames, at once and ahead of the
-answers. These protocols parse one request or frame in turn, bound its parts, and stop reading from callers that do not
-read. They use httptools because h11 takes longer for a request than flying and storing a step does.
+uvicorn parses all received data at once: any number of headers, chunks, requests and frames, ahead of the responses.
+These protocols parse one request or frame at a time, bound its parts, and stop reading from clients that do not read.
+They use httptools, because h11 takes longer for a request than flying and storing a step takes.
 """
 
 import asyncio
@@ -18,34 +18,34 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 log = logging.getLogger(__name__)
 
 REQUEST_SECONDS = 30.0
-"""Time for a whole request to arrive, also for the first one of a connection."""
+"""Time for a whole request to arrive."""
 HEAD_BYTES, HEADERS = 16_384, 100
 """Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that."""
 SMALL, READS, CHUNKS = 512, 64, 1024
-"""Most small reads and small chunks of a request: one costs the event loop some 40 microseconds, the other 2."""
+"""Most reads and chunks below `SMALL` bytes of a request. A read takes about 40 us of the event loop, a chunk 2 us."""
 HANDSHAKE_BYTES = 4096
-"""Most bytes of the `Sec-WebSocket-*` headers: lists in them are parsed in Python."""
+"""Most bytes of the `Sec-WebSocket-*` headers, because Python code parses lists in them."""
 INVALID = 400, "this is not a valid HTTP request"
 TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
 TOO_MANY_PIECES = 400, f"a request has at most {READS} reads and {CHUNKS} chunks of under {SMALL} bytes"
 END_SECONDS = 4.0
-"""Time for callers to read what was sent before the server ended."""
+"""Time for clients to read the last responses when the server stops."""
 END_OF_HEAD = b"\r\n\r\n"
 FRAGMENTS = 100
 """Most frames of a WebSocket message."""
 CONTROL_FRAMES, CONTROL_FRAMES_PER_SECOND = 20, 2
-"""Most pings and pongs at once, and in the long run; clients send one in 20 seconds."""
+"""Most pings and pongs in a burst, and their average rate; clients send one in 20 seconds."""
 INVALID_DATA, POLICY_VIOLATION = 1007, 1008
 LARGEST_FRAME_HEAD = 14
 
 
 class Http(HttpToolsProtocol):
-    """HTTP/1.1: reads one request at a time, of bounded size and time, on at most `limit_concurrency` connections."""
+    """HTTP/1.1: reads one request at a time, with limits of size and time, on `limit_concurrency` connections."""
 
     request_seconds = REQUEST_SECONDS
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Serve the connection, or refuse it if there are too many."""
+        """Accept the connection, or refuse it if there are too many."""
         super().connection_made(transport)
         self.flow = _OneRequest(transport, self)
         self._deadline: asyncio.TimerHandle | None = None
@@ -53,22 +53,22 @@ class Http(HttpToolsProtocol):
         self._in_head = True
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
         self._refusal = INVALID
-        # This connection counts, so uvicorn's own check, which refuses requests, never applies.
+        # Refusing connections here means that uvicorn never refuses requests.
         others = len(self.connections) - 1
         if self.limit_concurrency is not None and others >= self.limit_concurrency - 1:
-            log.warning("%d connections are open, and no more are allowed: others are refused", others)
+            log.warning("%d connections are open, which is the limit: others are refused", others)
             self._end(503, "too many connections are open", b"retry-after: 5\r\n")
             return
         self._limit_time()
 
     @property
     def answering(self) -> bool:
-        """Whether a whole request has arrived and has not been answered."""
+        """Whether a whole request has arrived, and its response is not complete."""
         cycle: Any = self.cycle
         return bool(self.pipeline) or (cycle is not None and not cycle.more_body and not cycle.response_complete)
 
     def data_received(self, data: bytes) -> None:
-        """Parse what was sent; during an answer, keep it."""
+        """Parse data, or buffer it during a response."""
         self._unread = self._unread + data if self._unread else data
         self._reads += len(data) < SMALL
         self._read()
@@ -85,28 +85,28 @@ class Http(HttpToolsProtocol):
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Start to answer.
+        """Start the response.
 
         Raises:
-            ValueError: if the request does not name one host, its body has an encoding other than chunks, or lists of
-                subprotocols or extensions are too long.
+            ValueError: if the request does not have one host, its body has an encoding other than chunked, or the
+                `Sec-WebSocket-*` headers are too long.
         """
         if sum([len(value) for name, value in self.headers if name.startswith(b"sec-websocket-")]) > HANDSHAKE_BYTES:
             self._refuse(TOO_LARGE)
         names, parser = [name for name, _ in self.headers], cast(Any, self.parser)
         if names.count(b"host") not in ((0, 1) if parser.get_http_version() == "1.0" else (1,)):
-            self._refuse((400, "a request names one host"))
+            self._refuse((400, "a request has one Host header"))
         if [value.lower() for name, value in self.headers if name == b"transfer-encoding"] not in ([], [b"chunked"]):
-            self._refuse((400, "a body comes as it is or chunked"))
+            self._refuse((400, "the only transfer encoding is chunked"))
         self._in_head = False
         self._body_left = int(self.headers[names.index(b"content-length")][1]) if b"content-length" in names else 0
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Add a piece of a body.
+        """Add a chunk of a body.
 
         Raises:
-            ValueError: if there are too many.
+            ValueError: if there are too many small ones.
         """
         self._head_bytes -= len(body)
         self._chunks += len(body) < SMALL
@@ -121,7 +121,7 @@ class Http(HttpToolsProtocol):
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """Go on with the next request, which may be here already."""
+        """Continue with the next request, which may have arrived already."""
         super().on_response_complete()
         if not self.transport.is_closing():
             self._read()
@@ -132,15 +132,15 @@ class Http(HttpToolsProtocol):
         self._limit_time()
 
     def shutdown(self) -> None:
-        """Close the connection when the current answer is read, or after a while."""
+        """Close the connection when the client has read the response, or after `END_SECONDS`."""
         super().shutdown()
         self.loop.call_later(END_SECONDS, self.transport.abort)
 
     def _read(self) -> None:
-        """Parse up to the end of one request. Its answer starts the next."""
+        """Parse up to the end of one request. The end of its response continues with the next."""
         data, start = self._unread, 0
         while start < len(data) and not self.answering:
-            # The parser would go on to the next request, so it gets what one may end with, and no more.
+            # The parser would continue with the next request, so it gets the data up to a possible end of this one.
             if self._body_left:
                 end = min(start + self._body_left, len(data))
                 self._body_left -= end - start
@@ -173,18 +173,18 @@ class Http(HttpToolsProtocol):
             if self._should_upgrade():
                 self.handle_websocket_upgrade()
             else:
-                # The request is answered as if it asked for no upgrade. The parser reads no other after it.
+                # Ignore the upgrade. The parser cannot read another request after it.
                 self.cycle.keep_alive = False
         except httptools.HttpParserError:
             self._end(*self._refusal)
 
     def _refuse(self, refusal: tuple[int, str]) -> NoReturn:
-        """Make the parser stop: `_parse` then sends this."""
+        """Stop the parser; `_parse` then sends this response."""
         self._refusal = refusal
         raise ValueError(refusal)
 
     def _end(self, status: int, text: str, header: bytes = b"") -> None:
-        """Send a status, unless another answer has begun, and close the connection."""
+        """Send a status, unless a response has started, and close the connection."""
         cycle: Any = self.cycle
         if cycle is None or cycle.response_complete or not cycle.response_started:
             about = b"content-type: text/plain\r\ncontent-length: %d\r\nconnection: close\r\n" % len(text)
@@ -192,11 +192,11 @@ class Http(HttpToolsProtocol):
         self.transport.close()
 
     def _limit_time(self) -> None:
-        """Limit the time of a request; between two, uvicorn limits it (`timeout_keep_alive`)."""
+        """Limit the time of a request. Between requests, `timeout_keep_alive` limits it."""
         if self in self.connections and self.timeout_keep_alive_task is None and not self.answering:
             if self._deadline is None:
                 self._deadline = self.loop.call_later(
-                    self.request_seconds, self._end, 408, f"a request arrives within {self.request_seconds:g} s"
+                    self.request_seconds, self._end, 408, f"a request has {self.request_seconds:g} s to arrive"
                 )
         elif self._deadline is not None:
             self._deadline.cancel()
@@ -204,7 +204,7 @@ class Http(HttpToolsProtocol):
 
 
 class _OneRequest(FlowControl):
-    """Stops reading while a request is answered: uvicorn's `receive` would read on, and collect what comes."""
+    """Stops reading during a response: uvicorn's `receive` would read on and buffer the data."""
 
     def __init__(self, transport: asyncio.Transport, protocol: Http) -> None:
         super().__init__(transport)
@@ -216,7 +216,7 @@ class _OneRequest(FlowControl):
 
 
 class WebSockets(WebSocketsSansIOProtocol):
-    """WebSockets: parses one frame in turn, and bounds fragments and control frames."""
+    """WebSockets: parses one frame at a time, and limits fragments and control frames."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start with an empty buffer."""
@@ -226,19 +226,19 @@ class WebSockets(WebSocketsSansIOProtocol):
         self._control_frames = self._counted_at = 0.0
 
     def data_received(self, data: bytes) -> None:
-        """Parse the head of the request, which comes first and whole, or a frame."""
+        """Parse the head of the request, which the first call contains completely, or a frame."""
         if self.handshake_initiated:
             self._unread += data
             if self._turn is None:
                 self._take_turn()
             return
         super().data_received(data)
-        if not self.handshake_initiated:  # the head has a body or a line of over 8 KB, which uvicorn would not answer
+        if not self.handshake_initiated:  # a head with a body or a line over 8 KB gets no response from uvicorn
             self.transport.write(b"".join(self.conn.data_to_send()))
             self.transport.close()
 
     async def receive(self) -> Any:
-        """The next message for the application."""
+        """Return the next message for the application."""
         message = await super().receive()
         if self._unread:
             self._go_on()
@@ -248,7 +248,7 @@ class WebSockets(WebSocketsSansIOProtocol):
         """Send a message of the application.
 
         Raises:
-            ClientDisconnected: if the connection is being closed, such as for a ping without an answer.
+            ClientDisconnected: if the connection is being closed, for example after a ping without a pong.
         """
         await self.writable.wait()
         if self.close_sent or self.transport.is_closing():
@@ -259,23 +259,23 @@ class WebSockets(WebSocketsSansIOProtocol):
             self._go_on()
 
     def send_receive_event_to_app(self) -> None:
-        """Queue a message for the application; uvicorn would log a trace for a text that is not UTF-8."""
+        """Queue a message for the application. uvicorn would log a trace for text that is not UTF-8."""
         if self.curr_msg_data_type == "text":
             try:
                 b"".join(self.frames).decode()
             except UnicodeDecodeError:
-                self._fail(INVALID_DATA, "a text is UTF-8")
+                self._fail(INVALID_DATA, "text must be UTF-8")
                 return
         super().send_receive_event_to_app()
 
     def shutdown(self) -> None:
-        """Send a close frame, and close the connection when that is read, or after a while."""
+        """Send a close frame, and close the connection when it is read, or after `END_SECONDS`."""
         if not self.transport.is_closing():
             super().shutdown()
         self.loop.call_later(END_SECONDS, self.transport.abort)
 
     def _take_turn(self) -> None:
-        """Parse one frame; others have their turn before the next."""
+        """Parse one frame. Other tasks run before the next."""
         self._turn = None
         size = self._frame_size()
         if self._may_parse() and len(self._unread) >= size:
@@ -291,7 +291,7 @@ class WebSockets(WebSocketsSansIOProtocol):
         self._go_on()
 
     def _go_on(self) -> None:
-        """Parse the next frame in its turn, read on, or wait for the application to take a message."""
+        """Schedule the next frame, resume reading, or wait until the application receives a message."""
         if (self.read_paused and not self._unread) or self.transport.is_closing():
             return
         may_parse, is_whole = self._may_parse(), len(self._unread) >= self._frame_size()
@@ -306,7 +306,7 @@ class WebSockets(WebSocketsSansIOProtocol):
         return self.handshake_complete and not self.read_paused
 
     def _frame_size(self) -> int:
-        """Known size of the first frame. If it is too large, its head is enough for the parser to refuse it."""
+        """Return the known size of the first frame. If it is too large, the parser needs only its head to refuse it."""
         data = self._unread
         if len(data) < 2:
             return 2

@@ -1,17 +1,12 @@
-"""Who may call, and with what: pure ASGI middlewares.
-
-From the outside in: `SecurityHeaders`, `AllowedCallers`. `incoming.JsonRoute` reads the bodies.
-"""
+"""Checks of the host, origin and token of a request, and its address."""
 
 import base64
 import binascii
 import hmac
 import ipaddress
-from collections.abc import Collection
 from functools import lru_cache
 from urllib.parse import urlsplit
 
-from fastapi import FastAPI
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -20,22 +15,29 @@ from drone_env.server.problems import RequestError, answer_to
 from drone_env.server.settings import Settings
 
 OPEN_PATHS = {"/health", "/"}
-"""Answered without a token, as the files of the page: programs that watch the process have none, and the page asks."""
+"""These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 
 
-class SecurityHeaders:
-    """Headers that tell browsers what the answers may be used for.
+class Security:
+    """Middleware that checks the host, the origin and the token of a request, and adds security and cache headers.
+
+    A server on loopback accepts only names of this machine and `allowed_hosts`: with DNS rebinding, any web page could
+    call it otherwise. Browsers send the origin of a page in the `Origin` header; other programs send none.
 
     Args:
-        app: The application within.
-        frame_ancestors: Who may show the page in a frame.
+        app: The wrapped application.
+        settings: The allowed hosts, origins and frame ancestors, and the token.
     """
 
-    def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
-        framing = " ".join(frame_ancestors) or "'none'"
+        self.hosts = {host.lower() for host in settings.allowed_hosts}
+        self.listens = settings.host.lower()
+        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
+        self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
+        framing = " ".join(settings.frame_ancestors) or "'none'"
         policy = (
             # 'self' includes WebSockets of the same origin since Chrome 71, Firefox 63 and Safari 16.
             f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
@@ -49,45 +51,18 @@ class SecurityHeaders:
         ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Add the headers to an HTTP answer."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-
-        # Browsers ask whether the page has changed, so that an update of the package is seen at once.
-        is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
+        """Pass on an allowed request. A refused WebSocket is closed before it opens."""
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = [*message.get("headers", ()), *self.headers]
                 if not any(name.lower() == b"cache-control" for name, _ in headers):
+                    # Browsers must revalidate the page, so that users see an update of the package at once.
+                    is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
                     headers.append((b"cache-control", b"no-cache" if is_page else b"no-store"))
                 message["headers"] = headers
             await send(message)
 
-        await self.app(scope, receive, send_with_headers)
-
-
-class AllowedCallers:
-    """Answers what is addressed to the server's hosts, comes from no page of another origin, and carries the token.
-
-    A server on loopback answers for the names of this machine and for `allowed_hosts` only: DNS rebinding would let any
-    web page call it. Browsers name the origin of a page in the `Origin` header; programs send none.
-
-    Args:
-        app: The application within.
-        settings: Which hosts and origins, and the token, if any.
-    """
-
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self.app = app
-        self.hosts = {host.lower() for host in settings.allowed_hosts}
-        self.listens = settings.host.lower()
-        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
-        self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what is allowed; a WebSocket that is not is closed before it opens."""
         try:
             if scope["type"] in ("http", "websocket"):
                 self._check(scope, Headers(scope=scope))
@@ -95,24 +70,22 @@ class AllowedCallers:
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
             else:
-                await answer_to(error, scope)(scope, receive, send)
+                await answer_to(error, scope)(scope, receive, send_with_headers)
             return
-        await self.app(scope, receive, send)
+        await self.app(scope, receive, send_with_headers)
 
     def _check(self, scope: Scope, headers: Headers) -> None:
         named = headers.get("host", "")
         host = host_name(named)
         if not self._answers(host, scope):
-            detail = f"this server does not answer for host {host!r}; DRONE_ENV_ALLOWED_HOSTS lists those it does"
-            raise RequestError(403, "host", detail)
+            raise RequestError(403, "host", f"host {host!r} is not allowed; add it to DRONE_ENV_ALLOWED_HOSTS")
         origin = headers.get("origin")
         if origin is not None and not self._allowed(origin.lower(), named.lower()):
-            detail = f"pages of {origin!r} may not call this server; DRONE_ENV_ALLOWED_ORIGINS lists those that may"
-            raise RequestError(403, "origin", detail)
+            raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
         if self.expected is not None and scope["path"] not in OPEN_PATHS and not is_file(scope["path"]):
             given = _sent_token(scope) or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):
-                detail = "this server asks for a token: send Authorization: Bearer TOKEN"
+                detail = "this server requires a token: send Authorization: Bearer TOKEN"
                 raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
 
     def _answers(self, host: str, scope: Scope) -> bool:
@@ -123,19 +96,19 @@ class AllowedCallers:
         return is_local_name(host) or host == self.listens
 
     def _allowed(self, origin: str, host: str) -> bool:
-        # Hosts are compared, not schemes: behind a proxy that ends TLS the server sees http.
+        # Compare hosts, not schemes: behind a proxy that terminates TLS, the server sees http.
         scheme, _, authority = origin.partition("://")
         return origin in self.origins or (scheme in ("http", "https") and authority == host != "")
 
 
 def _sent_token(scope: Scope) -> bytes:
-    """The token of `Authorization: Bearer TOKEN`; the scheme may be written in any case (RFC 9110, 11.1)."""
+    """Return the token of `Authorization: Bearer TOKEN`. The scheme is case-insensitive (RFC 9110, 11.1)."""
     scheme, _, token = dict(scope["headers"]).get(b"authorization", b"").partition(b" ")
     return token.strip() if scheme.lower() == b"bearer" else b""
 
 
 def _offered_token(scope: Scope) -> bytes:
-    """The token from the subprotocol `bearer.` + URL-safe base64: browsers send no headers with a WebSocket."""
+    """Return the token of the subprotocol `bearer.` + URL-safe base64: browsers cannot send WebSocket headers."""
     for protocol in scope.get("subprotocols", []):
         if protocol.startswith(OFFER):
             text = protocol.removeprefix(OFFER)
@@ -146,19 +119,13 @@ def _offered_token(scope: Scope) -> bytes:
     return b""
 
 
-def protect(app: FastAPI, settings: Settings) -> None:
-    """Put the middlewares around an application."""
-    app.add_middleware(AllowedCallers, settings=settings)
-    app.add_middleware(SecurityHeaders, frame_ancestors=settings.frame_ancestors)
-
-
 PROXY_HEADERS, FORWARDED = ("forwarded", "via", "x-real-ip"), "x-forwarded-"
 BROWSER_HEADERS = ("origin", "sec-fetch-site")
 
 
 @lru_cache(maxsize=1024)
 def is_local_name(host: str) -> bool:
-    """Whether a host name or an address, in lower case, always means the loopback interface."""
+    """Return whether a lower-case host name or address always means the loopback interface."""
     name = host.rstrip(".")
     if name == "localhost" or name.endswith(".localhost"):
         return True
@@ -169,23 +136,22 @@ def is_local_name(host: str) -> bool:
 
 
 def listens_on_loopback(scope: Scope, host: str) -> bool:
-    """Whether only programs on this machine can reach the server, as far as a request shows.
+    """Return whether only programs on this machine can reach the server.
 
-    A request that arrives at another address proves the opposite. One that arrives at loopback does not prove it: a
-    server on all addresses gets it as well.
+    A request that arrives at loopback does not prove it, because a server on all addresses receives it as well.
 
     Args:
         scope: The request; `server` is the local end of its connection.
-        host: The configured address. uvicorn started by hand may listen elsewhere.
+        host: The configured address; uvicorn started by hand may use another.
     """
     server = scope.get("server")
     return server is not None and is_local_name(server[0].lower()) and not _is_wildcard(host)
 
 
 def shared_address(scope: Scope) -> str | None:
-    """The address whose callers share a session; None for browsers, and for requests through a proxy.
+    """Return the address whose callers share a session.
 
-    Browsers keep cookies. A proxy brings many callers under one address.
+    None for browsers, which keep cookies, and for proxies, which have many callers under one address.
     """
     client = scope.get("client")
     if client is None or _comes_through_proxy(scope) or any(name in BROWSER_HEADERS for name in Headers(scope=scope)):
@@ -194,9 +160,9 @@ def shared_address(scope: Scope) -> str | None:
 
 
 def stranger_address(scope: Scope, host: str) -> str | None:
-    """The address of a caller of a server that strangers reach; None if nobody but this machine reaches it.
+    """Return the address of a caller, or None if only this machine can reach the server.
 
-    A proxy may bring strangers. For IPv6 it is the network of 64 bits: whoever has one of its addresses has them all.
+    A proxy may forward strangers. For IPv6 it is the /64 network, because one host owns all its addresses.
     """
     client = (scope.get("client") or ("unknown",))[0].lower()
     if not _comes_through_proxy(scope) and is_local_name(client) and listens_on_loopback(scope, host):
@@ -212,7 +178,7 @@ def stranger_address(scope: Scope, host: str) -> str | None:
 
 
 def _comes_through_proxy(scope: Scope) -> bool:
-    """Whether a request shows a proxy: proxies that add no header speak HTTP/1.0."""
+    """Return whether a request came through a proxy. Proxies that add no header use HTTP/1.0."""
     names = Headers(scope=scope).keys()
     added = any(name in PROXY_HEADERS or name.startswith(FORWARDED) for name in names)
     return added or scope.get("http_version") == "1.0"
@@ -220,7 +186,7 @@ def _comes_through_proxy(scope: Scope) -> bool:
 
 @lru_cache(maxsize=1024)
 def host_name(header: str) -> str:
-    """The name in a `Host` header, without port, in lower case."""
+    """Return the lower-case name in a `Host` header, without port."""
     try:
         return urlsplit(f"//{header}").hostname or ""
     except ValueError:

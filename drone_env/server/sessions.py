@@ -1,39 +1,34 @@
-"""HTTP sessions: rows of the store, and the episodes of those that this process has flown; and observations as JSON.
+"""HTTP sessions: rows of the store, and a cache of their episodes in memory.
 
-The row is the truth: another process may have stepped the session, so each use brings the episode in memory up to the
-actions of the row first.
+Another process may have stepped a session, so each use first applies the actions of the row to the cached episode.
 """
 
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
-from typing import Any, TypeVar
-
-from pydantic_core import to_json
+from typing import TypeVar
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import LEGEND, map_rows, observation_numbers, shown
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
 from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import ResetOptions
 
 ANONYMOUS = "anonymous"
-"""Name of an agent that gives none."""
+"""Default name of an agent."""
 Result = TypeVar("Result")
 Show = Callable[[Episode, float | None], Result]
-"""Makes the answer from an episode and the reward of its last step; for HTTP `flat_json` or `openenv_json`."""
+"""Makes the response from an episode and the reward of its last step, such as `flat_json` and `openenv_json`."""
 
 
 class OtherStepError(EpisodeError):
-    """The session has flown another number of steps than the caller knows of."""
+    """The step count of the session differs from the caller's."""
 
 
-class _Live:
-    """A session in this process, as it was last used; its lock is held by its user."""
+class _Cached:
+    """A session as this process used it last, and the lock of its user."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -41,35 +36,35 @@ class _Live:
 
 
 class Sessions:
-    """The HTTP sessions of a store; safe to share between threads.
+    """The HTTP sessions of a store. Thread-safe.
 
     Args:
-        store: Where they are kept.
-        capacity: How many may be open, in all processes together.
-        idle_seconds: How long one may be unused.
+        store: The store.
+        capacity: Most open sessions of all processes together.
+        idle_seconds: Idle time after which a session ends.
     """
 
     def __init__(self, store: Store, capacity: int, idle_seconds: float) -> None:
         self.store = store
         self.capacity = capacity
         self.idle_seconds = idle_seconds
-        self._live: OrderedDict[str, _Live] = OrderedDict()
+        self._cache: OrderedDict[str, _Cached] = OrderedDict()
         self._lock = threading.Lock()
 
     def reset(
         self, session: str | None, options: ResetOptions, show: Show[Result], address: str | None = None
     ) -> tuple[str, Result]:
-        """Start an episode in the session, or in a new one if none is named or it is gone.
+        """Start an episode in the session, or in a new one if there is none.
 
         Args:
-            session: The session that the caller names, None for none.
-            options: What to fly.
-            show: Makes the answer.
-            address: Of a caller who names none and shares a session with others there who name none. It is used again
-                once it has been flown so. One that has not may be that of a caller who will name it.
+            session: The session id of the request, or None.
+            options: The body of the request.
+            show: Makes the response.
+            address: The address of a caller without an id, who shares the session of the address. A shared session
+                without steps is not reused, because the caller who opened it may still use its id.
 
         Returns:
-            The session, and what `show` returns.
+            The session id, and the result of `show`.
 
         Raises:
             UnknownNameError: if there is no such task, profile or split.
@@ -79,16 +74,16 @@ class Sessions:
         if address is not None:
             session = self.store.unnamed_session(address)
         if session is not None:
-            # If it is gone, the caller does what the error would ask for: open a new one.
+            # If the session is gone, open a new one.
             with suppress(NoSessionError, SessionGoneError):
                 return session, self._begin(session, options, show, address, flown=address is not None)
         episode = start_episode(options, None)
-        wanted = episode, options.agent or ANONYMOUS, self.capacity, address
+        arguments = episode, options.agent or ANONYMOUS, self.capacity, address
         try:
-            opened = self.store.open_session(*wanted)
+            opened = self.store.open_session(*arguments)
         except CapacityError:
             if self.expire():
-                opened = self.store.open_session(*wanted)
+                opened = self.store.open_session(*arguments)
             elif session is not None and address is not None:
                 return session, self._begin(session, options, show, address)
             else:
@@ -98,10 +93,10 @@ class Sessions:
     def _begin(
         self, session: str, options: ResetOptions, show: Show[Result], address: str | None, flown: bool = False
     ) -> Result:
-        with self._held(session) as live:
-            with self._changing(live, session, address) as row:
+        with self._locked(session) as cached:
+            with self._changing(cached, session, address) as row:
                 if flown and not row.actions:
-                    raise NoSessionError("nobody has flown this session yet")
+                    raise NoSessionError("this session has no steps yet")
                 episode = start_episode(options, row.seed)
                 row.begin(episode, options.agent)
             return show(episode, None)
@@ -115,34 +110,34 @@ class Sessions:
         address: str | None = None,
         check: Callable[[Session], None] | None = None,
     ) -> tuple[Session, Result]:
-        """Fly one action, and keep the step and the finished episode if it was the last.
+        """Fly one action, and store the step, and the episode if it ends.
 
         Args:
-            session: The session.
+            session: The session id.
             action: The action.
-            show: Makes the answer, when others may write to the store again.
-            after: How many steps the sender knows of. The step that comes after these is flown once, however often it
-                is sent, and the same is returned each time; None flies it in any case.
-            address: Of a caller who does not name the session.
-            check: Raises an error if the session is not to be stepped.
+            show: Makes the response, after the transaction.
+            after: The caller's step count. A repeated request with the same count is flown once and returns the same
+                result. None flies the action in any case.
+            address: The address of a caller without an id.
+            check: Raises an error if the session must not be stepped.
 
         Returns:
-            The session, and what `show` returns.
+            The session, and the result of `show`.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
-            OtherStepError: if it has flown another number of steps than `after`, and not because of this action.
+            OtherStepError: if its step count differs from `after`, and the last action is not this one.
         """
-        with self._held(session) as live:
-            with self._changing(live, session, address) as row:
+        with self._locked(session) as cached:
+            with self._changing(cached, session, address) as row:
                 if check is not None:
                     check(row)
                 flown = len(row.actions)
                 if after is None or after == flown:
                     reward = advance(row, action)
                 elif after == flown - 1 and row.actions[-1] == action:
-                    # Flown again: a step after the end may have been sent meanwhile, and the answer must not show it.
+                    # Replay the row: a step after the end may have changed the episode in memory.
                     row.episode = None
                     reward = row.fly().reward_last
                 else:
@@ -154,32 +149,32 @@ class Sessions:
 
     @contextmanager
     def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
-        """A session to be changed inside the block; kept when that ends.
+        """Context manager of a session to change; stored at the end of the block.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._held(session) as live, self._changing(live, session, address) as row:
+        with self._locked(session) as cached, self._changing(cached, session, address) as row:
             yield row
 
     @contextmanager
     def reading(self, session: str) -> Generator[Session, None, None]:
-        """A session to be read inside the block; its episode is in memory.
+        """Context manager of a session to read; its episode is in memory.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._held(session) as live:
+        with self._locked(session) as cached:
             row = self.store.read_session(session)
-            row.go_on_from(live.session)
+            row.go_on_from(cached.session)
             row.fly()
-            live.session = row
+            cached.session = row
             yield row
 
     def end(self, session: str) -> None:
-        """End a session: it is gone, and its place free.
+        """End a session.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -189,76 +184,35 @@ class Sessions:
         self.store.end_session(session)
 
     def expire(self) -> list[str]:
-        """End the sessions that were idle for too long, and return their ids."""
+        """End idle sessions, and return their ids."""
         gone = self.store.expire_sessions(self.idle_seconds)
         for session in gone:
             self._forget(session)
         return gone
 
     @contextmanager
-    def _held(self, session: str) -> Generator[_Live, None, None]:
-        """A session in this process, which nobody else uses meanwhile; forgotten if the session is gone."""
+    def _locked(self, session: str) -> Generator[_Cached, None, None]:
+        """Lock a session in this process. It leaves the cache if it is gone."""
         with self._lock:
-            live = self._live.setdefault(session, _Live())
-            self._live.move_to_end(session)
-            while len(self._live) > self.capacity:
-                self._live.popitem(last=False)
+            cached = self._cache.setdefault(session, _Cached())
+            self._cache.move_to_end(session)
+            while len(self._cache) > self.capacity:
+                self._cache.popitem(last=False)
         try:
-            with live.lock:
-                yield live
+            with cached.lock:
+                yield cached
         except (NoSessionError, SessionGoneError):
             self._forget(session)
             raise
 
     @contextmanager
-    def _changing(self, live: _Live, session: str, address: str | None) -> Generator[Session, None, None]:
-        known, live.session = live.session, None  # if nothing is kept, what was flown inside is not so
+    def _changing(self, cached: _Cached, session: str, address: str | None) -> Generator[Session, None, None]:
+        previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
         with self.store.session(session, address) as row:
-            row.go_on_from(known)
+            row.go_on_from(previous)
             yield row
-        live.session = row
+        cached.session = row
 
     def _forget(self, session: str) -> None:
         with self._lock:
-            self._live.pop(session, None)
-
-
-def flat_json(episode: Episode, _: float | None = None) -> str:
-    """The JSON of `DroneObservation.of(episode)`, written without the models, which take a third of a step's time.
-
-    It is put together from the JSON of the map's rows, of which a step changes one or two.
-    """
-    return _observation_json(episode, observation_numbers(episode)) + "}"
-
-
-def openenv_json(episode: Episode, reward: float | None) -> str:
-    """The same as OpenEnv sends it: reward and done beside the rest.
-
-    Args:
-        episode: The episode.
-        reward: The reward of the last step, None after a reset.
-    """
-    numbers = observation_numbers(episode)
-    done = numbers.pop("done")
-    observation = _observation_json(episode, numbers)
-    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
-
-
-def _json(value: object) -> str:
-    return to_json(value).decode()
-
-
-LEGEND_JSON = _json(LEGEND)
-
-
-def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
-    """The JSON of an observation, without the brace at its end."""
-    rows = [_row_json(row) for row in map_rows(episode)]
-    grid, cell_types = (",".join([row[i] for row in rows]) for i in (0, 1))
-    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
-
-
-@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 rows
-def _row_json(row: bytes) -> tuple[str, str]:
-    emoji, names = shown(row)
-    return _json(emoji), _json(names)
+            self._cache.pop(session, None)

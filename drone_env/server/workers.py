@@ -1,8 +1,8 @@
-"""Worker processes for long work, so that the process that serves requests never waits for it.
+"""Worker processes for long jobs, which must not block the event loop.
 
-Solving a map, flying a pilot, drawing a picture or reading an uploaded file takes up to seconds, and as much memory as
-its input asks for. Each of these is a job: a function of a module with arguments that can be pickled. A job runs in a
-worker process under limits of CPU time and memory (`drone_env.server.jobs`). A job whose caller leaves is dropped.
+Solving a map, flying a pilot, drawing a picture or reading an uploaded file takes up to seconds, and an amount of
+memory that depends on the input. A job is a function of a module with arguments that can be pickled. It runs under
+limits of CPU time and memory (`drone_env.server.jobs`), and is dropped if its caller disconnects.
 """
 
 import asyncio
@@ -19,8 +19,8 @@ from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
-from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import Scores, solve_maps
 from drone_env.server.jobs import AGAIN, NEXT, serve, too_long, too_much
@@ -30,20 +30,19 @@ from drone_env.server.settings import Settings
 
 log = logging.getLogger(__name__)
 PROCESSES = max(2, (os.cpu_count() or 1) // 2)
-"""Worker processes. The first takes quick jobs alone, so that nobody's map delays the flights of others."""
+"""Number of workers. The first runs only quick jobs, so that a slow map does not delay other callers."""
 WAITING = 64
-"""Jobs that may wait in all."""
+"""Most waiting jobs."""
 WAITING_PER_CALLER = 16
 END_SECONDS = 2
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-"""Workers are forked from one process that has imported everything: they start in milliseconds and share its memory."""
-PRELOADED = ["__main__", "drone_env.server.preloaded"]
+PRELOADED = ["__main__", "drone_env.server.worker_preload"]
 Result = TypeVar("Result")
 Queue = OrderedDict[str, "deque[Job]"]
 
 
 class Job(Future[Any]):
-    """Work that waits or runs. `cancel` drops it; if it runs and is not quick, its worker is killed."""
+    """A waiting or running job. `cancel` drops it; if it is running and not quick, its worker is killed."""
 
     def __init__(
         self, workers: "Workers", function: Callable[..., Any], arguments: tuple[object, ...], quick: bool
@@ -57,17 +56,17 @@ class Job(Future[Any]):
         self._workers = workers
 
     def cancel(self) -> bool:
-        """Drop it; whether it had not ended yet."""
+        """Drop the job, and return whether it had not ended."""
         return self._workers.drop(self)
 
 
 class Workers:
-    """The worker processes of one server process; safe to share between threads.
+    """The worker processes of one server process. Thread-safe.
 
-    Callers take turns: each time a worker is free, the next caller's oldest job runs.
+    Callers take turns: a free worker runs the oldest job of the next caller.
 
     Args:
-        settings: The configuration of the server.
+        settings: The settings of the server.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -80,17 +79,16 @@ class Workers:
         self._threads: list[threading.Thread] = []
 
     def submit(self, function: Callable[..., Any], *arguments: object, caller: str, task: str | None = None) -> Job:
-        """Have a worker call a function of a module.
+        """Queue a job.
 
         Args:
-            function: What to call.
+            function: A function of a module.
             arguments: Its arguments, which are pickled.
-            caller: Whose turn it takes: an address.
-            task: The task that bounds it. If that is one of the server's own, the job is quick; None for a job that is
-                bounded by what a visitor sent.
+            caller: The address of the caller.
+            task: The task that bounds the cost; None if the caller's input does. Jobs of registered tasks are quick.
 
         Raises:
-            RequestError: if too many jobs are waiting, or the server stops.
+            RequestError: if too many jobs are waiting, or the server is stopping.
         """
         quick = task is not None and is_registered(task)
         job = Job(self, function, arguments, quick)
@@ -115,7 +113,7 @@ class Workers:
         return job
 
     def warm_up(self) -> None:
-        """Start the first worker, if there is none: that takes a second or two, which no visitor should wait for."""
+        """Start the first worker, which takes about two seconds, before a visitor needs it."""
         if not self._threads:
             with suppress(RequestError):
                 self.submit(os.getpid, caller="", task=DEFAULT_TASK)
@@ -123,15 +121,15 @@ class Workers:
     async def run(
         self, function: Callable[..., Result], *arguments: object, caller: str, task: str | None = None
     ) -> Result:
-        """Wait for the result of a job; it is dropped if this is cancelled. Raises as `submit`, and as the function."""
+        """Run a job and return its result. Cancelling drops it. Raises as `submit` and as the function."""
         return await asyncio.wrap_future(self.submit(function, *arguments, caller=caller, task=task))
 
     def solve(self, task: TaskConfig, seeds: Sequence[int]) -> "Future[Scores]":
-        """Start `solve_maps`, for the store. Raises as `submit`."""
+        """Queue `solve_maps` for the store. Raises as `submit`."""
         return self.submit(solve_maps, task, seeds, caller="store", task=task.id)
 
     def drop(self, job: Job) -> bool:
-        """Take a job out of the queue, or kill the worker that runs it; whether it had not ended yet."""
+        """Remove a job from the queue or kill its worker, and return whether it had not ended."""
         with self._condition:
             job.dropped = True
             for queue in self._queues.values():
@@ -141,7 +139,7 @@ class Workers:
                         if not jobs:
                             del queue[caller]
                         return Future.cancel(job)
-            # A quick job ends soon: a new worker would take longer, and know no maps.
+            # A quick job ends soon. A new worker would take longer to start, and has no cached maps.
             if job in self._running and job.process is not None and (self._closed or not job.quick):
                 job.process.kill()
             return job in self._running
@@ -155,7 +153,7 @@ class Workers:
                 job.cancel()
             self._condition.notify_all()
         for thread in self._threads:
-            thread.join(END_SECONDS)  # one that is starting a process may take longer; it ends with this one
+            thread.join(END_SECONDS)  # a thread that is starting a process may take longer; threads are daemons
 
     def _serve(self, reserved: bool) -> None:
         process: _Process | None = None
@@ -174,11 +172,11 @@ class Workers:
     def _run(self, job: Job, process: "_Process | None") -> "tuple[Any, DroneEnvError | None, _Process | None]":
         """Run a job in a process that has run others, or in a new one.
 
-        If an old process dies or runs out of memory, a new one runs the job again: what a request gets must not depend
-        on the requests before it.
+        If an old process dies or runs out of memory, a new one repeats the job: responses must not depend on earlier
+        requests.
 
         Returns:
-            The result, or the error; and the process, unless it has ended.
+            The result, the error, and the process, which is None if it has ended.
         """
         is_new = process is None
         try:
@@ -192,7 +190,7 @@ class Workers:
             error = self._error_of(process, job)
             is_final = is_new or job.dropped or isinstance(error, TooLargeError)
             return (None, error, None) if is_final else self._run(job, None)
-        except Exception:  # such as what cannot be pickled; the next job must still run
+        except Exception:  # for example arguments that cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
             return None, RequestError(500, "internal", FAILED), process
         if then == NEXT:
@@ -201,10 +199,10 @@ class Workers:
         return self._run(job, None) if then == AGAIN else (result, error, None)
 
     def _next(self, reserved: bool) -> Job | None:
-        """The job whose turn it is, once there is one; None when the pool is closed."""
+        """Wait for the next job; None when the pool is closed."""
         with self._condition:
             while not self._closed:
-                # Others take quick jobs only while the reserved worker is busy: it has solved their maps before.
+                # Others run quick jobs only while the reserved worker is busy, because it has cached their maps.
                 lanes = (True,) if reserved else (False, True) if self._reserved_is_busy else (False,)
                 for queue in (self._queues[quick] for quick in lanes if self._queues[quick]):
                     caller, jobs = queue.popitem(last=False)
@@ -220,59 +218,51 @@ class Workers:
         return None
 
     def _error_of(self, process: "_Process | None", job: Job) -> DroneEnvError:
-        """Why a worker ended in the middle of a job."""
+        """Return why a worker ended during a job."""
         status = None if process is None else process.end()
         if job.dropped:
-            return RequestError(503, "dropped", "nobody waits for this any more")
+            return RequestError(503, "dropped", "nobody waits for this job any more")
         if sys.platform != "win32" and status == -signal.SIGXCPU:
             return TooLargeError(too_long(self._settings.job_seconds))
         log.warning("a worker ended with status %s while it ran %s", status, job.function.__qualname__)
-        if sys.platform != "win32" and status == -signal.SIGABRT:  # LLVM aborts if it cannot allocate
+        if sys.platform != "win32" and status == -signal.SIGABRT:  # LLVM aborts if an allocation fails
             return TooLargeError(too_much(self._settings.job_megabytes))
         return RequestError(500, "internal", FAILED)
 
 
 class _Process:
-    """One worker process. Only the thread that made it calls it; `kill` is for all."""
+    """One worker process. Only its own thread may use it, except for `kill`."""
 
     def __init__(self, settings: Settings) -> None:
         context: Any = multiprocessing.get_context(METHOD)
         if METHOD == "forkserver":
             context.set_forkserver_preload(PRELOADED)
-        # A forked worker has the environment of the process that it is forked from, which may be older.
+        # A forked worker inherits the environment of the forkserver, which may be outdated.
         environment = {name: value for name, value in os.environ.items() if name.startswith("DRONE_ENV_")}
-        self._registered: object = None
         self._connection, theirs = context.Pipe()
-        self._process: BaseProcess = context.Process(
-            target=serve, args=(theirs, self._connection, settings, environment), name="drone_env-worker", daemon=True
-        )
+        arguments = theirs, self._connection, settings, environment, (TASKS, REWARD_PROFILES)
+        self._process: BaseProcess = context.Process(target=serve, args=arguments, name="drone_env-worker", daemon=True)
         self._process.start()
         theirs.close()
 
     def call(
         self, function: Callable[..., Any], arguments: tuple[object, ...]
     ) -> tuple[Any, DroneEnvError | None, int]:
-        """The result of a function, or what it raised; and what the process does next: `NEXT`, `LAST` or `AGAIN`.
+        """Call a function and return its result, its error, and `NEXT`, `LAST` or `AGAIN`.
 
         Raises:
             EOFError, OSError: if the process has ended.
         """
-        # What was registered since the process began, or since its last job.
-        tasks = {id_: task for id_, task in TASKS.items() if id_ not in PACKAGE_TASKS}
-        profiles = {id_: profile for id_, profile in REWARD_PROFILES.items() if id_ not in PACKAGE_PROFILES}
-        registered = [*map(id, tasks.values()), *map(id, profiles.values())]
-        known = registered == self._registered
-        self._registered = registered
-        self._connection.send((function, arguments, None if known else (tasks, profiles)))
+        self._connection.send((function, arguments))
         return self._connection.recv()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         self._process.kill()
 
     def end(self) -> int | None:
-        """End it, and return its exit status; minus the number of a signal."""
-        self._connection.close()  # which ends it, unless it is busy
+        """End the process, and return its exit status, or minus the number of a signal."""
+        self._connection.close()  # ends it unless it is busy
         self._process.join(1)
         if self._process.is_alive():
             self._process.kill()

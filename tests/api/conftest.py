@@ -14,18 +14,18 @@ from drone_env.server.settings import Settings
 from tests.api.serving import Server, serving
 
 NO_COOKIES = DefaultCookiePolicy(allowed_domains=())
-"""Keeps none, so that sessions are named by their header alone."""
+"""Rejects all cookies, so that only the header identifies a session."""
 
 
 @pytest.fixture
 def settings(tmp_path: Path) -> dict[str, Any]:
-    """Settings of the test's application, to be changed with `@pytest.mark.parametrize("settings", ...)`."""
+    """Settings of the application; override them with `@pytest.mark.parametrize("settings", ...)`."""
     return {"data": tmp_path / "data"}
 
 
 @pytest.fixture
 def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
-    """A client that keeps no cookies."""
+    """A client without cookies."""
     with TestClient(create_app(Settings(**settings))) as running:
         running.cookies.jar.set_policy(NO_COOKIES)
         yield running
@@ -33,13 +33,13 @@ def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
-    """A server in a process of its own, for all tests that need no server to themselves."""
+    """A server process that all tests share."""
     with serving(tmp_path_factory.mktemp("server") / "data", CAPACITY="2000") as running:
         yield running
 
 
 class Clock:
-    """A clock that stands still until it is moved."""
+    """A clock that tests set."""
 
     def __init__(self) -> None:
         self.now = time.time()
@@ -55,7 +55,7 @@ def clock() -> Clock:
 
 @pytest.fixture(scope="module")
 def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestClient, None, None]:
-    """The same of the usual settings, for all tests of a module that mind nothing but their own session."""
+    """A client with default settings that the tests of a module share."""
     with TestClient(create_app(Settings(data=tmp_path_factory.mktemp("shared") / "data"))) as running:
         running.cookies.jar.set_policy(NO_COOKIES)
         yield running
@@ -75,12 +75,12 @@ def session(client: TestClient) -> dict[str, str]:
 
 @pytest.fixture
 def eventually() -> Callable[[Callable[[], bool]], None]:
-    """Waits until something holds, and fails where it never does."""
+    """Return a function that waits until a condition is true, for at most 30 seconds."""
 
     def wait(holds: Callable[[], bool]) -> None:
         deadline = time.monotonic() + 30
         while not holds():
-            assert time.monotonic() < deadline, "it never came to hold"
+            assert time.monotonic() < deadline, "timed out"
             time.sleep(0.05)
 
     return wait

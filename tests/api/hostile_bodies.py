@@ -1,4 +1,4 @@
-"""The most expensive bodies and frames of each kind, made from the JSON Schemas of what the server takes."""
+"""The most expensive bodies and frames of each kind, generated from the JSON Schemas of the server."""
 
 import asyncio
 import json

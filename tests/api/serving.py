@@ -1,4 +1,4 @@
-"""A server in a process of its own, as users start it."""
+"""A server process, started as users start it."""
 
 import os
 import signal
@@ -20,16 +20,15 @@ class Server:
     """A running server.
 
     Args:
-        command: What to run, after the interpreter.
-        data: Its data folder.
-        port: Its port.
-        settings: More of its environment, without the prefix.
+        command: Arguments of the interpreter.
+        data: The data folder.
+        port: The port.
+        settings: Environment variables without the prefix.
     """
 
     def __init__(self, command: list[str], data: Path, port: int, settings: dict[str, str]) -> None:
         self.url = f"http://127.0.0.1:{port}"
-        # One for all who ask: each reads the certificates of the system, which takes longer than most answers. It keeps
-        # no connection, which the server would count.
+        # Shared, because each client reads the system's certificates, which is slow. It keeps no connection open.
         self.client = httpx.Client(base_url=self.url, timeout=60, limits=httpx.Limits(max_keepalive_connections=0))
         variables = {f"DRONE_ENV_{name}": value for name, value in settings.items()}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRONE_ENV_DATA": str(data), **variables}
@@ -57,13 +56,13 @@ class Server:
         raise AssertionError(f"the server did not answer: {self.log.read_text()}")
 
     def kill(self) -> None:
-        """End it as a power cut would, but for the machine."""
+        """Kill the process."""
         self.client.close()
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
     def stop(self) -> None:
-        """Ask it to end, and wait."""
+        """Terminate the process, and wait."""
         self.process.terminate()
         try:
             self.process.wait(timeout=60)
@@ -75,7 +74,7 @@ class Server:
 def serving(
     data: Path, command: tuple[str, ...] = ("drone_env/server/app.py",), port: int | None = None, **settings: str
 ) -> Generator[Server, None, None]:
-    """A server for the time of the block."""
+    """Context manager of a running server."""
     server = Server(list(command), data, port or reserved_port(), settings)
     try:
         yield server

@@ -1,4 +1,4 @@
-"""A server among pages that send anything at any time."""
+"""Random commands of pages at random moments leave the server healthy."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What a process allows its connections: how many, and how long; and where it listens."""
+"""Limits of connections: number, time, size, frames; the listening socket; the bounded log."""
 
 import asyncio
 import logging
@@ -41,7 +41,7 @@ async def answer(scope: Scope, receive: Receive, send: Send) -> None:
 def running(
     app: ASGIApp, connections: int = 100, http: type[Http] = Http, **more: Any
 ) -> Generator[Callable[[], socket.socket]]:
-    """A server of this application in a thread; opens connections to it."""
+    """Run a server in a thread; yields a function that opens a connection to it."""
     listening = listen("127.0.0.1", 0)
     config = uvicorn.Config(
         app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1, **more
@@ -53,7 +53,7 @@ def running(
 
         def connect() -> socket.socket:
             sock = opened.enter_context(socket.socket())
-            # What is on its way to the one who does not read is then little.
+            # A small buffer, so that little data is in flight.
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
             sock.settimeout(30)
             sock.connect(listening.getsockname())
@@ -69,12 +69,12 @@ def running(
 
 
 def everything(sock: socket.socket) -> bytes:
-    """All that comes until the other side closes."""
+    """Read until the server closes the connection."""
     return b"".join(iter(lambda: sock.recv(65_536), b""))
 
 
 def taken_of(sock: socket.socket, data: bytes, most: int) -> int:
-    """How many bytes the other side takes before it takes none for a second."""
+    """Return how many bytes the server accepts until it accepts none for a second."""
     sock.setblocking(False)
     taken = 0
     while taken < most and select.select([], [sock], [], 1)[1]:
@@ -111,7 +111,7 @@ def test_half_requests_are_ended_and_whole_ones_have_time_to_be_answered() -> No
             for sock in (*late, again):
                 assert everything(sock).startswith(b"HTTP/1.1 408 ")
         finally:
-            # The server ends when this is answered.
+            # The server stops after this response.
             loops[0].call_soon_threadsafe(release.set)
         assert whole.recv(1000).startswith(b"HTTP/1.1 200 ")
         kept.sendall(WHOLE)
@@ -122,7 +122,7 @@ def test_a_request_that_is_being_answered_has_no_more_read_for_it(monkeypatch: p
     monkeypatch.setattr(protocols, "END_SECONDS", 0.0)
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        # As streams do, to see whether somebody is still there.
+        # Streams check in this way whether the client is connected.
         while not await Request(scope, receive).is_disconnected():
             await asyncio.sleep(0.005)
 
@@ -138,7 +138,7 @@ IN_TURN = [
     (CHUNKED + b"4\r\n\r\n\r\n\r\n2;x=y\r\nhi\r\n0\r\nLate: 1\r\n\r\n", b"\r\n\r\nhi"),
     (CHUNKED + b"3\r\nend\r\n000\r\n\r\n", b"end"),
 ]
-"""Requests, and the bodies that they have."""
+"""Requests and their bodies."""
 
 
 @pytest.mark.parametrize("piece", [1, 7, 1 << 20])
@@ -171,7 +171,7 @@ def test_requests_in_one_piece_are_parsed_and_answered_one_after_another(
             sock.sendall(data[start : start + piece])
         answers = everything(sock).split(b"HTTP/1.1 200 OK\r\n")[1:]
     assert [answer.partition(b"\r\n\r\n")[2] for answer in answers] == [*expected, b"2:"]
-    # One is answered; the end of another's body may bring the head of the next with it.
+    # One has its response; the end of another body may contain the head of the next request.
     assert most[0] <= 3
 
 
@@ -186,7 +186,7 @@ def test_what_is_no_body_has_an_end(request_: bytes) -> None:
     with running(app) as connect:
         sock = connect()
         sock.sendall(request_)
-        with suppress(ConnectionError):  # it may be closed while more comes
+        with suppress(ConnectionError):  # the server may close it meanwhile
             for _ in range(2 * protocols.HEAD_BYTES // 1024):
                 sock.sendall(b"x" * 1024)
         with suppress(ConnectionError):
@@ -203,7 +203,7 @@ BOUNDED = {
     "a chunk more": (CHUNKED + ONES * (protocols.CHUNKS + 1) + b"0\r\n\r\n", 400),
     "long lists of subprotocols": (WHOLE[:-2] + b"Sec-WebSocket-Protocol: " + b"a," * 3000 + b"\r\n\r\n", 431),
 }
-"""Requests in one piece, and the status of the answer."""
+"""Requests and the status of the response."""
 
 
 @pytest.mark.parametrize(("length", "status"), [(protocols.READS, 200), (protocols.READS + 1, 400)])
@@ -253,7 +253,7 @@ SHAPES = {
     "length and chunks": (SIZED + b"Transfer-Encoding: chunked\r\n\r\n2\r\nhi\r\n0\r\n\r\n", "400 closed", ""),
     "packed": (POSTED + b"Transfer-Encoding: gzip, chunked\r\n\r\n2\r\nhi\r\n0\r\n\r\n", "400 closed", ""),
 }
-"""Requests; the answers, and what becomes of the connection; what the application gets."""
+"""Requests; the responses and the state of the connection; the request in the application."""
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -268,7 +268,7 @@ def test_requests_of_any_shape_are_understood_or_refused(shape: str) -> None:
 
     with running(app) as connect:
         sock = connect()
-        # What goes on tells whether it was read to its end, and no further.
+        # The next request shows whether the server read the first one exactly to its end.
         sock.sendall(request + b"PUT /next HTTP/1.1\r\nHost: h\r\n" + CLOSING + b"\r\n")
         *statuses, last = re.findall(rb"HTTP/1\.1 (\d+)", answered := everything(sock))
     kept = seen[-1:] == ["PUT /next "]
@@ -285,7 +285,7 @@ def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog
             assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
         for _ in range(5):
             assert everything(connect()).startswith(b"HTTP/1.1 503 ")
-        assert set(caplog.messages) == {"3 connections are open, and no more are allowed: others are refused"}
+        assert set(caplog.messages) == {"3 connections are open, which is the limit: others are refused"}
         first.close()
         deadline = time.monotonic() + 60
         while True:  # until the server has noticed
@@ -384,7 +384,7 @@ def test_a_socket_that_never_answers_a_ping_is_closed_and_the_application_stops(
     with running(app, ws_ping_interval=0.1, ws_ping_timeout=0.1) as connect:
         sock = open_socket(connect())
         assert closed.wait(60)
-        # The application waits to send more, and is woken by this.
+        # This wakes the application, which waits to send more.
         assert everything(sock).endswith(b"keepalive ping timeout")
     assert [type(error) for error in ended] == [ClientDisconnected]
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
@@ -402,7 +402,7 @@ def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.
     assert [logged(1) for _ in range(LINES + 3)] == ["no luck"] * LINES + [None] * 3
     assert logged(2) == "no luck"
     now[0] += LINE_SECONDS
-    assert [logged(1) for _ in range(2)] == ["no luck (3 such lines before this one were not logged)", "no luck"]
+    assert [logged(1) for _ in range(2)] == ["no luck (3 similar lines were dropped)", "no luck"]
     assert logged(3, cancelled) is None
 
 

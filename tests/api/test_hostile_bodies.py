@@ -1,4 +1,4 @@
-"""The work for bodies and frames: counted in validation errors, each of which costs as much as 500 bytes to parse."""
+"""The cost of bodies and frames in validation errors, each of which costs as much as parsing 500 bytes."""
 
 import json
 from typing import Any

@@ -15,8 +15,9 @@ from drone_env.models import DroneObservation
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME, Store
 from drone_env.server.app import create_app
+from drone_env.server.observation_json import flat_json
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.sessions import Sessions, flat_json
+from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.api.test_flight import flown
@@ -60,7 +61,7 @@ class TestSessions:
             for number in range(5):
                 session, _ = sessions.reset(None, ResetOptions(seed=number), flat_json)
                 sessions.advance(session, Action.WAIT, flat_json)
-                assert len(sessions._live) <= 2
+                assert len(sessions._cache) <= 2
                 store.end_session(session)  # as another process would, which tells nobody
             first, second = (sessions.reset(None, ResetOptions(seed=7), flat_json)[0] for _ in range(2))
             for session in (first, second, first):

@@ -1,4 +1,4 @@
-"""What survives when the server is killed at any moment: all that was acknowledged."""
+"""A server that is killed at any moment loses no acknowledged step or episode."""
 
 import json
 import os

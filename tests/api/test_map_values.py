@@ -129,11 +129,9 @@ def test_which_network_is_asked(tmp_path: Path) -> None:
         assert asked(client) == "trained-tournet"
 
 
-def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(
-    shared_client: TestClient, registered: Any
-) -> None:
+def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(client: TestClient, registered: Any) -> None:
     registered(width=20, height=20, deliveries=16, max_steps=600, battery_capacity=600)
-    answer = ask(shared_client, "toy", 1, ["UP"])
+    answer = ask(client, "toy", 1, ["UP"])
     assert "GB are allowed" in answer["unsolved"]
     assert [answer[name] for name in ("value", "optimum", "regret", "q_values", "best_actions")] == [None] * 5
     cells = answer["cells"]

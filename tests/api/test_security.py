@@ -1,4 +1,4 @@
-"""Who may call, and with what."""
+"""Bodies, origins, hosts, the token, security headers, settings."""
 
 import asyncio
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The WebSocket: frames that nobody planned for, capacity, idleness, what is kept."""
+"""OpenEnv's WebSocket: invalid frames, capacity, idle sockets, stored episodes."""
 
 import asyncio
 import json
@@ -18,7 +18,7 @@ from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.incoming import SMALL
-from drone_env.server.sessions import openenv_json
+from drone_env.server.observation_json import openenv_json
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.cluster.sessions import openenv_result

@@ -1,4 +1,4 @@
-"""Callers that stop reading: they hold up nobody else, and nothing grows without bound for them."""
+"""Clients that stop reading block no other client, and use bounded memory."""
 
 import asyncio
 import base64

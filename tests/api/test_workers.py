@@ -1,4 +1,4 @@
-"""Several processes that serve one data folder."""
+"""Several server processes on one data folder."""
 
 import os
 import signal
@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import httpx
 import pytest
 
 from drone_env.client import DroneEnvClient
@@ -21,7 +22,7 @@ def test_workers_fly_one_session_and_end_with_the_first_process_however_that_end
     with serving(tmp_path / "data", WORKERS="2") as server:
         workers = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children").read_text().split()
         assert len(workers) >= 2
-        assert sorted(concurrent_steps(server.url)) == list(range(1, 81))
+        assert sorted(concurrent_steps(server.client)) == list(range(1, 41))
         server.kill()
         port = int(server.url.rpartition(":")[2])
         try:
@@ -34,22 +35,18 @@ def test_workers_fly_one_session_and_end_with_the_first_process_however_that_end
                     os.kill(int(worker), signal.SIGKILL)
 
 
-def concurrent_steps(url: str) -> list[int]:
-    """The counts that eight clients of one session get for ten steps each."""
-    opener = DroneEnvClient(url)
+def concurrent_steps(http: httpx.Client) -> list[int]:
+    """Return the step counts that four clients of one session get for ten steps each."""
+    opener = DroneEnvClient(http=http)
     opener.reset("hard", seed=7)
-    opener.close(keep_session=True)
 
-    def wait_ten_times() -> list[int]:
-        client = DroneEnvClient(url)
+    def wait_ten_times(_: int) -> list[int]:
+        client = DroneEnvClient(http=http)
         client.session_id = opener.session_id
-        counts = [client.step("WAIT")["step_count"] for _ in range(10)]
-        client.close(keep_session=True)
-        return counts
+        return [client.step("WAIT")["step_count"] for _ in range(10)]
 
-    with ThreadPoolExecutor(8) as pool:
-        waiting = [pool.submit(wait_ten_times) for _ in range(8)]
-    return [count for waited in waiting for count in waited.result()]
+    with ThreadPoolExecutor(4) as pool:
+        return [count for counts in pool.map(wait_ten_times, range(4)) for count in counts]
 
 
 def is_taken(port: int) -> bool:

@@ -1,7 +1,4 @@
-"""OpenEnv's names and ours that need it, each imported when it is first asked for.
-
-OpenEnv's import takes seconds, and every process of the tests collects every file.
-"""
+"""Lazy imports of OpenEnv, because importing it takes seconds in each test process."""
 
 from importlib import import_module
 from typing import Any
@@ -15,7 +12,6 @@ _HOMES = {
     "DroneEnvState": "drone_env.server.grid_world_environment",
     "Environment": "openenv.core.env_server.interfaces",
     "GenericEnvClient": "openenv.core.generic_client",
-    "GradeRubric": "drone_env.server.grid_world_environment",
     "Level": "openenv.validation",
     "ProviderCapability": "openenv.validation.types",
     "create_fastapi_app": "openenv.core.env_server",

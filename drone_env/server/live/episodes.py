@@ -32,9 +32,9 @@ from drone_env.server.frames import (
 )
 from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
+from drone_env.server.observation_json import flat_json
 from drone_env.server.pilots import HUMAN, Provenance, all_pilots, require_pilot
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.sessions import flat_json
 from drone_env.server.state import Shared
 
 Result = TypeVar("Result")

@@ -14,6 +14,7 @@ from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneObservation, DroneState
 from drone_env.server.incoming import LARGE_BODY, JsonRequest, JsonRoute
+from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight
@@ -32,13 +33,11 @@ from drone_env.server.schemas import (
     StepResult,
     examples,
 )
-from drone_env.server.sessions import flat_json, openenv_json
 from drone_env.server.state import (
     COOKIE,
     HEADER,
     LONGEST_ID,
     SESSION_ERRORS,
-    SHARED_HEADER,
     Caller,
     CallerOf,
     Shared,
@@ -50,10 +49,7 @@ STEP_HEADER = "x-step-count"
 STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
-    "headers": {
-        HEADER: {"description": "The session.", "schema": {"type": "string"}},
-        SHARED_HEADER: {"description": "The address of the callers that share it.", "schema": {"type": "string"}},
-    },
+    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
     "links": {
         name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
         for name in IN_SESSION
@@ -82,7 +78,7 @@ def reset(
     session, first = shared.sessions.reset(caller.named, options, show, caller.address)
     # Not validated again, for speed; tests compare it with the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
-    caller.tell(session, response)
+    response.headers[HEADER] = session
     secure = request.url.scheme == "https"
     # A frame in another site requires SameSite=None, which browsers accept over https only.
     response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
@@ -191,7 +187,7 @@ def _advance(shared: Shared, caller: Caller, body: StepRequest, after: int | Non
     _, stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
-        caller.tell(session, response)
+        response.headers[HEADER] = session
     return response
 
 

@@ -1,8 +1,7 @@
-"""What worker processes share: importing this loads all code that jobs need, compiled code included.
+"""Loads all code that jobs need, including compiled code. The forkserver imports this module.
 
-The process that workers are forked from imports it. Afterwards each worker starts in milliseconds, and the memory of
-what is loaded here counts once. Code that is not compiled yet is left to the first job that needs it: compiling takes
-a minute, and the first flights must not wait for it.
+Workers then start in milliseconds and share its memory. Code that is not compiled yet is left to the first job that
+needs it, because compiling takes a minute.
 """
 
 import gc
@@ -39,9 +38,9 @@ if is_compiled(*SOLVERS):
         battery_range(episode, episode.cell, 1)
 if is_compiled(*TOURNET):
     for task in TASKS:
-        with suppress(DroneEnvError):  # whoever flies by a network that cannot be read is told so then
+        with suppress(DroneEnvError):  # a job that uses an invalid network raises the error
             agent = make_agent("tournet", get_task(task))
             agent.reset(0)
             agent.act(Episode(task, seed=0).observation())
 gc.collect()
-gc.freeze()  # the collector would copy pages that are shared
+gc.freeze()  # otherwise the collector writes to shared pages, which copies them
