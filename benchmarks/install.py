@@ -32,7 +32,7 @@ else:
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from drone_env.installer import DISTRIBUTION  # noqa: E402
+from drone_env.errors import DISTRIBUTION  # noqa: E402
 from tests.package.installed import build  # noqa: E402
 
 ORIGINAL = ("openenv-core[core]>=0.2.1", "torch>=2.0.0", "openai>=1.0.0", "python-multipart>=0.0.9")

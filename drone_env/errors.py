@@ -26,7 +26,8 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any, Protocol
 
-from drone_env.installer import how_to_install
+DISTRIBUTION = "drone-delivery-env"
+"""The name of this package in an index; it is imported as `drone_env`."""
 
 
 class DroneEnvError(Exception):
@@ -102,7 +103,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed; {how_to_install(extra)}")
+        super().__init__(f"{package} is not installed; run: {install_command(extra)}")
 
 
 class StoreError(DroneEnvError, OSError):
@@ -127,6 +128,11 @@ class ClusterError(DroneEnvError, RuntimeError):
 
 class EndpointError(DroneEnvError, RuntimeError):
     """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"'
 
 
 def shown(value: object) -> str:

@@ -13,8 +13,6 @@ from typing import NoReturn
 
 import pytest
 
-from drone_env import installer
-
 PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
 """Debian's packages of the programs that tests need."""
 LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
@@ -33,7 +31,7 @@ def missing_package(failure: str) -> str | None:
     """The large package for want of which something failed, by what pytest tells of it; None if it failed otherwise."""
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         return None
-    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed; type)", failure)
+    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed; run)", failure)
     return next((name for name in named if name in ABSENT), None)
 
 
@@ -48,7 +46,7 @@ def install_command(tools: Iterable[str]) -> str:
     packages = [PACKAGES[tool] for tool in tools if tool in PACKAGES]
     commands = [f"apt-get install {' '.join(packages)}"] if packages else []
     if set(tools) & set(LEFT_OUT):
-        commands.append(installer.install_command("dev"))
+        commands.append('pip install -e ".[dev]"')
     return " && ".join(commands)
 
 

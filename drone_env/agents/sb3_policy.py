@@ -17,7 +17,6 @@ from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.forms import to_planes, to_vector
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.files import open_file
-from drone_env.installer import pip
 from drone_env.planning.from_observation import drone_positions
 
 KEY = task_key("agent/sb3", 1)
@@ -133,7 +132,7 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any, sampled: bool) -> Sb
         from stable_baselines3.common.save_util import load_from_zip_file
     except ModuleNotFoundError as error:
         raise InvalidValueError(
-            f"{file} is read by Stable-Baselines3, which is not installed: {pip()} install stable-baselines3"
+            f"{file} is read by Stable-Baselines3, which is not installed: pip install stable-baselines3"
         ) from error
     with open_file(file) as opened:
         try:

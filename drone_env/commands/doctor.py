@@ -20,8 +20,8 @@ from drone_env.agents import make_agent
 from drone_env.commands.printing import print_json
 from drone_env.core.compile_cache import cache_folder
 from drone_env.envs.registry import load_plugins, plugin_names
+from drone_env.errors import DISTRIBUTION, install_command
 from drone_env.files import data_folder
-from drone_env.installer import DISTRIBUTION, install_command
 
 
 class Finding(NamedTuple):

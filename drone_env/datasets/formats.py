@@ -19,8 +19,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.datasets.config import DatasetConfig
 from drone_env.datasets.trajectories import Trajectory
-from drone_env.errors import needs
-from drone_env.installer import DISTRIBUTION
+from drone_env.errors import DISTRIBUTION, needs
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""

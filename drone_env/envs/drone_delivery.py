@@ -16,8 +16,7 @@ from drone_env.envs.ansi import draw_text
 from drone_env.envs.forms import observation_space
 from drone_env.envs.registry import check_gym_id
 from drone_env.envs.rendering import FPS, draw_picture
-from drone_env.errors import InvalidValueError
-from drone_env.installer import how_to_install
+from drone_env.errors import InvalidValueError, install_command
 from drone_env.reward_file import chosen_profile
 
 KEYS = {
@@ -155,7 +154,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled(f"pygame is not installed; {how_to_install('human')}") from error
+            raise DependencyNotInstalled(f"pygame is not installed; run: {install_command('human')}") from error
         size = picture.shape[1], picture.shape[0]
         if self._clock is None:
             pygame.display.init()

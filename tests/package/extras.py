@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, req
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from drone_env.installer import DISTRIBUTION
+from drone_env.errors import DISTRIBUTION
 from tests.package.installed import ROOT
 
 if sys.version_info >= (3, 11):

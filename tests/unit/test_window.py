@@ -10,7 +10,7 @@ import pytest
 from gymnasium.error import DependencyNotInstalled
 
 from drone_env.envs.rendering import draw_picture
-from drone_env.installer import install_command
+from drone_env.errors import install_command
 
 
 def human() -> Any:
