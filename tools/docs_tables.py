@@ -103,7 +103,7 @@ def of_cities() -> str:
     rows: list[list[str]] = []
     for layer in layers():
         things = [f"`{described(rule)}`" for rule in (*layer.points, *layer.areas, *layer.coasts)]
-        things += [f"`{described(rule)}` ({width:g} m)" for rule, width in layer.lines]
+        things += [f"`{described(rule)}` ({width:g} m)" for rule, width in layer.lines.items()]
         but = f"; not {', '.join(f'`{described(rule)}`' for rule in layer.unless)}" if layer.unless else ""
         share = f"{layer.share:.0%}" if layer.areas or layer.lines else "any"
         kind = "road (open)" if layer.kind == Cell.ROAD else layer.kind.name.lower()

@@ -18,8 +18,6 @@ from drone_env.errors import InvalidValueError
 EQUATOR = 6_378_137.0
 """The semi-major axis of the ellipsoid of WGS 84, in metres."""
 FLATTENING = 1 / 298.257223563
-MIN_CELL, MAX_CELL = 1.0, 100.0
-"""Metres along the side of a cell."""
 Points = npt.NDArray[np.float64]
 """float64[n, 2], (x, y)."""
 Mask = npt.NDArray[np.bool_]
