@@ -131,8 +131,8 @@ class EndpointError(DroneEnvError, RuntimeError):
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra."""
-    return f'pip install "{DISTRIBUTION}[{extra}]"'
+    """Return the command that installs this package with an extra."""
+    return f'pip install "{DISTRIBUTION}{f"[{extra}]" if extra else ""}"'
 
 
 def shown(value: object) -> str:

@@ -14,9 +14,9 @@ from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task
+from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
-from drone_env.datasets.config import FORMAT, DatasetConfig
-from drone_env.datasets.trajectories import chance, fly_map
+from drone_env.datasets.trajectories import FORMAT, DatasetConfig, fly_map, random_actions
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
@@ -28,8 +28,8 @@ needs_minari = pytest.mark.skipif("minari" not in FORMATS, reason="Minari asks f
 SHORT = [task.short_name for task in SMALL.values() if task.short_name not in ("skyline_hard", "city_small")]
 
 
-def made(folder: Path, config: DatasetConfig, formats: tuple[str, ...] = ("parquet",), **options: int) -> Path:
-    build_dataset(config, folder / "set", formats, **options)
+def made(folder: Path, config: DatasetConfig, formats: tuple[str, ...] = ("parquet",)) -> Path:
+    build_dataset(config, folder / "set", formats)
     return folder / "set"
 
 
@@ -82,7 +82,7 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
 def test_chance_flies_with_probability_epsilon() -> None:
     def strays(epsilon: float, maps: int) -> float:
         config = config_of("easy", range(maps), agents=["random"], epsilon=epsilon)
-        changed = [f.actions != f.agent_actions for seed in config.seeds for f in fly_map(config, seed)]
+        changed = [f.actions != f.infos["agent_action"][:-1] for seed in config.seeds for f in fly_map(config, seed)]
         return float(np.concatenate(changed).mean())
 
     assert strays(0, maps=3) == 0
@@ -92,11 +92,12 @@ def test_chance_flies_with_probability_epsilon() -> None:
 
 
 def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
-    draws = [list(islice(chance(*of), 100)) for of in (("optimal", 1), ("optimal", 2), ("greedy", 1))]
+    draws = [list(islice(random_actions(*of), 100)) for of in (("optimal", 1), ("optimal", 2), ("greedy", 1))]
     assert draws[0] not in draws[1:]
     (flight,) = fly_map(config_of("medium", range(2, 3), agents=["greedy"], epsilon=0.5), 2)
     _, same, _ = fly_map(config_of("medium", range(4), epsilon=0.5), 2)
-    assert (flight.actions.tobytes(), flight.grids.tobytes()) == (same.actions.tobytes(), same.grids.tobytes())
+    assert np.array_equal(flight.actions, same.actions)
+    assert np.array_equal(flight.observations["grid"], same.observations["grid"])
 
 
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
@@ -143,7 +144,8 @@ def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: p
     import minari
 
     config = config_of(task, range(3), reward_profile="composite")
-    folder = made(tmp_path, config, ("parquet", "minari"), rows_per_group=60)
+    monkeypatch.setattr(build, "ROWS_PER_GROUP", 60)
+    folder = made(tmp_path, config, ("parquet", "minari"))
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
     (name,) = minari.list_local_datasets()
     dataset = minari.load_dataset(name)
@@ -167,8 +169,9 @@ def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: p
         assert [env.step(action)[1] for action in episode.actions] == episode.rewards.tolist()
 
 
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     maps = []
+    monkeypatch.setattr(build, "ROWS_PER_GROUP", 1)
 
     def interrupt() -> None:
         maps.append((tmp_path / "set").exists())
@@ -176,7 +179,7 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_dataset(config_of("easy", range(5)), tmp_path / "set", FORMATS, rows_per_group=1, on_map=interrupt)
+        build_dataset(config_of("easy", range(5)), tmp_path / "set", FORMATS, on_map=interrupt)
     assert maps == [False, False, False]
     assert list(tmp_path.iterdir()) == []
 
