@@ -27,7 +27,7 @@ HOSTILE = {
 @pytest.mark.parametrize("name", HOSTILE)
 def test_what_would_be_expensive_is_refused(name: str) -> None:
     text, why = HOSTILE[name]
-    with pytest.raises(InvalidValueError, match=rf"not TOML that can be read: .*{why}") as raised:
+    with pytest.raises(InvalidValueError, match=rf"invalid TOML: .*{why}") as raised:
         parse_toml(text, parse_float=Decimal)
     assert len(str(raised.value)) < 200
 
