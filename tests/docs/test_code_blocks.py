@@ -1,8 +1,7 @@
-"""Each code block of the documentation is run, or says in an invisible comment why not: see CONTRIBUTING.md.
+"""Run the code blocks of the documentation, unless an invisible comment states why not: see CONTRIBUTING.md.
 
-What can be known of a block without running it is checked of all of them; running all is long. The blocks of a page
-share a folder that looks like a checkout, and its Python blocks one namespace. One real server and one scripted
-endpoint of a language model stand in for those that the pages name.
+All blocks are checked without running; running all is a long test. The blocks of a page share a copy of the checkout,
+and its Python blocks share a namespace. One real server and one scripted language model replace those on the pages.
 """
 
 import contextlib
@@ -32,8 +31,8 @@ else:
     import tomli as tomllib
 
 SHELL = ("bash", "sh", "console")
-# They start no server and take a few seconds at most.
-SHORT = ("docs/gymnasium.md", "docs/quickstart.md", "docs/vector.md")
+# They start no server and take a second at most.
+SHORT = ("docs/gymnasium.md", "docs/vector.md")
 DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
 
 
@@ -54,17 +53,17 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What can be known of a block without running it.
+    """Check a block without running it.
 
     Raises:
-        AssertionError: if something in it does not exist, or nothing says why it is not run.
-        SyntaxError: if it is no Python.
-        ValueError: if it is not in its language.
+        AssertionError: if something in it does not exist, or no comment states why it is not run.
+        SyntaxError, ValueError: if its syntax is invalid.
     """
     if block.output_of:
         shell.check(block.output_of, block.where, monkeypatch)
     elif block.language in SHELL:
-        for command in [command for part in shell.split_skipped(block) for command in part]:
+        shell.commands_to_run(block)  # raises if a comment skips an unknown command
+        for command in shell.commands(block):
             shell.check(command, block.where, monkeypatch)
     elif block.skipped:
         raise AssertionError(f"{block.where}: only commands of a shell can be left out one by one")
@@ -97,8 +96,7 @@ class Page:
         if block.output_of:
             assert self._shell([block.output_of], block).stdout == block.text, block.where
         elif block.language in SHELL:
-            chosen, _ = shell.split_skipped(block)
-            if chosen:
+            if chosen := shell.commands_to_run(block):
                 self._shell(chosen, block)
         elif block.language == "python" and not block.not_run:
             self._python(block)

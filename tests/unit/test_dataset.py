@@ -79,16 +79,15 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
         assert left == pytest.approx([sum(rewards[i:]) for i in range(len(rewards))])
 
 
-def test_chance_flies_with_probability_epsilon() -> None:
-    def strays(epsilon: float, maps: int) -> float:
-        config = config_of("easy", range(maps), agents=["random"], epsilon=epsilon)
-        changed = [f.actions != f.infos["agent_action"][:-1] for seed in config.seeds for f in fly_map(config, seed)]
-        return float(np.concatenate(changed).mean())
-
-    assert strays(0, maps=3) == 0
-    # One random action in five is the agent's own; 0.04 is 5 standard errors over the 2,500 steps of 50 maps.
-    assert strays(0.25, maps=50) == pytest.approx(0.2, abs=0.04)
-    assert strays(1, maps=13) == pytest.approx(0.8, abs=0.08)
+def test_random_actions_replace_the_agents_with_probability_epsilon() -> None:
+    draws = list(islice(random_actions("random", 3), 10_000))
+    # 5 standard errors are 0.022 and 0.02.
+    assert np.mean([share < 0.25 for share, _ in draws]) == pytest.approx(0.25, abs=0.022)
+    assert np.bincount([action for _, action in draws]) / len(draws) == pytest.approx(np.full(5, 0.2), abs=0.02)
+    (flight,) = fly_map(config_of("easy", range(3, 4), agents=["random"], epsilon=0.25), 3)
+    own = flight.infos["agent_action"][:-1].tolist()
+    taken = [action if share < 0.25 else choice for choice, (share, action) in zip(own, draws, strict=False)]
+    assert flight.actions.tolist() == taken != own
 
 
 def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
@@ -187,15 +186,13 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
 def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> None:
     config = config_of("easy", range(1))
     (tmp_path / "set").mkdir()
-    assert build_dataset(config, tmp_path / "set", FORMATS) == len(rows(tmp_path / "set"))
-    before = (tmp_path / "set" / "steps.parquet").read_bytes()
-    with pytest.raises(InvalidValueError, match="not an empty folder"):
-        build_dataset(config_of("easy", range(2)), tmp_path / "set")
+    assert build_dataset(config, tmp_path / "set", ("parquet",)) == len(rows(tmp_path / "set"))
     (tmp_path / "file").touch()
-    with pytest.raises(InvalidValueError, match="not an empty folder"):
-        build_dataset(config, tmp_path / "file")
-    assert (tmp_path / "set" / "steps.parquet").read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "set"]
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    for taken in ("set", "file"):
+        with pytest.raises(InvalidValueError, match="not an empty folder"):
+            build_dataset(config, tmp_path / taken)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
