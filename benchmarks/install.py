@@ -78,7 +78,7 @@ def download(requirements: Sequence[str]) -> dict[str, Any]:
     """How many packages and bytes come with these requirements."""
     with tempfile.TemporaryDirectory() as folder:
         packages = resolve(requirements, Path(folder))
-    # A package without an address is the wheel that was named, which lies here.
+    # A package without a URL is the local wheel.
     fetched = [package for package in packages if package.get("wheels") or package.get("sdist")]
     with ThreadPoolExecutor(8) as threads:
         sizes = list(threads.map(size_of, fetched))

@@ -1,4 +1,4 @@
-"""What all tests share: an empty place, and what is said of tools that are missing."""
+"""Fixtures of all tests: an empty working directory, restored registries, and skips for missing tools."""
 
 # First, so that no variable of the user's is read.
 from tests.environment import DISPLAY
@@ -40,7 +40,7 @@ def neutral_place(tmp_path_factory: pytest.TempPathFactory) -> Generator[None, N
 
 @pytest.fixture(autouse=True)
 def registered() -> Generator[None, None, None]:
-    """Forget after each test what it has registered, in this process and for those that are started."""
+    """Restore the registries after each test, in this process and for started ones."""
     known = [TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry]
     before = [dict(names) for names in known]
     plugins = os.environ.get(PLUGINS)
@@ -55,7 +55,7 @@ def registered() -> Generator[None, None, None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def patience() -> None:
-    """Have servers in this process wait for optima however busy the machine is."""
+    """Let servers in this process wait for optima on a busy machine."""
     store.PATIENCE = 60
 
 
@@ -78,7 +78,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def skipped_for_want(report: Report, path: str) -> Report:
-    """The report; a skip where it tells of a failure for want of a package that `uv sync` leaves out."""
+    """Turn a failure into a skip if a package is missing that `uv sync` leaves out."""
     package = missing_package(str(report.longrepr)) if report.failed else None
     if package:
         report.outcome = "skipped"

@@ -29,7 +29,7 @@ def table(rows: list[list[str]]) -> str:
 
 
 def settings_table(settings: type[BaseSettings]) -> str:
-    """What can be configured by a class, as a table in Markdown."""
+    """Return the settings of a class as a table in Markdown."""
     prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
     for name, field in settings.model_fields.items():
         several = isinstance(field.default, tuple)

@@ -38,14 +38,14 @@ DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
-    """The address of a server, started when a page first needs it."""
+    """URL of a server, started on first use."""
     with serving(tmp_path_factory.mktemp("pages") / "data") as running:
         yield running.url
 
 
 @pytest.fixture
 def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """The address of an endpoint whose model flies well, whatever the prompt."""
+    """Base URL of a language model that flies well with any prompt."""
     address = f"{request.getfixturevalue('scripted_server')}/{tmp_path.name}"
     script = {"log": str(tmp_path / "endpoint.jsonl"), "pilot": "able"}
     httpx.post(f"{address}/script", json=script, timeout=60).raise_for_status()
@@ -77,11 +77,11 @@ def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Page:
-    """The run of one page.
+    """Runs the blocks of one page.
 
     Args:
-        folder: Where its blocks are run.
-        request: Gives the servers, where the page needs one.
+        folder: Folder in which the blocks run.
+        request: Provides servers if the page needs them.
         monkeypatch: Sets its environment.
     """
 
@@ -92,7 +92,7 @@ class Page:
         self._names: dict[str, Any] = {"__name__": "__main__"}
 
     def run(self, block: Block) -> None:
-        """Run a block, unless it says that it is not to be run."""
+        """Run a block, unless a comment skips it."""
         if block.output_of:
             assert self._shell([block.output_of], block).stdout == block.text, block.where
         elif block.language in SHELL:
@@ -112,7 +112,7 @@ class Page:
         return done
 
     def _python(self, block: Block) -> None:
-        # So many empty lines above it that a traceback names the page's own line.
+        # Empty lines above make the line numbers of tracebacks those of the page.
         code = compile("\n" * block.line + self._addresses(block.text), block.where.partition(":")[0], "exec")
         with contextlib.redirect_stdout(io.StringIO()):
             exec(code, self._names)
@@ -154,4 +154,4 @@ def test_its_code_blocks_run(
     for block in found:
         run.run(block)
     del run
-    gc.collect()  # so that what the page leaves open fails this test and no later one
+    gc.collect()  # open resources fail this test instead of a later one

@@ -54,7 +54,7 @@ class Installed:
     """A wheel or a source distribution, installed.
 
     Args:
-        file: What is installed.
+        file: The wheel or source distribution.
         python: The interpreter to make the environment with; None for this one, with its dependencies.
         folder: An empty folder.
     """
@@ -64,7 +64,7 @@ class Installed:
         self.place.mkdir()
         self.bin = folder / "env" / "bin"
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "DRONE_ENV_"))}
-        # Compiled code of its own, as on a machine that never saw the package.
+        # An empty cache of compiled code, as on a new machine.
         self.environment = {**kept, "DRONE_ENV_CACHE": str(folder / "cache")}
         own = str(self.bin / "python")
         if python is None:

@@ -1,4 +1,4 @@
-"""Each extra alone brings all that its part of the package imports; what needs another says which."""
+"""Each extra contains the imports of its part of the package, and errors name the missing extra."""
 
 import json
 import os
@@ -26,7 +26,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env.rl": ("train",),
     "drone_env.server": ("server",),
 }
-"""Which extras a module may count on, and all below it that are not named themselves."""
+"""The extras that a module may import, and its submodules without an own entry."""
 
 
 ALL = sorted({extra for extras in NEEDS.values() for extra in extras})
