@@ -118,7 +118,7 @@ def described(rule: Rule) -> str:
 
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
-    of_tasks = {("cities.md" if task.terrain else "tasks.md", task.id): numbers(task) for task in TASKS.values()}
+    of_tasks = {("tasks.md", task.id): numbers(task) for task in TASKS.values() if not task.terrain}
     return {
         ("rules.md", "kinds"): kinds(),
         ("cities.md", "layers"): of_cities(),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.pages import ROOT, blocks
+from tests.docs.pages import ROOT
 
 FETCHING = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
 OURS = re.compile(r"\bDRONE_ENV_[A-Z]+(?:_[A-Z]+)*\b")
@@ -37,24 +37,6 @@ def test_every_variable_that_the_package_reads_is_documented() -> None:
     }
     assert "DRONE_ENV_CACHE" in read
     assert {name for name in read if f"`{name}`" not in page} == set()
-
-
-def test_the_map_of_the_code_names_every_file_in_its_room() -> None:
-    tree = next(block.text for block in blocks(ROOT / "docs" / "architecture.md") if block.language == "text")
-    # A part of the package begins two columns in; what follows it, deeper, is about it.
-    drawn = {part.split(maxsplit=1)[0]: part for part in re.split(r"\n  (?=\S)", tree)[1:]}
-    named = {
-        (room if room.endswith("/") else "", file)
-        for room, text in drawn.items()
-        for file in re.findall(r"\b[a-z0-9_]+\.py\b", text)
-    }
-    files = [file.relative_to(ROOT / "drone_env") for file in (ROOT / "drone_env").rglob("*.py")]
-    there = {(f"{file.parts[0]}/" if len(file.parts) > 1 else "", file.name) for file in files}
-    # The subcommands are files by their own names.
-    there_to_see = {(room, file) for room, file in there if file != "__init__.py" and room != "commands/"}
-    assert ("core/", "rules.py") in named
-    assert there_to_see - named == set()
-    assert {file for _, file in named} - {file for _, file in there} == set()
 
 
 class Fetched(HTMLParser):
