@@ -1,6 +1,5 @@
 """The configuration of a dataset, and its flights with the exact values of every state that they reach."""
 
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -68,10 +67,10 @@ class DatasetConfig:
         return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
 
     def as_json(self) -> dict[str, Any]:
-        """Return the configuration as JSON values, with a hash of it and the version of this package."""
+        """Return the configuration as JSON values, with the version of this package."""
         made = {name: make_agent(name, self.task) for name in self.agents}
         keys = [episodes_key(self.task, name, self.seeds, self.split, made=agent) for name, agent in made.items()]
-        config: dict[str, Any] = {
+        config = {
             "format": FORMAT,
             "format_version": 1,
             "task": self.task.rules(),
@@ -80,10 +79,9 @@ class DatasetConfig:
             "agents": [{"config_hash": key.config_hash, **made[key.agent].config} for key in keys],
             "epsilon": float(self.epsilon),
             "reward_profile": asdict(get_reward_profile(self.reward_profile)),
+            "package_version": __version__,
         }
-        config = json.loads(json.dumps(config, default=str))
-        digest = hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
-        return {**config, "config_hash": digest, "package_version": __version__}
+        return json.loads(json.dumps(config, default=str))
 
 
 class Trajectory(NamedTuple):

@@ -126,15 +126,7 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     assert (about["format"], about["format_version"]) == (FORMAT, 1)
     page = (folder / "README.md").read_text(encoding="utf-8")
     assert all(f"| `{name}` |" in page for name in schema.names)
-    assert about["config_hash"] in page
-
-
-def test_the_hash_changes_with_everything_that_decides_the_rows() -> None:
-    base = {"task": "easy", "seeds": range(3), "agents": ("greedy",), "epsilon": 0.1, "reward_profile": "aligned"}
-    changes = [{}, {"task": "hard"}, {"seeds": range(4)}, {"agents": ("greedy", "random")}, {"epsilon": 0.2}]
-    hashes = [config_of(**{**base, **change}).as_json()["config_hash"] for change in changes]
-    assert len(set(hashes)) == len(changes)
-    assert hashes[0] == config_of(**base).as_json()["config_hash"]
+    assert '"package_version"' in page
 
 
 @needs_minari
