@@ -18,7 +18,7 @@ from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
 from drone_env.graders import GRADERS
 from drone_env.results import store
-from tests.tools import install_command, missing_in, missing_package
+from tests.tools import missing_in, missing_package
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
@@ -90,8 +90,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped = terminalreporter.stats.get("skipped", [])
     missing = missing_in(str(report.longrepr) for report in skipped)
     if missing:
-        command = install_command(missing)
-        how = f"; to run them: {command}" if command else ""
-        terminalreporter.write_line(
-            f"{len(skipped)} tests or files of tests skipped; missing: {', '.join(missing)}{how}"
-        )
+        names, hint = ", ".join(missing), 'pip install -e ".[dev]" installs the Python packages'
+        terminalreporter.write_line(f"{len(skipped)} tests or files skipped; missing: {names}; {hint}")

@@ -13,8 +13,6 @@ from typing import NoReturn
 
 import pytest
 
-PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
-"""Debian's packages of the programs that tests need."""
 LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """The large packages that `uv sync` leaves out; the extra `dev` contains them."""
 ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
@@ -38,16 +36,6 @@ def missing_package(failure: str) -> str | None:
 def missing_in(reasons: Iterable[str]) -> list[str]:
     """Return the missing tools that skip reasons of pytest name."""
     return sorted({found[1] for reason in reasons if (found := re.search(r"missing tool: ([^'\n]+)", reason))})
-
-
-def install_command(tools: Iterable[str]) -> str:
-    """Return the command that installs the tools that are packages of Debian or Python."""
-    tools = list(tools)
-    packages = [PACKAGES[tool] for tool in tools if tool in PACKAGES]
-    commands = [f"apt-get install {' '.join(packages)}"] if packages else []
-    if set(tools) & set(LEFT_OUT):
-        commands.append('pip install -e ".[dev]"')
-    return " && ".join(commands)
 
 
 def find_python(version: str) -> str:

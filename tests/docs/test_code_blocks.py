@@ -10,6 +10,7 @@ import io
 import json
 import sys
 from collections.abc import Generator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -76,20 +77,19 @@ def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
         assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
 
 
+@dataclass
 class Page:
     """Runs the blocks of one page.
 
-    Args:
+    Attributes:
         folder: Folder in which the blocks run.
         request: Provides servers if the page needs them.
-        monkeypatch: Sets its environment.
+        names: Namespace of its Python blocks.
     """
 
-    def __init__(self, folder: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.folder = folder
-        self._request = request
-        self._monkeypatch = monkeypatch
-        self._names: dict[str, Any] = {"__name__": "__main__"}
+    folder: Path
+    request: pytest.FixtureRequest
+    names: dict[str, Any] = field(default_factory=lambda: {"__name__": "__main__"})
 
     def run(self, block: Block) -> None:
         """Run a block, unless a comment skips it."""
@@ -105,7 +105,7 @@ class Page:
         script = shell.script_of(chosen, reserved_port)
         variables = {"DRONE_ENV_DATA": str(self.folder / "data")}
         if any(name in script for name in ("inference.py", "drone-env infer")):
-            url = self._request.getfixturevalue("endpoint")
+            url = self.request.getfixturevalue("endpoint")
             variables |= {"API_BASE_URL": url, "OPENAI_API_KEY": "sk-of-the-test", "MODEL_NAME": "scripted"}
         done = shell.run(self._addresses(script), self.folder, variables)
         assert done.returncode == 0, f"{block.where}: exit status {done.returncode}\n{done.stdout}\n{done.stderr}"
@@ -115,12 +115,12 @@ class Page:
         # Empty lines above make the line numbers of tracebacks those of the page.
         code = compile("\n" * block.line + self._addresses(block.text), block.where.partition(":")[0], "exec")
         with contextlib.redirect_stdout(io.StringIO()):
-            exec(code, self._names)
+            exec(code, self.names)
 
     def _addresses(self, text: str) -> str:
         for address in ("http://localhost:8000", "http://127.0.0.1:8000"):
             if address in text:
-                text = text.replace(address, self._request.getfixturevalue("server"))
+                text = text.replace(address, self.request.getfixturevalue("server"))
         return text
 
 
@@ -150,7 +150,7 @@ def test_its_code_blocks_run(
         if block.file:
             (folder / block.file).write_text(block.text, encoding="utf-8")
             monkeypatch.syspath_prepend(folder)  # Python blocks find it as well
-    run = Page(folder, request, monkeypatch)
+    run = Page(folder, request)
     for block in found:
         run.run(block)
     del run

@@ -111,7 +111,7 @@ def test_uv_sync_brings_all_but_pytorch(tmp_path: Path) -> None:
         (f"python {TRAIN}", 2, 'run: pip install "drone-delivery-env[train]"'),
         ("python check_graders.py", 0, "3 valid graders found."),
         ("uv run server --help", 0, "--port"),
-        ("uv run pytest tests/test_env.py -v", 0, 'missing: torch; to run them: pip install -e ".[dev]"'),
+        ("uv run pytest tests/test_env.py -v", 0, "missing: torch;"),
         ("uv run pytest tests/test_api.py -v", 0, "passed"),
         ("uv run pytest tests/ -v --collect-only --quiet", 0, "tests collected"),
     ):

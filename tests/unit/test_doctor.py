@@ -1,4 +1,4 @@
-"""`drone-env doctor`: what it says of a sound machine, and of each way in which one is not."""
+"""`drone-env doctor` on a sound machine and on broken ones."""
 
 import json
 import shutil
