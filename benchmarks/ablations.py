@@ -28,7 +28,7 @@ class Ablation(NamedTuple):
     options: tuple[str, ...] = ()
     """For `drone-env train`."""
     edits: tuple[tuple[str, str, str], ...] = ()
-    """File of the package, what stands in it once, and what stands there instead."""
+    """File of the package, code that occurs in it once, and its replacement."""
 
 
 EDGES = "e = torch.relu(self.edges2(torch.relu(self.edges1(edges))))"

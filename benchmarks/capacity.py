@@ -74,7 +74,7 @@ def memory_of(processes: Iterable[int]) -> int:
 
 
 def files_of(processes: Iterable[int]) -> int:
-    """How many files and connections these processes have open (Linux)."""
+    """Return the number of open files and connections of these processes (Linux)."""
     return sum(len(list(Path(f"/proc/{process}/fd").iterdir())) for process in processes)
 
 
@@ -96,7 +96,7 @@ async def time_http(port: int, task: str, server: list[int], proxy: list[int], s
 
 
 class SocketMemory(NamedTuple):
-    """What an open WebSocket takes: bytes in the server before and after its flight, bytes and files in nginx."""
+    """Cost of an open WebSocket: bytes in the server before and after its flight, bytes and files in nginx."""
 
     connected: float
     flying: float
@@ -140,7 +140,7 @@ async def sockets(
 
 
 def episode_bytes(task: str, count: int) -> float:
-    """Bytes of an episode in flight, from the memory of a process of its own."""
+    """Return the bytes of an episode in flight, measured in a separate process."""
     with multiprocessing.get_context("spawn").Pool(1) as process:
         return process.apply(_episode_bytes, (task, count))
 
@@ -158,7 +158,7 @@ def _episode_bytes(task: str, count: int) -> float:
 
 
 class Costs(NamedTuple):
-    """All that is measured."""
+    """All measurements."""
 
     server_bytes: float
     nginx_bytes: float
@@ -214,7 +214,7 @@ def median_of(rounds: Sequence[Any]) -> Any:
 
 
 def measured(figures: Costs) -> str:
-    """What was measured, as a table."""
+    """Format the measurements as a table."""
     store, socket, wires = figures.store, figures.socket, figures.socket_proxied
     kilo = 1000
     rows: list[tuple[str, str]] = [
@@ -248,7 +248,7 @@ def measured(figures: Costs) -> str:
 
 
 def extrapolated(figures: Costs, rate: float) -> str:
-    """What a million sessions would take, by multiplication."""
+    """Extrapolate the cost of a million sessions."""
     store, http, ws = figures.store, figures.http_proxied, figures.socket_proxied
     steps = MILLION * rate
     written = max(store.steps_per_second.values())

@@ -26,7 +26,7 @@ class Contender(NamedTuple):
     """Something to time.
 
     Attributes:
-        name: What it is called in the table.
+        name: Name in the table.
         per_call: Steps that one call flies, one in each episode, or bytes that it copies.
         observation: Bytes of one observation.
         run: Makes this many calls.

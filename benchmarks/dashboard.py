@@ -8,8 +8,8 @@ on a map: there the other four are these again, mirrored.
 
 The server and the machine's own chromium, without a window, run here. Frames come from the browser's own trace: the
 time between two animation frames, and the script part of each, which is the CPU time that its main thread spent in
-JavaScript (animation callbacks, messages of the socket, timers) until the next. Where there is no graphics
-card, the rest is drawing by software. First paint is that of visits with an empty cache.
+JavaScript (animation callbacks, messages of the socket, timers) until the next. Without a graphics card, the rest is
+software rendering. First paint is that of visits with an empty cache.
 """
 
 import argparse

@@ -32,7 +32,7 @@ else:
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from drone_env.installer import DISTRIBUTION  # noqa: E402
+from drone_env.errors import DISTRIBUTION  # noqa: E402
 from tests.package.installed import build  # noqa: E402
 
 ORIGINAL = ("openenv-core[core]>=0.2.1", "torch>=2.0.0", "openai>=1.0.0", "python-multipart>=0.0.9")
@@ -78,7 +78,7 @@ def download(requirements: Sequence[str]) -> dict[str, Any]:
     """How many packages and bytes come with these requirements."""
     with tempfile.TemporaryDirectory() as folder:
         packages = resolve(requirements, Path(folder))
-    # A package without an address is the wheel that was named, which lies here.
+    # A package without a URL is the local wheel.
     fetched = [package for package in packages if package.get("wheels") or package.get("sdist")]
     with ThreadPoolExecutor(8) as threads:
         sizes = list(threads.map(size_of, fetched))

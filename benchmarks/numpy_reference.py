@@ -110,7 +110,7 @@ class NumpyBatch:
         self._begin(numbers, maps[numbers])
 
     def step(self, actions: npt.NDArray[np.int64]) -> None:
-        """Fly one action in each episode; where one has ended, begin the next."""
+        """Take one action in each episode, and reset the episodes that have ended."""
         anew = np.flatnonzero(self.terminated)
         looked_up = self._cell * N_ACTIONS
         looked_up += actions

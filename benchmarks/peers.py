@@ -1,4 +1,4 @@
-"""What people would try first on Skyline: PPO of Stable-Baselines3 and MaskablePPO of sb3-contrib.
+"""Common first choices for Skyline: PPO of Stable-Baselines3 and MaskablePPO of sb3-contrib.
 
 Both see the raw observation (one-hot planes through a small convolutional network, and the telemetry), are paid by
 `aligned` with the shaping of their discount, learn in one thread for the same seconds of CPU time, and are validated
@@ -65,7 +65,7 @@ RECIPES: dict[str, dict[str, Any]] = {
     "falling": WIDE | {"learning_rate": "falling"},
     "dense": WIDE | {"observation": "flat", "policy_kwargs": {"net_arch": [256, 256]}},
 }
-"""`num_envs` and `observation` of the environment, and what PPO is told; the rest are Stable-Baselines3's defaults.
+"""`num_envs` and `observation` of the environment, and arguments of PPO; the rest are Stable-Baselines3's defaults.
 
 A learning rate that is `falling` goes from 1e-3 to 0 over the CPU seconds of the run.
 """

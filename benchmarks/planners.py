@@ -104,7 +104,7 @@ CITY_COLUMNS = (
 
 
 def row_of_city(file: str, parcels: int, pads: int, battery: int | None, maps: int, few: int) -> list[str]:
-    """The figures of a city with so many parcels and pads, drawn anew: its own pads become roads."""
+    """Measure a city with these numbers of parcels and pads; its own pads become roads."""
     city = read_city(file)
     grid = city.grid.copy()
     grid[grid == Cell.PAD] = Cell.ROAD

@@ -1,12 +1,13 @@
-"""What a step costs the server over WebSocket and over HTTP, beside OpenEnv's echo environment in the same run.
+"""Measure the cost of a step over WebSocket and HTTP, and of OpenEnv's echo environment in the same run.
 
     python benchmarks/server.py [--task hard] [--seconds 5] [--rounds 3] [--sessions 1 8 64 256] [--json FILE]
                                 [--by WebSocket HTTP openenv-HTTP] [--other CHECKOUT]
 
 The echo environment is the one that `openenv init` writes, served by OpenEnv's own server. Each server has one worker.
-A session sends a step as soon as the last is answered, over a connection of its own that is kept. Over HTTP ours names
-its session by `X-Session-Id`, and sends `{"direction": ...}` (HTTP) or OpenEnv's `{"action": {...}}` (openenv-HTTP); it
-stores each step before the answer. OpenEnv's has no sessions there: it makes an environment for each step.
+Each session has its own persistent connection, and sends a step as soon as it receives the last response. Over HTTP
+ours names its session by `X-Session-Id`, and sends `{"direction": ...}` (HTTP) or OpenEnv's `{"action": {...}}`
+(openenv-HTTP); it stores each step before the answer. OpenEnv's has no sessions there: it makes an environment for each
+step.
 
 Before and after, in one run: `--other` names a second checkout of this project, such as
 `git worktree add /tmp/before main` makes, whose server is timed in the same rounds (`other`). Only its HTTP and
@@ -52,7 +53,7 @@ uvicorn.run(app, port={port}, access_log=False, log_level="warning")
 
 
 class Figures(NamedTuple):
-    """What one round comes to."""
+    """The result of one round."""
 
     steps_per_second: float
     p50_ms: float

@@ -1,9 +1,9 @@
 """How fast the batched simulator is, beside its peers and the machine's limits.
 
-Whoever flies N episodes at once is compared with Gymnasium's CartPole of as many. `--other CHECKOUT` times another
-checkout's `Batch` in the same rounds, in a process of its own: before and after a change.
+Vector environments are compared with Gymnasium's CartPole at the same number of episodes. `--other CHECKOUT` times the
+`Batch` of another checkout in the same rounds, in a separate process.
 
-It makes an environment of its own, `.venv/bench`, with this project and the peers in it, and runs itself there. All
+It creates the virtual environment `.venv/bench` with this project and its peers, and runs itself there. All
 contenders are timed in turn, round by round, so that whatever else runs on the machine meets all of them alike; the
 median of the rounds is printed.
 """
@@ -186,7 +186,7 @@ def time_all(entries: "list[Contender | Elsewhere]", rounds: int, seconds: float
 
 
 def in_subprocess(code: str, *arguments: Any, **environment: str) -> list[float]:
-    """The numbers that a Python of its own prints."""
+    """Return the numbers that a separate Python process prints."""
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         check=True,

@@ -21,7 +21,7 @@ UNBOUNDED = 1_000_000
 
 
 class StoreFigures(NamedTuple):
-    """What the store takes."""
+    """Cost of the store."""
 
     row_bytes: float
     """Of a session, with the page's share of the rest."""
@@ -77,7 +77,7 @@ def middle(call: Callable[[], object], times: int = 7) -> float:
 
 
 def write_steps(folder: Path, task: str, number: int, results: "multiprocessing.Queue[tuple[float, float]]") -> None:
-    """Keep steps in sessions of one's own, and put the time and the CPU time of one into `results`."""
+    """Store steps in own sessions, and append the time and CPU time of one step to `results`."""
     with Store(folder) as store:
         names = [store.open_session(Episode(task, "tiered", number), "bench", UNBOUNDED) for _ in range(64)]
         clock, cpu = time.perf_counter(), time.process_time()
@@ -117,7 +117,7 @@ def log_bytes(folder: Path, task: str) -> float:
 
 
 def measure_store(task: str) -> StoreFigures:
-    """Measure a store in a folder of its own."""
+    """Measure a store in a temporary folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         row_bytes, sweep, counted = fill(folder / "rows", task, ROWS)

@@ -2,8 +2,8 @@
 
 Both learn on the same simulator with the same network, reward and validation maps, in turn, in one run. Every few
 seconds of computing the network is validated, which is not counted; what is printed is when its mean score first
-reached each share of the mean exact optimum. Stable-Baselines3's settings stand below, in `SB3`; they are the best of
-those tried (docs/learning.md).
+reached each share of the mean exact optimum. `SB3` contains the settings of Stable-Baselines3, the best of those tried
+(docs/learning.md).
 """
 
 import argparse
@@ -64,7 +64,7 @@ class Watch:
     Args:
         validator: Flies the maps.
         limit: Seconds of computing after which the run is ended.
-        shares: Of the optimum; where there are some and all are reached, the run is ended, too.
+        shares: Optimality ratios; if all are reached, the run ends.
         every: Seconds of computing between two validations.
     """
 

@@ -1,6 +1,6 @@
 """Train every task from scratch with several seeds and fly the test maps.
 
-Each run is `drone-env train` with its defaults, in a folder of its own under `results/evidence/`. A run that is
+Each run is `drone-env train` with its defaults, in a new folder under `results/evidence/`. A run that is
 finished is not repeated, and one that was interrupted goes on, so this may be stopped and started at will; the time of
 a run is the sum of its parts. Training sees train and validation maps only; the table is of test maps.
 
@@ -95,7 +95,7 @@ def commit() -> str:
 
 
 def machine() -> str:
-    """What it was trained on."""
+    """The task of the training."""
     described = Path("/proc/cpuinfo")
     lines = described.read_text().splitlines() if described.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

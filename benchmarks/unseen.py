@@ -33,7 +33,7 @@ CITY_MAPS = 100
 
 
 def unseen(name: str) -> TaskConfig:
-    """The task; a changed one is registered under a name of its own."""
+    """Return the task; a changed one is registered under a new name."""
     number = list(CHANGES).index(name)
     if not CHANGES[name]:
         return get_task(name)

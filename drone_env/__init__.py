@@ -1,6 +1,6 @@
-"""Drone Delivery Env: a drone delivers parcels on a generated city grid, and every score stands beside the optimum.
+"""Drone Delivery Env: a drone delivers parcels on a generated city grid; every score is compared with the optimum.
 
-Importing the package registers its environments with Gymnasium. All else is imported at first use.
+Importing the package registers its environments with Gymnasium. Everything else is imported on first use.
 """
 
 from importlib import import_module
@@ -40,7 +40,7 @@ _HOMES = {
     "models": ("DroneAction", "DroneObservation", "DroneState"),
     "planning.optimal": ("Solution", "solve"),
 }
-"""Where the names below come from."""
+"""The public names by module."""
 
 __all__ = [
     "AGENTS",

@@ -25,7 +25,7 @@ COMMANDS = (
 
 
 def command_named(name: str) -> Callable[..., int | None]:
-    """Import a command, and nothing that the others need."""
+    """Import one command only."""
     return getattr(_module(name), name.replace("-", "_"))
 
 
@@ -34,7 +34,7 @@ def _module(name: str) -> Any:
 
 
 def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
-    """The call that the arguments ask for."""
+    """Parse the arguments to a call of a command."""
     if arguments[:1] in (["-h"], ["--help"]):
         overview = SubcommandApp()
         for name in COMMANDS:
@@ -50,29 +50,29 @@ def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status: 0 done, 1 a check that failed, 2 anything else that went wrong."""
+    """Run one command and return its exit status: 0 for success, 1 for a failed check, 2 for any other error."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # A map whose emoji the terminal lacks is better than none.
+            # Some terminals lack emoji.
             stream.reconfigure(errors="replace")
     if arguments == ["--version"]:
         print(f"drone-env {__version__}")
         return 0
     try:
-        if arguments[:1] != ["doctor"]:  # which says what is wrong with them
+        if arguments[:1] != ["doctor"]:  # it reports broken plugins itself
             load_plugins()
         with own_profiles_forgotten():
             status = _call(arguments)()
         sys.stdout.flush()
         return int(status or 0)
     except BrokenPipeError:
-        # The reader of the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
+        # The reader closed the pipe (`drone-env fly | head`); the interpreter must not flush it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 2
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
-            print(error.trace, end="", file=sys.stderr)  # whoever wrote the agent has to debug it
+            print(error.trace, end="", file=sys.stderr)
         print_error(error)
         return 2
     except MemoryError as error:

@@ -1,23 +1,23 @@
-"""Every exception that this package raises on purpose.
+"""The exceptions of this package.
 
     DroneEnvError
-    ├── UnknownNameError      (also a LookupError)  a task, profile, agent or split that does not exist
-    ├── InvalidValueError     (also a ValueError)   a seed, action or option outside what is allowed
+    ├── UnknownNameError      (also a LookupError)  no such task, profile, agent or split
+    ├── InvalidValueError     (also a ValueError)   an invalid seed, action or option
     │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
-    ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
-    ├── AgentError            (also a RuntimeError) an agent of one's own whose code failed
-    ├── UnsupportedTaskError  (also a ValueError)   a planner asked about a task whose mechanics it does not cover
-    ├── TooLargeError         (also a ValueError)   an exact solution that would not fit into memory
-    ├── MissingPackageError   (also an ImportError) a package of an extra that is not installed
-    ├── CheckpointError       (also a ValueError)   a file that is no checkpoint, cut short, or of another run
-    ├── StoreError            (also an OSError)     a store that cannot be opened, read or written
-    ├── NoSessionError        (also a LookupError)  a session that never was
-    ├── SessionGoneError      (also a LookupError)  a session that has ended or expired
-    ├── CapacityError         (also a RuntimeError) one more session than there is room for
-    ├── ClusterError          (also a RuntimeError) a cluster that cannot be reached, or whose nodes differ
-    └── EndpointError         (also a RuntimeError) an endpoint of language models that refuses every call
+    ├── EpisodeError          (also a RuntimeError) a call that does not fit the state of the episode
+    ├── AgentError            (also a RuntimeError) the code of an agent failed
+    ├── UnsupportedTaskError  (also a ValueError)   a planner does not cover the mechanics of a task
+    ├── TooLargeError         (also a ValueError)   an exact solution would not fit into memory
+    ├── MissingPackageError   (also an ImportError) a package of an extra is not installed
+    ├── CheckpointError       (also a ValueError)   not a checkpoint, cut short, or of another run
+    ├── StoreError            (also an OSError)     a store cannot be opened, read or written
+    ├── NoSessionError        (also a LookupError)  a session never existed
+    ├── SessionGoneError      (also a LookupError)  a session has ended or expired
+    ├── CapacityError         (also a RuntimeError) too many sessions
+    ├── ClusterError          (also a RuntimeError) a cluster cannot be reached, or its nodes differ
+    └── EndpointError         (also a RuntimeError) an endpoint of language models refuses every call
 
-Each message says what was given and what is allowed.
+Each message names the given value and the allowed ones.
 """
 
 import sys
@@ -26,30 +26,26 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any, Protocol
 
-from drone_env.installer import how_to_install
+DISTRIBUTION = "drone-delivery-env"
+"""The name of this package in an index; it is imported as `drone_env`."""
 
 
 class DroneEnvError(Exception):
-    """Base class of all errors of this package. They travel between processes, whatever their constructors take."""
+    """Base class of all errors of this package. All can be pickled."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (type(self), self.args, vars(self))
+        # By default, unpickling passes the message to `__init__`, whose parameters may differ.
+        return _restored, (type(self), self.args), vars(self)
 
 
-def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[str, Any]) -> DroneEnvError:
-    """An error from its parts: Python would call the class with the message alone."""
-    error = kind.__new__(kind, *args)
-    builtin = next(base for base in kind.__mro__ if base.__module__ == "builtins")
-    builtin.__init__(error, *args)
-    vars(error).update(attributes)
-    return error
+def _restored(kind: type[DroneEnvError], args: tuple[Any, ...]) -> DroneEnvError:
+    return kind.__new__(kind, *args)
 
 
 class UnknownNameError(DroneEnvError, LookupError):
     """A name that is not in a registry.
 
-    The message names the most similar one that is, and lists all, unless none are given. Names in `also` are compared
-    and not listed.
+    The message suggests the most similar name and lists `allowed`. Names in `also` are suggested but not listed.
     """
 
     def __init__(self, kind: str, given: object, allowed: Iterable[str], also: Iterable[str] = ()) -> None:
@@ -63,7 +59,7 @@ class UnknownNameError(DroneEnvError, LookupError):
 
 
 class InvalidValueError(DroneEnvError, ValueError):
-    """A value outside what is allowed."""
+    """A value that is not allowed."""
 
 
 class InvalidTaskError(InvalidValueError):
@@ -75,10 +71,10 @@ class EpisodeError(DroneEnvError, RuntimeError):
 
 
 class AgentError(DroneEnvError, RuntimeError):
-    """The code of an agent failed; the cause is what it raised.
+    """The code of an agent raised an exception, the cause.
 
     Attributes:
-        trace: Its traceback as text, from the agent's own code on: it travels between processes, which causes do not.
+        trace: Traceback of the agent's code as text, because causes are not pickled.
     """
 
     def __init__(self, message: str, trace: str = "") -> None:
@@ -91,64 +87,69 @@ class TooLargeError(DroneEnvError, ValueError):
 
 
 class CheckpointError(DroneEnvError, ValueError):
-    """A file that is no checkpoint, is cut short or too new, or belongs to another run."""
+    """A file that is not a checkpoint, is cut short or too new, or belongs to another run."""
 
 
 class UnsupportedTaskError(DroneEnvError, ValueError):
-    """A planner was asked about a task whose mechanics it does not cover."""
+    """A planner does not cover the mechanics of a task."""
 
 
 class MissingPackageError(DroneEnvError, ImportError):
-    """A package that only an extra installs; the message says how."""
+    """A package of an extra is not installed; the message contains the command that installs it."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed; {how_to_install(extra)}")
+        super().__init__(f"{package} is not installed; run: {install_command(extra)}")
 
 
 class StoreError(DroneEnvError, OSError):
-    """A store that is no store, is newer than this package, or cannot be read or written now."""
+    """A file that is not a store, is newer than this package, or cannot be read or written."""
 
 
 class NoSessionError(DroneEnvError, LookupError):
-    """A session id that was never given out, or so long ago that it is forgotten."""
+    """A session id that is unknown or forgotten."""
 
 
 class SessionGoneError(DroneEnvError, LookupError):
-    """A session that has been ended or has expired."""
+    """A session that has ended or expired."""
 
 
 class CapacityError(DroneEnvError, RuntimeError):
-    """As many sessions are open as are allowed."""
+    """The maximum number of sessions is open."""
 
 
 class ClusterError(DroneEnvError, RuntimeError):
-    """A cluster that cannot be reached, refuses, or has nodes with another version of this package."""
+    """A cluster cannot be reached, refuses a job, or has nodes with another version of this package."""
 
 
 class EndpointError(DroneEnvError, RuntimeError):
-    """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
+    """An endpoint of language models refuses every call: a wrong token, an unknown model."""
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs this package with an extra."""
+    return f'pip install "{DISTRIBUTION}{f"[{extra}]" if extra else ""}"'
 
 
 def shown(value: object) -> str:
-    """A value that somebody else wrote, for a message: its `repr`, cut where it is long."""
+    """Return the `repr` of an untrusted value for a message, cut to 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 class Invalid(Protocol):
-    """What Pydantic raises for a value that does not fit a model, and FastAPI for a request."""
+    """A validation error of Pydantic or FastAPI."""
 
     def errors(self) -> Sequence[Any]:
-        """What is wrong, part by part."""
+        """Return the errors, one for each invalid part."""
         ...
 
 
 LONGEST_NAME = 200
-"""Characters: whoever sends a value names its parts."""
+"""Maximum number of characters, because the sender of a value names its parts."""
 
 
 def wrong_parts(error: Invalid) -> list[tuple[str, str, str]]:
-    """The first 20 parts that are wrong: the name, such as `body.direction` and empty for the whole; why; the kind."""
+    """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
     return [
         (".".join(map(str, part["loc"]))[:LONGEST_NAME], part["msg"].removeprefix("Value error, "), part["type"])
         for part in error.errors()[:20]
@@ -156,26 +157,26 @@ def wrong_parts(error: Invalid) -> list[tuple[str, str, str]]:
 
 
 def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:
-    """The first five parts that are wrong, for people: `where: why; where: why`.
+    """Describe the first five invalid parts: `part: reason; part: reason`.
 
     Args:
-        error: What was raised.
-        name: What people call a part; an empty name is not written.
+        error: The validation error.
+        name: Converts the name of a part for people.
     """
-    named = [(where and name(where), why) for where, why, _ in wrong_parts(error)[:5]]
-    return "; ".join(f"{called}: {why}" if called else why for called, why in named)
+    named = [(part and name(part), reason) for part, reason, _ in wrong_parts(error)[:5]]
+    return "; ".join(f"{part}: {reason}" if part else reason for part, reason in named)
 
 
 @contextmanager
 def needs(extra: str, module: str = "") -> Generator[None, None, None]:
-    """What is imported inside the `with` comes with an extra: where it is missing, the error says so.
+    """Name an extra if an import inside the `with` fails.
 
     Args:
-        extra: The extra.
-        module: `__name__` of a file that may be run as a program: it then ends with the message alone.
+        extra: The extra that installs the imported packages.
+        module: `__name__` of a file that may be run as a program; if it is run, it prints the message and exits.
 
     Raises:
-        MissingPackageError: if a package from elsewhere is missing.
+        MissingPackageError: if a third-party package is missing.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Read files that others may have damaged, and write files whole or not at all."""
+"""Read untrusted files within limits, and write files atomically."""
 
 import json
 import os
@@ -13,16 +13,15 @@ from typing import Any
 from drone_env.errors import InvalidValueError
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
-"""Where the parts of what is kept lie in the working directory."""
+"""Default folders of stored data in the working directory."""
 RUNS, EVALUATIONS, MAPS = "llm", "evaluations", "maps"
-"""Folders in the data folder: of the runs of language models and of evaluations, which a server ranks, and of the maps
-that were drawn on its page."""
+"""Folders in the data folder: runs of language models, evaluations, and maps that were drawn on the page."""
 
 
 def data_folder(part: str = "") -> Path:
-    """The folder of what is kept, unless a command names another, or of a part: `results` or `sweep`.
+    """Return the default data folder, or that of a part: `results` or `sweep`.
 
-    `DRONE_ENV_DATA` names the one folder of all; without it, parts lie in the working directory, as `PLACES` says.
+    It is in `DRONE_ENV_DATA`; if that is not set, it is the one in `PLACES`.
     """
     configured = os.environ.get("DRONE_ENV_DATA")
     return Path(configured, part) if configured else Path(PLACES[part])
@@ -31,14 +30,14 @@ def data_folder(part: str = "") -> Path:
 def open_file(path: str | Path) -> BufferedReader:
     """Open a regular file, or a link to one, to read bytes.
 
-    Reading anything else may block (a pipe), never end (a device) or fail late (a folder).
+    Other files may block (a pipe), never end (a device) or fail late (a folder).
 
     Raises:
         OSError: if it cannot be opened.
         InvalidValueError: if it is not a regular file.
     """
     _require_regular(path, os.stat(path))
-    # The path may lead elsewhere by now: a pipe opened without O_NONBLOCK waits for a writer.
+    # The path may have changed: without O_NONBLOCK, opening a pipe waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     try:
         _require_regular(path, os.fstat(descriptor))
@@ -70,11 +69,11 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
-    """The lines of a regular file of any size, each of at most `most` bytes and with its line end.
+    """Yield the lines of a regular file of any size, each of at most `most` bytes and with its line end.
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if it is not a regular file, or at a line that is too long.
+        InvalidValueError: if it is not a regular file, or a line is too long.
     """
     with open_file(path) as file:
         number = 1
@@ -87,31 +86,30 @@ def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
 
 @contextmanager
 def replacing(path: Path) -> Generator[Path, None, None]:
-    """A temporary path beside `path`, to be written inside the `with`; at its end it takes the place of `path`.
+    """Yield a temporary path to write to, which replaces `path` at the end of the `with`.
 
-    On an error inside, the temporary file is removed and what stood at `path` is left as it was. What is no file but,
-    for example, a device or a pipe is written to as it stands.
+    If an error occurs, the temporary file is removed and `path` is unchanged. Devices and pipes are written directly.
     """
-    as_it_is = path.exists() and not path.is_file() and not path.is_dir()
-    temporary = path if as_it_is else path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
+    direct = path.exists() and not path.is_file() and not path.is_dir()
+    temporary = path if direct else path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
         yield temporary
-        if not as_it_is:
+        if not direct:
             temporary.replace(path)
     except OSError as error:
         if error.errno is not None and error.filename is None:
-            error.filename = str(path)  # a full disk is reported without it
+            error.filename = str(path)  # missing if the disk is full
         raise
     finally:
-        if not as_it_is:
+        if not direct:
             temporary.unlink(missing_ok=True)
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:
-    """What tells a file from the one that stood there before; None where there is none.
+    """Return values that change when the file changes; None if there is none.
 
     Raises:
-        OSError: if the system does not tell.
+        OSError: if they cannot be read.
     """
     try:
         status = path.stat()
@@ -121,30 +119,30 @@ def stamp(path: Path) -> tuple[int, int, int] | None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in UTF-8, whole or not at all."""
+    """Write a file in UTF-8, atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a JSON file, whole or not at all; a number that JSON does not have is a fault of ours."""
+    """Write a JSON file atomically."""
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 @contextmanager
 def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
-    """A lock that a file stands for, which is made; no other gets one before the end of the `with` or of this process.
+    """Hold an exclusive lock on a file, which is created, until the end of the `with` or of this process.
 
     Args:
         path: The file.
-        taken: The message where another has the lock.
-        seconds: How long to wait for another to release it.
+        taken: The error message if another process holds the lock.
+        seconds: How long to wait for it.
 
     Raises:
-        InvalidValueError: if another has one still.
-        OSError: if the file cannot be made.
+        InvalidValueError: if another process still holds the lock.
+        OSError: if the file cannot be created.
     """
-    from filelock import FileLock, Timeout  # slow to load, and most who import this module lock nothing
+    from filelock import FileLock, Timeout  # slow to load, and seldom needed
 
     lock = FileLock(path, timeout=seconds, mode=0o600, thread_local=False)
     try:
@@ -158,21 +156,21 @@ def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None
 
 
 def is_begun(folder: Path, config: str, what: str) -> bool:
-    """Whether a folder holds `what`, such as "a sweep", already: a file that says which, called `config`.
+    """Return whether a folder contains the file `config` of an earlier start of `what`, such as "a sweep".
 
     Raises:
-        InvalidValueError: if it is a file, or holds anything but what was killed at its very start.
+        InvalidValueError: if it is a file, or contains other files than a process leaves that is killed at its start.
     """
     if folder.exists() and not folder.is_dir():
         raise InvalidValueError(f"{folder} is a file; {what} needs a folder")
     if (folder / config).exists():
         return True
     if folder.is_dir() and any(entry.name != "lock" and entry.suffix != ".part" for entry in folder.iterdir()):
-        raise InvalidValueError(f"{folder} holds other things than {what}: name a new folder")
+        raise InvalidValueError(f"{folder} contains other files than {what}: name a new folder")
     return False
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What differs between two configurations, one line for each name."""
+    """Describe the differences between two configurations, one line for each name."""
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     return [f"{name}: {before.get(name)!r} is now {now.get(name)!r}" for name in names]

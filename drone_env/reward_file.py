@@ -1,18 +1,18 @@
-"""Reward profiles from TOML files, for people who invent their own.
+"""Reward profiles from TOML files.
 
     id = "mine"
-    summary = "deliveries pay, time costs"
+    summary = "rewards deliveries, punishes time"
     shaping = 0.05                # per cell closer to the target
-    clamp = [-1.0, 1.0]           # bounds of event reward and shaping together
+    clamp = [-1.0, 1.0]           # bounds of the sum of event reward and shaping
     shaping_gamma = 0.99          # potential-based shaping on top
-    pays_score = false            # the graded score at the end
-    task_events = false           # what the events not named below pay: the task's numbers, or 0
+    pays_score = false            # whether the end adds the graded score
+    task_events = false           # whether other events than those below give the task's rewards, instead of 0
 
     [events]
     delivery = 1.0
     step = -0.01
 
-Every key but `id` may be left out.
+All keys but `id` are optional.
 """
 
 from decimal import Decimal
@@ -32,7 +32,7 @@ MAX_FILE = 1 << 16
 
 
 def _number(value: object) -> Decimal:
-    # TOML's decimals are parsed as `Decimal`, so that 0.1 is exactly that.
+    # TOML's decimals are parsed as `Decimal`, so that 0.1 is exact.
     if type(value) not in (int, Decimal):
         raise ValueError(f"must be a number, got {shown(value)}")
     return Decimal(value)  # pyright: ignore[reportArgumentType]
@@ -50,7 +50,7 @@ Number = Annotated[Decimal, BeforeValidator(_number)]
 
 
 class RewardFile(BaseModel):
-    """The file of a reward profile."""
+    """The keys and types of the file of a reward profile."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -65,12 +65,12 @@ class RewardFile(BaseModel):
 
 
 def chosen_profile(name: str | RewardProfile) -> RewardProfile:
-    """The reward profile of this name, or of the TOML file of this name; a `RewardProfile` is handed back as it is.
+    """Return the reward profile of a name or a TOML file; a `RewardProfile` is returned unchanged.
 
     Raises:
-        UnknownNameError: if it does not end in `.toml` and there is no such profile.
+        UnknownNameError: if the name does not end in `.toml` and there is no such profile.
         OSError: if the file cannot be read.
-        InvalidTaskError: if the file is not a reward profile; the message says why.
+        InvalidTaskError: if the file is not a reward profile.
     """
     if isinstance(name, str) and name.endswith(".toml"):
         return load_reward_profile(name)
@@ -78,16 +78,16 @@ def chosen_profile(name: str | RewardProfile) -> RewardProfile:
 
 
 def load_reward_profile(path: str | Path) -> RewardProfile:
-    """The reward profile in a TOML file; numbers are kept as the decimals that they are written as.
+    """Read a reward profile from a TOML file. Its numbers stay exact decimals.
 
     Raises:
         OSError: if the file cannot be read.
-        InvalidTaskError: if it is not a reward profile; the message says why.
+        InvalidTaskError: if it is not a reward profile.
     """
     try:
         file = read_toml(read_file(path, MAX_FILE), RewardFile, parse_float=Decimal)
     except InvalidValueError as error:
-        message = str(error).removeprefix(f"{path} ")  # of a file that is too large, or none
+        message = str(error).removeprefix(f"{path} ")  # of `read_file`
         raise InvalidTaskError(f"reward profile {path}: {message}") from None
     events: Any = tuple((Event[name.upper()], pay) for name, pay in file.events.items())
     return RewardProfile(**{**dict(file), "events": events})

@@ -1,7 +1,7 @@
-"""TOML that somebody else wrote, refused before parsing if parsing it could be expensive.
+"""Parse untrusted TOML. Text that could be expensive to parse is rejected first.
 
-`tomllib` takes time and memory that grow with the square of a dotted key, and with every table, key and element. The
-files of this package are flat: a few keys, and one list of rows.
+The time and memory of `tomllib` grow with the square of the length of a dotted key, and with each table, key and
+element. The files of this package are flat: a few keys, and one list of rows.
 """
 
 import re
@@ -22,7 +22,7 @@ else:
     import tomli as tomllib
 
 MOST_TEXTS, LONGEST_TEXT, LONGEST_WORD = 5120, 1 << 16, 64
-"""Number of strings and comments, characters of one, and characters of a bare key or number."""
+"""Maximum number of strings and comments, characters of each, and characters of a bare key or number."""
 MOST = {
     r"\n": (4096, "lines"),
     r"[\w+-]+": (1024, "keys and numbers"),
@@ -31,7 +31,7 @@ MOST = {
     "=": (64, "keys"),
     ",": (1024, "commas"),
 }
-"""Maximum number of what matches outside strings and comments, about twice that of the largest city, and its plural."""
+"""Maximum number of matches outside strings and comments, about twice that of the largest city, and their name."""
 TEXT = re.compile(
     r"""  \"{3} [^"\\]* (?: (?: \\. | "{1,2}(?!") ) [^"\\]* )* "{3,5}
         | '{3} [^']* (?: '{1,2}(?!') [^']* )* '{3,5}
@@ -41,35 +41,35 @@ TEXT = re.compile(
         | (?P<unclosed>["'].*)""",
     re.VERBOSE | re.DOTALL,
 )
-"""A string or a comment, as `tomllib` finds them. The last alternative takes the rest: no second try from there."""
+"""A string or a comment, as in `tomllib`. The last alternative matches the rest, so that the search stops there."""
 
 
 def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) -> dict[str, Any]:
-    """The table in a TOML text.
+    """Parse a TOML text.
 
     Args:
         content: The text, or its UTF-8.
         parse_float: Converts the text of a number with a dot or an exponent.
 
     Raises:
-        InvalidValueError: if it is not TOML, or more complex than the files of this package are.
+        InvalidValueError: if it is not TOML, or more complex than files of this package.
     """
     try:
-        # A text may hold surrogates that UTF-8 cannot encode.
+        # Surrogates in a text raise UnicodeEncodeError.
         text = (content.encode() if isinstance(content, str) else content).decode("utf-8-sig")
         _require_simple(text)
         return tomllib.loads(text, parse_float=parse_float)
     except ArithmeticError:
-        raise InvalidValueError("not TOML that can be read: the exponent of a number is too large") from None
+        raise InvalidValueError("invalid TOML: the exponent of a number is too large") from None
     except (ValueError, RecursionError) as error:
-        raise InvalidValueError(f"not TOML that can be read: {error}") from None
+        raise InvalidValueError(f"invalid TOML: {error}") from None
 
 
 def read_toml(content: str | bytes, model: "type[Model]", parse_float: Callable[[str], Any] = float) -> "Model":
     """Parse a TOML text and validate it.
 
     Raises:
-        InvalidValueError: if it is not TOML, or does not fit the model; the message names the keys that are allowed.
+        InvalidValueError: if it is not TOML, or does not fit the model.
     """
     from pydantic import ValidationError  # slow to load
 

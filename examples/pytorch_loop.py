@@ -34,7 +34,7 @@ envs = gymnasium.make_vec("drone_env:DroneDelivery-Easy-v1", num_envs=args.num_e
 class ActorCritic(nn.Module):
     """A policy over the five actions and the value of the state, from telemetry, float32[B, 5].
 
-    The policy ignores the map: telemetry contains the positions of drone and target, which suffice on easy.
+    The policy ignores the map: on easy, the positions of drone and target in telemetry are sufficient.
     """
 
     def __init__(self):
@@ -63,7 +63,7 @@ for update in range(max(1, args.total_timesteps // (args.num_envs * HORIZON))):
         rewards.append(torch.as_tensor(reward, dtype=torch.float32))
         alive.append(1 - torch.as_tensor(terminated, dtype=torch.float32))
 
-    # Returns, from the last step backwards: 0 after an end; the critic estimates the return after the last step.
+    # Compute returns backwards: 0 after the end of an episode, and the critic's value after the last step.
     with torch.no_grad():
         following = model(observation["telemetry"])[1]
     returns = []

@@ -1,4 +1,4 @@
-"""What all tests share: an empty place, and what is said of tools that are missing."""
+"""Fixtures of all tests: an empty working directory, restored registries, and skips for missing tools."""
 
 # First, so that no variable of the user's is read.
 from tests.environment import DISPLAY
@@ -18,7 +18,7 @@ from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
 from drone_env.graders import GRADERS
 from drone_env.results import store
-from tests.tools import install_command, missing_in, missing_package
+from tests.tools import missing_in, missing_package
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
@@ -40,7 +40,7 @@ def neutral_place(tmp_path_factory: pytest.TempPathFactory) -> Generator[None, N
 
 @pytest.fixture(autouse=True)
 def registered() -> Generator[None, None, None]:
-    """Forget after each test what it has registered, in this process and for those that are started."""
+    """Restore the registries after each test, in this process and for started ones."""
     known = [TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry]
     before = [dict(names) for names in known]
     plugins = os.environ.get(PLUGINS)
@@ -55,7 +55,7 @@ def registered() -> Generator[None, None, None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def patience() -> None:
-    """Have servers in this process wait for optima however busy the machine is."""
+    """Let servers in this process wait for optima on a busy machine."""
     store.PATIENCE = 60
 
 
@@ -72,7 +72,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def skipped_for_want(report: Report, path: str) -> Report:
-    """The report; a skip where it tells of a failure for want of a package that `uv sync` leaves out."""
+    """Turn a failure into a skip if a package is missing that `uv sync` leaves out."""
     package = missing_package(str(report.longrepr)) if report.failed else None
     if package:
         report.outcome = "skipped"
@@ -84,8 +84,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped = terminalreporter.stats.get("skipped", [])
     missing = missing_in(str(report.longrepr) for report in skipped)
     if missing:
-        command = install_command(missing)
-        how = f"; to run them: {command}" if command else ""
-        terminalreporter.write_line(
-            f"{len(skipped)} tests or files of tests skipped; missing: {', '.join(missing)}{how}"
-        )
+        names, hint = ", ".join(missing), 'pip install -e ".[dev]" installs the Python packages'
+        terminalreporter.write_line(f"{len(skipped)} tests or files skipped; missing: {names}; {hint}")

@@ -1,10 +1,10 @@
-"""The README's commands, one after another, as a stranger types them on a fresh machine; what each took is printed.
+"""Run the README's commands in order, as on a fresh machine, and print the time of each.
 
     python3 tests/stranger.py            in a clone of the last commit, in a folder of its own
     python3 tests/stranger.py --keep DIR the same in DIR, which is kept
 
 Needs what the README says is needed, and Git. Commands that serve go on in the background while the next ones are
-typed. Where the README says to fill in a token, it is one for the endpoint that the tests script. Exit status 0 if
+typed. The token to fill in is one for the scripted endpoint of the tests. Exit status 0 if
 every command ended with 0.
 """
 

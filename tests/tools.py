@@ -1,4 +1,4 @@
-"""What tests need from the machine that they run on."""
+"""Tools that tests need from the machine."""
 
 import os
 import re
@@ -13,43 +13,29 @@ from typing import NoReturn
 
 import pytest
 
-from drone_env import installer
-
-PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
-"""Debian's packages of the programs that tests need."""
 LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
-"""The large packages that tests need and `uv sync` leaves out; the extra `dev` brings them."""
+"""The large packages that `uv sync` leaves out; the extra `dev` contains them."""
 ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
 
 
 def missing_tool(name: str) -> NoReturn:
-    """Skip the test that needs `name`, or fail it where `DRONE_ENV_REQUIRE_TOOLS=1` asks for completeness."""
+    """Skip the test that needs `name`, or fail it if `DRONE_ENV_REQUIRE_TOOLS=1`."""
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         pytest.fail(f"missing tool: {name}")
     pytest.skip(f"missing tool: {name}")
 
 
 def missing_package(failure: str) -> str | None:
-    """The large package for want of which something failed, by what pytest tells of it; None if it failed otherwise."""
+    """Return the missing large package that a failure report of pytest names, if any."""
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         return None
-    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed; type)", failure)
+    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed; run)", failure)
     return next((name for name in named if name in ABSENT), None)
 
 
 def missing_in(reasons: Iterable[str]) -> list[str]:
-    """The tools for want of which tests were skipped, by what pytest tells of them."""
+    """Return the missing tools that skip reasons of pytest name."""
     return sorted({found[1] for reason in reasons if (found := re.search(r"missing tool: ([^'\n]+)", reason))})
-
-
-def install_command(tools: Iterable[str]) -> str:
-    """The command that brings those of them that are packages of Debian or of Python; empty if none is."""
-    tools = list(tools)
-    packages = [PACKAGES[tool] for tool in tools if tool in PACKAGES]
-    commands = [f"apt-get install {' '.join(packages)}"] if packages else []
-    if set(tools) & set(LEFT_OUT):
-        commands.append(installer.install_command("dev"))
-    return " && ".join(commands)
 
 
 def find_python(version: str) -> str:
@@ -58,7 +44,7 @@ def find_python(version: str) -> str:
 
 
 def path_of_python(version: str) -> str | None:
-    """The same; None where there is none."""
+    """Like `find_python`, but None if there is none."""
     pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
     candidates = filter(None, (shutil.which(f"python{version}"), *map(str, pyenv)))
     # A name on the path may be a shim that refuses to run.
@@ -71,7 +57,7 @@ def _version(python: str) -> str:
 
 
 def find_uv() -> str:
-    """Path of uv, beside the interpreter or on the path."""
+    """Return the path of uv, of this environment or on `PATH`."""
     return shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv") or missing_tool("uv")
 
 
@@ -79,10 +65,10 @@ _RESERVED: list[socket.socket] = []
 
 
 def reserved_port() -> int:
-    """A port of this machine for a server of the tests, kept from all others as long as this process lives.
+    """Return a port for a server of the tests, reserved as long as this process lives.
 
-    It is bound and not listened on, so that the kernel gives it to nobody who asks for any port, and whoever names it
-    may listen there, also again (as all servers do, with SO_REUSEADDR).
+    It is bound but not listened on: the kernel gives it to no other process, and a server that names it can listen on
+    it (with SO_REUSEADDR).
     """
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

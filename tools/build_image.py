@@ -29,7 +29,7 @@ def build(builder: str, tag: str, context: Path, log: Path, options: Sequence[st
         builder: One of `BUILDERS`.
         tag: The image's name.
         context: The folder to build, with its Dockerfile.
-        log: Where the record is added; made if need be.
+        log: File to append the record to; created if necessary.
         options: More options of the builder's `build`.
 
     Returns:
@@ -73,7 +73,7 @@ def stoppable(command: list[str]) -> int:
 
 
 def record(completed: bool, seconds: float, revision: str, image_platform: str, builder: str) -> str:
-    """A build as it stands in the log."""
+    """The record of a build in the log."""
     lines = {
         "BUILD_LOG": "drone_env",
         "STATUS": "COMPLETED" if completed else "FAILED",

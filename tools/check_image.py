@@ -87,7 +87,7 @@ class Image:
         return subprocess.run([self.engine, *arguments], capture_output=True, text=True, check=False)
 
     def described(self) -> dict[str, Any]:
-        """What the image says of itself."""
+        """The metadata of the image."""
         return cast("list[dict[str, Any]]", json.loads(self.call("image", "inspect", self.tag)))[0]
 
     def health_command(self) -> list[str]:
@@ -126,7 +126,7 @@ class Container:
 
     @property
     def url(self) -> str:
-        """Where its server is; another one after a restart."""
+        """URL of its server; it changes with a restart."""
         return f"http://{self.image.call('port', self.name, '8000').splitlines()[0]}"
 
     def inside(self, *command: str) -> "subprocess.CompletedProcess[str]":
@@ -170,7 +170,7 @@ def fly(client: DroneEnvClient, task: str, seed: int) -> float:
 
 
 def check_contents(image: Image) -> None:
-    """What the image is made of."""
+    """The layers of the image."""
     described = image.described()
     print(f"size: {described['Size'] / 1e6:.0f} MB", flush=True)
     user = str(described["Config"]["User"])

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drone_env.city.importer import import_city
+from drone_env.city.openstreetmap import import_city
 from drone_env.core import terrain
 from drone_env.core.terrain import terrain_text
 
@@ -16,7 +16,7 @@ CELLS = {"helsinki_8": 8.0, "helsinki_16": 16.0}
 
 def city_data() -> dict[str, str]:
     """The files, by name."""
-    found = {name: import_city(EXTRACT, CENTRE, cell, (128, 128)).city for name, cell in CELLS.items()}
+    found = {name: import_city(EXTRACT, CENTRE, cell, (128, 128)) for name, cell in CELLS.items()}
     return {name: terrain_text(city.grid, f"{city.attribution}, {city.licence}") for name, city in found.items()}
 
 

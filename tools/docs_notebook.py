@@ -29,7 +29,7 @@ def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def run(notebook: dict[str, Any], folder: Path) -> Iterator[list[dict[str, Any]]]:
-    """Run its cells in a folder, one after another, and bring what each puts out.
+    """Run the cells in order in a folder, and return the outputs of each.
 
     Raises:
         CalledProcessError: if a command of the shell fails.
@@ -73,7 +73,7 @@ def run_python(code: str, folder: Path, names: dict[str, Any], number: int) -> l
 
 
 def said(name: str, text: str) -> list[dict[str, Any]]:
-    """What was written to a stream; nothing for nothing."""
+    """The output of a stream, if there is any."""
     return [{"name": name, "output_type": "stream", "text": text.splitlines(keepends=True)}] if text else []
 
 

@@ -46,7 +46,7 @@ def save(page: Page, name: str) -> None:
 
 
 def fly_to_the_end(page: Page) -> None:
-    """Start, as fast as it goes, and wait until all that is known of the flights stands there."""
+    """Start at the highest speed, and wait until the page shows all results of the flights."""
     fly(page)
     ended(page)
     page.wait_for_load_state("networkidle")

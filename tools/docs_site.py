@@ -1,4 +1,4 @@
-"""What MkDocs calls: the pages that stand in the repository's root belong to the site as well."""
+"""MkDocs hooks: pages of the repository's root are part of the site."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ TARGET = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add them, with links that lead from where they stand on the site."""
+    """Add the pages, with links relative to their place on the site."""
     for name, page in OF_THE_ROOT.items():
         text = EXAMPLE.sub(_named, (ROOT / name).read_text(encoding="utf-8"))
         files.append(File.generated(config, page, content=TARGET.sub(_from_docs, text)))

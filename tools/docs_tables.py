@@ -29,7 +29,7 @@ def table(rows: list[list[str]]) -> str:
 
 
 def settings_table(settings: type[BaseSettings]) -> str:
-    """What can be configured by a class, as a table in Markdown."""
+    """Return the settings of a class as a table in Markdown."""
     prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
     for name, field in settings.model_fields.items():
         several = isinstance(field.default, tuple)
@@ -103,7 +103,7 @@ def of_cities() -> str:
     rows: list[list[str]] = []
     for layer in layers():
         things = [f"`{described(rule)}`" for rule in (*layer.points, *layer.areas, *layer.coasts)]
-        things += [f"`{described(rule)}` ({width:g} m)" for rule, width in layer.lines]
+        things += [f"`{described(rule)}` ({width:g} m)" for rule, width in layer.lines.items()]
         but = f"; not {', '.join(f'`{described(rule)}`' for rule in layer.unless)}" if layer.unless else ""
         share = f"{layer.share:.0%}" if layer.areas or layer.lines else "any"
         kind = "road (open)" if layer.kind == Cell.ROAD else layer.kind.name.lower()
@@ -118,7 +118,7 @@ def described(rule: Rule) -> str:
 
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
-    of_tasks = {("cities.md" if task.terrain else "tasks.md", task.id): numbers(task) for task in TASKS.values()}
+    of_tasks = {("tasks.md", task.id): numbers(task) for task in TASKS.values() if not task.terrain}
     return {
         ("rules.md", "kinds"): kinds(),
         ("cities.md", "layers"): of_cities(),

@@ -31,7 +31,7 @@ UNIT = 100
 FIELD = 180
 """Side of a figure's field on the sheet."""
 VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
-"""How many figures of a kind stand on the map; the sheet has more, but each makes the page larger."""
+"""Number of figures of a kind on the map; each additional one makes the page larger."""
 
 
 def draw() -> dict[Path, str]:
@@ -110,7 +110,7 @@ def _figure(kind: Cell, x: int, y: int) -> str:
 
 
 def _use(figure: str, x: int, y: int, names: str = "") -> str:
-    """A figure in a cell. What moves is placed by a transform, which a style replaces."""
+    """A figure in a cell. A transform places moving figures, and a style replaces it."""
     left, top = x * UNIT + (UNIT - FIELD) // 2, y * UNIT + (UNIT - FIELD) // 2
     at = f'class="{names}" ' if names else ""
     return f'<use {at}href="#hello-{figure}" x="{left}" y="{top}" width="{FIELD}" height="{FIELD}"/>'

@@ -1,6 +1,6 @@
 """Deliberate faults, and whether a test fails for each.
 
-Each row of tests/mutants.toml says how to break one thing that somebody relies on, and which tests are to notice. In
+Each row of tests/mutants.toml describes a fault and the tests that must catch it. In
 copies of the tracked files, outside the tree, those tests run once as everything is, and must pass; then each fault is
 put in alone, its tests run, and it is taken out again. Exit status 1 if a fault survives or its row is wrong.
 """
@@ -40,7 +40,7 @@ class Mutant:
     id: str
     file: str
     why: str
-    """What a user would see of it."""
+    """The effect on users."""
     old: str
     new: str
     tests: list[str]
@@ -60,7 +60,7 @@ class Mutant:
         """The file with the fault in it.
 
         Raises:
-            ValueError: if what is to be broken does not stand there exactly once, or the result is no Python.
+            ValueError: if the quoted code does not occur exactly once, or the result is not valid Python.
         """
         if text.count(self.old) != 1:
             raise ValueError(f"stale: what is to be replaced stands {text.count(self.old)} times in the file")
@@ -105,7 +105,7 @@ def read_table(root: Path = ROOT) -> list[Mutant]:
 
 
 def copy_tracked(root: Path, folder: Path) -> Path:
-    """Copy what git tracks, as it stands in the tree."""
+    """Copy the tracked files of the working tree."""
     listed = subprocess.run(["git", "-C", str(root), "ls-files", "-z"], capture_output=True, check=True).stdout
     for name in filter(None, listed.decode().split("\0")):
         if (root / name).is_file():
@@ -152,7 +152,7 @@ def replace(path: Path, text: str) -> None:
 
 
 async def judge_all(mutants: Sequence[Mutant], root: Path, jobs: int, limit: float) -> None:
-    """Judge faults, so many at once, and print those that are caught.
+    """Judge faults in parallel, and print the caught ones.
 
     Raises:
         SystemExit: if the tests fail without any.

@@ -14,7 +14,6 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.files import open_file
-from drone_env.installer import pip
 from drone_env.planning.from_observation import drone_positions
 
 
@@ -91,7 +90,9 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any) -> Sb3Agent:
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
     except ModuleNotFoundError as error:
-        raise InvalidValueError(f"{file} needs Stable-Baselines3: {pip()} install stable-baselines3") from error
+        raise InvalidValueError(
+            f"{file} is read by Stable-Baselines3, which is not installed: pip install stable-baselines3"
+        ) from error
     with open_file(file) as opened:
         try:
             data, params, _ = load_from_zip_file(opened, device="cpu")

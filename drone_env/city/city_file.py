@@ -1,16 +1,16 @@
-"""A city: the terrain of a place, its file, and its task.
+"""A city: the terrain of a place, its file and its task.
 
     format = 1
     attribution = "© OpenStreetMap contributors"
     licence = "ODbL-1.0"
-    source = "helsinki.osm.pbf"                       # the name of the file that it was made from
-    cell = 16.0                                       # metres along the side of a cell
+    source = "helsinki.osm.pbf"                       # name of the extract
+    cell = 16.0                                       # side of a cell in metres
     bbox = [24.9386, 60.1656, 24.9462, 60.1677]       # west, south, east, north in degrees (WGS 84)
     start = [0, 1]                                    # [x, y]; x grows rightwards from 0, y downwards
     parcels = [[3, 0]]
 
     [task]
-    deliveries = 1                                    # and the other `NUMBERS`
+    deliveries = 1                                    # see `Number` for the other keys
 
     [terrain]
     rows = [
@@ -18,12 +18,14 @@
         "· 🌳🚧🔋",
     ]
 
-Every key but `format` and `terrain` may be left out. A row holds the symbols of `draw_text`: `· ` (a dot and a space)
-for a road, 🏢, 🌳, 🚧 for what cannot be entered, 🔋 for a pad.
+All keys but `format` and `terrain` are optional. A row consists of the symbols of `draw_text`: `· ` (a dot and a space)
+is a road, 🏢 a building, 🌳 a tree, 🚧 an obstacle, 🔋 a pad.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -41,16 +43,17 @@ from drone_env.files import read_file, write_text
 from drone_env.toml_text import read_toml
 
 MIN_SIDE, MAX_SIDE = 2, 512
-"""Cells along a side of a city. A task flies at most `core.tasks.MAX_SIDE` of them."""
+"""Cells along a side of a city. Maps of a task have at most `core.tasks.MAX_SIDE`."""
 MAX_FILE = 2 << 20
 """Bytes: the largest city takes 1 MiB."""
 MAX_TEXT = 200
-"""Characters of a text: one line, which frames and pictures repeat."""
+"""Characters of a text: frames and pictures repeat it in one line."""
 CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
+SYMBOL = re.compile("|".join(CELL_OF))
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
 TEXTS = ("attribution", "licence", "source")
 Number = Literal["width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads"]
-"""The numbers of a task that a city may name; `task_of` sets the others."""
+"""The numbers of a task that a city can set; `task_of` sets the others."""
 DELIVERIES, PADS, CHARGE_RATE = 5, 4, 5
 BBox = tuple[float, float, float, float]
 """West, south, east, north in degrees (WGS 84)."""
@@ -58,20 +61,21 @@ BBox = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """The terrain of a place. What is None or empty is not known, or is left to the seed of a map.
+    """The terrain of a place. None or an empty value means unknown, or drawn for each map.
 
     Attributes:
-        grid: uint8[height, width], cell ids, of those in `PLACED`; `grid[y, x]`.
-        attribution, licence, source: Whose data it is, under which licence it may be handed on, and the name of the
-            file that it was made from.
-        cell: Metres along the side of a cell.
+        grid: uint8[height, width], cell ids out of `PLACED`; `grid[y, x]`.
+        attribution: Owner of the data.
+        licence: Licence of the data.
+        source: Name of the file that the city was made from.
+        cell: Side of a cell in metres.
         bbox: West, south, east, north in degrees (WGS 84).
         start: (x, y) of the start, a road.
-        parcels: (x, y) of each parcel, by its index: roads that can be reached from the start and from each other.
-        numbers: Those that the city names for its task.
+        parcels: (x, y) of each parcel: roads that are connected with the start and each other.
+        numbers: Numbers of the task.
 
     Raises:
-        InvalidTaskError: on construction, if it contradicts this; the message says where.
+        InvalidTaskError: on construction, if a value is invalid.
     """
 
     grid: npt.NDArray[np.uint8]
@@ -96,25 +100,20 @@ class City:
         if self.bbox is not None:
             check_bbox(self.bbox)
         _require(len(self.parcels) <= MAX_DELIVERIES, f"at most {MAX_DELIVERIES} parcels, got {len(self.parcels)}")
-        stops = [] if self.start is None else [("start", self.start)]
-        stops += [(f"parcel {i}", parcel) for i, parcel in enumerate(self.parcels)]
-        taken: dict[XY, str] = {}
-        for name, (x, y) in stops:
+        stops = {"start": self.start} if self.start is not None else {}
+        stops.update({f"parcel {i}": parcel for i, parcel in enumerate(self.parcels)})
+        _require(len({*stops.values()}) == len(stops), "start and parcels must be on distinct cells")
+        connected = pieces(self.grid == Cell.OBSTACLE)
+        origin = next(iter(stops), "")
+        for name, (x, y) in stops.items():
             _require(0 <= x < width and 0 <= y < height, f"{name} [{x}, {y}] is outside the {width} x {height} cells")
-            kind = Cell(self.grid[y, x])
-            _require(kind == Cell.ROAD, f"{name} [{x}, {y}] must be on a road, there is {_named(kind)}")
-            _require((x, y) not in taken, f"{name} is where {taken.get((x, y))} is, at [{x}, {y}]")
-            taken[x, y] = name
-        if taken:
-            (x, y), *others = taken
-            piece = pieces(self.grid == Cell.OBSTACLE)
-            for at in others:
-                message = f"{taken[at]} {list(at)} cannot be reached from {taken[x, y]} [{x}, {y}]"
-                _require(bool(piece[at[1], at[0]] == piece[y, x]), message)
+            _require(self.grid[y, x] == Cell.ROAD, f"{name} [{x}, {y}] must be on a road")
+            reached = connected[y, x] == connected[stops[origin][1], stops[origin][0]]
+            _require(reached, f"{name} [{x}, {y}] cannot be reached from {origin}")
 
 
 class Rows(BaseModel):
-    """The table `[terrain]` of a city's file."""
+    """The table `[terrain]`."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -122,7 +121,7 @@ class Rows(BaseModel):
 
 
 class CityFile(BaseModel):
-    """The file of a city; `City` checks what its values mean."""
+    """The keys and types of the file of a city; `City` validates the values."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -139,20 +138,15 @@ class CityFile(BaseModel):
 
 
 def check_bbox(bbox: Iterable[float]) -> None:
-    """See that west, south, east, north span a piece of the world.
-
-    Raises:
-        InvalidTaskError: if they do not.
-    """
+    """Raise `InvalidTaskError` unless a bounding box has west < east and south < north, within the world."""
     west, south, east, north = bbox
-    # A comparison with what is not a number is False.
     spans = -180 <= west < east <= 180 and -85 <= south < north <= 85
     allowed = "-180 <= west < east <= 180 and -85 <= south < north <= 85"
     _require(spans, f"bbox is west, south, east, north in degrees, {allowed}; got {west}, {south}, {east}, {north}")
 
 
 def city_text(city: City) -> str:
-    """The file of a city; equal cities give equal texts."""
+    """Return the text of the file of a city; equal cities give equal texts."""
     lines = ["format = 1"]
     lines += [f"{name} = {json.dumps(text, ensure_ascii=False)}" for name in TEXTS if (text := getattr(city, name))]
     lines += [f"cell = {city.cell!r}"] * (city.cell is not None)
@@ -166,12 +160,12 @@ def city_text(city: City) -> str:
 
 
 def text_rows(grid: npt.NDArray[np.uint8]) -> list[str]:
-    """The rows of a grid as text."""
+    """Return the rows of a grid as text."""
     return ["".join(SYMBOLS[kind] for kind in row) for row in grid.tolist()]
 
 
 def write_city(city: City, path: str | Path) -> None:
-    """Write the file of a city, whole or not at all.
+    """Write the file of a city atomically.
 
     Raises:
         OSError: if it cannot be written.
@@ -180,53 +174,49 @@ def write_city(city: City, path: str | Path) -> None:
 
 
 def read_city(path: str | Path) -> City:
-    """The city in a file.
+    """Read the file of a city.
 
     Raises:
         OSError: if the file cannot be read.
+        InvalidValueError: if it is not a regular file, or too large.
         InvalidTaskError: if it is not a city.
     """
-    try:
-        content = read_file(path, MAX_FILE)
-    except InvalidValueError as error:
-        raise InvalidTaskError(f"city {error}") from None
-    try:
+    content = read_file(path, MAX_FILE)
+    with _naming(path):
         return parse_city(content)
-    except InvalidTaskError as error:
-        raise InvalidTaskError(f"city {path}: {error}") from None
 
 
 def parse_city(content: str | bytes) -> City:
-    """The city in the text of a file, or in its UTF-8.
+    """Parse the text of the file of a city.
+
+    Args:
+        content: The text, or its UTF-8.
 
     Raises:
-        InvalidTaskError: if it is not a city.
+        InvalidValueError: if it is not a city.
     """
-    try:
-        file = read_toml(content, CityFile)
-    except InvalidValueError as error:
-        raise InvalidTaskError(str(error)) from None
+    file = read_toml(content, CityFile)
     grid = [_kinds(row, y) for y, row in enumerate(file.terrain.rows)]
     for y, row in enumerate(grid):
         wide = f"rows must be equally wide: row 0 has {len(grid[0])} cells, row {y} has {len(row)}"
         _require(len(row) == len(grid[0]), wide)
-    values = {name: getattr(file, name) for name in (*TEXTS, "cell", "bbox", "start", "parcels")}
+    values = file.model_dump(exclude={"format", "task", "terrain"})
     return City(np.array(grid, np.uint8), numbers={**file.task}, **values)
 
 
 def task_of(city: City, name: str) -> TaskConfig:
-    """The task whose maps are drawn on a city: as `skyline`, obstacles are closed, and buildings and trees cost more.
+    """Make a task of a city. As in `skyline`, obstacles are closed, and buildings and trees cost more.
 
-    What the city's numbers leave open: maps as large as the city, or else windows of it with 4 pads; 5 parcels, or as
-    many as it fixes; as many steps as five times width and height of a map; where there is a pad, half as many again as
-    width and height of battery units, else as many as steps.
+    Defaults of the numbers: maps are as large as the city, and smaller windows have 4 pads; 5 parcels unless the city
+    fixes them; `max_steps` is 5 times width + height; the battery lasts 1.5 times width + height if there are pads,
+    else `max_steps`.
 
     Args:
         city: The city.
         name: Id and short name of the task.
 
     Raises:
-        InvalidTaskError: if the name is none, the city is too large, or its numbers do not fit.
+        InvalidTaskError: if the name is invalid, the city is too large, or its numbers do not fit.
     """
     rows, columns = city.grid.shape
     width, height = city.numbers.get("width", columns), city.numbers.get("height", rows)
@@ -244,42 +234,38 @@ def task_of(city: City, name: str) -> TaskConfig:
         "pads": pads,
     }
     task = task_on(terrain, name, **numbers)
-    _ = task.windows  # what does not fit is refused here
+    _ = task.windows  # raises if the numbers do not fit
     return task
 
 
 def city_task(path: str | Path) -> TaskConfig:
-    """The task of a city's file, named by the file without its suffix.
+    """Make the task of a city's file, named by the file without its suffix.
 
     Raises:
         OSError: if the file cannot be read.
-        InvalidTaskError: if it is no city, or none that can be a task.
+        InvalidValueError: if it is not a regular file, or too large.
+        InvalidTaskError: if it is not a city that can be a task.
     """
     city = read_city(path)
-    try:
+    with _naming(path):
         return task_of(city, Path(path).stem)
-    except InvalidTaskError as error:
+
+
+@contextmanager
+def _naming(path: str | Path) -> Generator[None, None, None]:
+    """Put the path before errors."""
+    try:
+        yield
+    except InvalidValueError as error:
         raise InvalidTaskError(f"city {path}: {error}") from None
 
 
 def _kinds(row: str, y: int) -> list[int]:
-    kinds: list[int] = []
-    at = 0
-    while at < len(row):
-        symbol = next((symbol for symbol in CELL_OF if row.startswith(symbol, at)), None)
-        if symbol is None:
-            raise InvalidTaskError(
-                f"unknown symbol {row[at : at + 2]!r} in row {y}, column {len(kinds)}; allowed: {ALLOWED}"
-            )
-        kinds.append(CELL_OF[symbol])
-        at += len(symbol)
-    return kinds
+    unknown = SYMBOL.sub("", row)
+    _require(not unknown, f"unknown symbol {unknown[:2]!r} in row {y}; allowed: {ALLOWED}")
+    return [CELL_OF[symbol] for symbol in SYMBOL.findall(row)]
 
 
-def _named(kind: Cell) -> str:
-    return f"{'an' if kind == Cell.OBSTACLE else 'a'} {kind.name.lower()}"
-
-
-def _require(holds: bool, message: str) -> None:
+def _require(holds: bool | np.bool_, message: str) -> None:
     if not holds:
         raise InvalidTaskError(message)

@@ -1,4 +1,4 @@
-"""`drone-env dataset`: states, actions and their exact values, to learn from."""
+"""`drone-env dataset`: states, actions and their exact values."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,29 +26,29 @@ def dataset(
     reward_profile: ProfileName = DEFAULT_PROFILE,
     formats: FormatNames = ("parquet", "minari"),
 ) -> None:
-    """Write a data set of flights in which every step stands beside the exact values of its state.
+    """Write a dataset of flights with the exact values of every step.
 
     For imitation learning, offline reinforcement learning and process rewards: states, actions, rewards, V*, Q* of all
-    actions, the set of optimal actions, and regret. The same arguments give the same rows. The folder holds
-    steps.parquet, a Minari data set and a README.md that explains every column; it is there whole or not at all. A
-    progress bar goes to standard error. Needs the extra `data`.
+    actions, the set of optimal actions, and regret. The same arguments give the same rows. The folder contains
+    steps.parquet, a Minari dataset and a README.md that explains the columns. If an error occurs, nothing is left.
+    Needs the extra `data`.
 
     Example: drone-env dataset --task hard --maps 1000 --out hard-steps
 
     Args:
         out: The folder to make, in one that exists.
         task: The task, by its short name, id or grader.
-        maps: How many maps of the split.
-        split: Whose maps to fly. What is trained on validation or test maps can no longer be judged by them.
-        offset: The number of the first map within the split.
-        agents: Who flies each map, one or more.
-        epsilon: The probability with which a step flies a uniformly random action instead of the agent's.
-        reward_profile: What steps pay: a reward profile, or a TOML file with one. V*, Q* and regret are in score and do
-            not depend on it.
-        formats: One or both. Minari takes some 45 to 80 KB a flight, Parquet some 25 bytes a step.
+        maps: Number of maps.
+        split: Split of the maps. Do not train on validation or test maps that you evaluate on.
+        offset: Index of the first map within the split.
+        agents: The agents that fly each map, one or more.
+        epsilon: Probability that a step takes a uniformly random action instead of the agent's.
+        reward_profile: A reward profile, or a TOML file with one. V*, Q* and regret are in score and do not depend on
+            it.
+        formats: One or both. A flight takes about 45 to 80 KB in Minari, a step about 25 bytes in Parquet.
     """
-    from drone_env.datasets.build import build_dataset  # compiles, which only those who solve should wait for
-    from drone_env.datasets.config import DatasetConfig
+    from drone_env.datasets.build import build_dataset  # slow to load
+    from drone_env.datasets.trajectories import DatasetConfig
 
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")

@@ -1,17 +1,15 @@
-"""`drone-env doctor`: what is installed, where data goes, and whether flights can be flown."""
+"""`drone-env doctor`: what is installed, where data goes, and whether the environment works."""
 
 import os
 import platform
-import shutil
 import socket
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from packaging.requirements import Requirement
 
@@ -20,12 +18,12 @@ from drone_env.agents import make_agent
 from drone_env.commands.printing import print_json
 from drone_env.core.compile_cache import cache_folder
 from drone_env.envs.registry import load_plugins, plugin_names
+from drone_env.errors import DISTRIBUTION, install_command
 from drone_env.files import data_folder
-from drone_env.installer import DISTRIBUTION, install_command
 
 
 class Finding(NamedTuple):
-    """One result. Its status is `ok`, `absent`, `attention` (look at it) or `broken` (flights are in danger)."""
+    """One result. `status` is `ok`, `absent` (an extra), `attention` or `broken` (flights may fail)."""
 
     topic: str
     name: str
@@ -34,17 +32,16 @@ class Finding(NamedTuple):
 
 
 def doctor(port: int | None = None, json: bool = False) -> int:
-    """Check what is installed, where data goes, whether the port is free, and whether the settings are valid.
+    """Check packages, extras, shipped networks, folders, the port, the settings and plugins.
 
-    Exit status: 0 if flights can be flown, 1 if something is broken: a package that is needed, a shipped network, a
-    folder that cannot be written, a setting. An extra that is not installed and a port in use are not broken. The
+    Exit status: 0 if you can fly, 1 if something is broken. A missing extra and a port in use are not broken. The
     command leaves no file behind and prints no token.
 
     Example: drone-env doctor --port 9000
 
     Args:
-        port: The port that a server would listen on; the default is DRONE_ENV_PORT or 8000.
-        json: Print JSON instead.
+        port: Port of the server; the default is DRONE_ENV_PORT or 8000.
+        json: Print JSON.
     """
     findings = list(_diagnose(os.environ.get("DRONE_ENV_PORT", "8000") if port is None else str(port)))
     broken = [finding.name for finding in findings if finding.status == "broken"]
@@ -57,15 +54,16 @@ def doctor(port: int | None = None, json: bool = False) -> int:
 
 
 def _diagnose(port: str) -> Iterator[Finding]:
-    python = f"{platform.python_version()} ({sys.executable}), {platform.platform()}, {os.cpu_count()} cores"
-    yield Finding("system", "python", "ok", python)
-    yield from _packages()
-    for network in ("easy_delivery", "medium_delivery", "hard_delivery", "tournet"):
-        yield _checked("networks", network, partial(_network, network))
-    folders = {"data": data_folder, "results": partial(data_folder, "results"), "cache": cache_folder}
-    for name, folder in folders.items():
-        yield _checked("folders", name, partial(_writable, folder))
-    yield _checked("port", port, partial(_free, port), otherwise="attention")
+    yield Finding("system", "python", "ok", f"{platform.python_version()} ({sys.executable}), {platform.platform()}")
+    yield _checked("packages", "required", _complete, "")
+    for extra in sorted(metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []):
+        yield _checked("extras", extra, _complete, extra, otherwise="absent")
+    for task in ("easy_delivery", "medium_delivery", "hard_delivery"):
+        yield _checked("networks", task, _network, "pathqnet", task)
+    yield _checked("networks", "tournet", _network, "tournet", "easy")
+    for name, folder in {"data": data_folder, "results": lambda: data_folder("results"), "cache": cache_folder}.items():
+        yield _checked("folders", name, _writable, folder)
+    yield _checked("port", port, _free, port, otherwise="attention")
     if find_spec("pydantic_settings") is not None:
         from drone_env.llm.config import load_settings as llm
         from drone_env.server.settings import load_settings as server
@@ -73,32 +71,26 @@ def _diagnose(port: str) -> Iterator[Finding]:
         yield _checked("settings", "server", lambda: f"valid: {sorted(server().model_fields_set)}")
         yield _checked("settings", "llm", lambda: f"valid: {llm().model_name}", otherwise="absent")
     for plugin in plugin_names():
-        yield _checked("plugins", plugin, partial(load_plugins, [plugin]))
+        yield _checked("plugins", plugin, load_plugins, [plugin])
 
 
-def _packages() -> Iterator[Finding]:
+def _checked(topic: str, name: str, check: Callable[..., object], *args: Any, otherwise: str = "broken") -> Finding:
+    """Return the finding of a check, which returns a detail or raises any error, as a plugin may."""
     try:
-        extras = metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []
-    except metadata.PackageNotFoundError:
-        yield Finding("packages", "required", "attention", f"{DISTRIBUTION} is not installed: nothing to compare with")
-        return
-    for extra in ("", *sorted(extras)):
-        missing = ", ".join(sorted(_missing(extra)))
-        status = "ok" if not missing else "absent" if extra else "broken"
-        detail = f"{install_command(extra)} brings {missing}" if missing else "complete"
-        yield Finding("extras" if extra else "packages", extra or "required", status, detail)
-
-
-def _checked(topic: str, name: str, check: Callable[[], object], otherwise: str = "broken") -> Finding:
-    """The finding of a check, which returns a detail or raises any error, as a plugin may."""
-    try:
-        return Finding(topic, name, "ok", str(check()))
+        return Finding(topic, name, "ok", str(check(*args)))
     except Exception as error:
         return Finding(topic, name, otherwise, str(error))
 
 
+def _complete(extra: str) -> str:
+    missing = ", ".join(sorted(_missing(extra)))
+    if missing:
+        raise ModuleNotFoundError(f"missing: {missing}; run: {install_command(extra)}")
+    return "complete"
+
+
 def _missing(extra: str) -> set[str]:
-    """The unmet requirements of this package with an extra, and with the extras that it names."""
+    """Return the unmet requirements of this package with an extra, and with the extras that it names."""
     missing: set[str] = set()
     for requirement in map(Requirement, metadata.requires(DISTRIBUTION) or []):
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
@@ -111,16 +103,15 @@ def _missing(extra: str) -> set[str]:
     return missing
 
 
-def _network(name: str) -> str:
-    agent, task = ("tournet", "easy") if name == "tournet" else ("pathqnet", name)
+def _network(agent: str, task: str) -> str:
     return f"digest {make_agent(agent, task).config['network']}"
 
 
 def _writable(find: Callable[[], Path]) -> str:
     folder = find().absolute()
     existing = next(parent for parent in (folder, *folder.parents) if os.path.exists(parent))
-    tempfile.TemporaryFile(dir=existing).close()  # permissions alone do not show that a disk is read-only
-    return f"{folder}, {shutil.disk_usage(existing).free / 1e9:.1f} GB free"
+    tempfile.TemporaryFile(dir=existing).close()  # permissions do not reveal a read-only disk
+    return str(folder)
 
 
 def _free(port: str) -> str:

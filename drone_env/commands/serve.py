@@ -15,18 +15,18 @@ def serve(
     data: Path | None = None,
     reward_profiles: tuple[Path, ...] = (),
 ) -> None:
-    """Serve the environment: flat JSON over HTTP, OpenEnv over WebSocket; /docs describes both.
+    """Serve the environment: JSON over HTTP, OpenEnv over WebSocket; /docs describes both.
 
-    What is not given comes from the environment (`DRONE_ENV_HOST` and so on), else 127.0.0.1, 8000, 1 and `data`.
+    Defaults come from the environment (`DRONE_ENV_HOST` and so on), else they are 127.0.0.1, 8000, 1 and `data`.
 
     Example: drone-env serve --port 8000
 
     Args:
-        host: Address to listen on; 0.0.0.0 for all.
+        host: Address to listen on; 0.0.0.0 for all interfaces.
         port: Port to listen on.
-        workers: Processes that serve.
-        data: Folder of what is kept: episodes, sessions, logs.
-        reward_profiles: TOML files of reward profiles that callers may name beside those of the package.
+        workers: Number of processes.
+        data: Folder of episodes, sessions and logs.
+        reward_profiles: TOML files of additional reward profiles.
     """
     for package in NEEDED:
         if find_spec(package) is None:

@@ -17,7 +17,6 @@ from drone_env.core.tasks import get_task
 from drone_env.envs.registry import task_argument
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
-from drone_env.installer import program
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.tour_config import TourConfig
 
@@ -194,5 +193,5 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
     log(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
     task, agent = run.trainer.config.task, "pathqnet" if unit == "episodes" else "tournet"
     task = task if task == "all" else task_argument(get_task(task))
-    log(f"next: {program('drone-env')} evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
+    log(f"next: drone-env evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
     return 0

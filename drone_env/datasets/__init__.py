@@ -1,1 +1,1 @@
-"""Data sets of flights whose every step is labelled with the exact values of its state: `build_dataset`."""
+"""Datasets of flights with the exact values of every step: `build_dataset`."""

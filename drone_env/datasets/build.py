@@ -1,90 +1,107 @@
-"""`build_dataset`: from a configuration to a folder."""
+"""`build_dataset`: write flights as one Parquet file and as a Minari dataset."""
+
+# pyarrow declares no types.
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 
 import json
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+import math
+from collections.abc import Callable, Generator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.formats import MINARI_FOLDER, PARQUET_FILE, Write, columns, minari_writer, parquet_writer
-from drone_env.datasets.trajectories import Trajectory, fly_map
-from drone_env.errors import InvalidValueError, needs
+import gymnasium
+import numpy as np
+import numpy.typing as npt
 
-WRITERS: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]] = {
-    "parquet": parquet_writer,
-    "minari": minari_writer,
-}
+from drone_env.core.actions import N_ACTIONS, Event
+from drone_env.core.cells import Cell
+from drone_env.core.tasks import TERRAIN, TaskConfig
+from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
+from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
 
+Write = Callable[[Sequence[Trajectory]], None]
+"""Appends flights to a file."""
+FORMATS = ("parquet", "minari")
+PARQUET_FILE, MINARI_FOLDER = "steps.parquet", "minari"
 ROWS_PER_GROUP = 1 << 14
-"""Rows in memory before they are written."""
+"""Minimum number of rows in memory before they are written."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column, with one row for each step."""
+
+    name: str
+    dtype: str
+    """Name of the type in Arrow."""
+    shape: tuple[int, ...]
+    """Shape of one entry, () for a scalar; entries are stored flat in C order."""
+    text: str
+    values: Callable[[Trajectory], Any]
+    """Returns the column of one flight: an array [T, ...], a list, or one value for all steps."""
 
 
 def build_dataset(
-    config: DatasetConfig,
-    out: Path,
-    formats: Sequence[str] = tuple(WRITERS),
-    rows_per_group: int = ROWS_PER_GROUP,
-    on_map: Callable[[], object] = lambda: None,
+    config: DatasetConfig, out: Path, formats: Sequence[str] = FORMATS, on_map: Callable[[], object] = lambda: None
 ) -> int:
-    """Fly and write a data set, so that its folder is there whole or not at all.
+    """Fly and write a dataset. If an error occurs, nothing is left.
 
     Args:
-        config: What to fly.
-        out: The folder, in one that exists; it must not be there yet, or be empty.
+        config: The configuration.
+        out: The folder to make, in an existing one; it may exist if it is empty.
         formats: `parquet`, `minari` or both.
-        rows_per_group: Rows after which a row group ends, at the end of a flight.
         on_map: Called after each map.
 
     Returns:
         The number of rows.
 
     Raises:
-        InvalidValueError: if there is no such format, or none is named, or the folder is not empty or cannot be made.
+        InvalidValueError: if a format is unknown, none is named, or the folder is not empty or cannot be made.
         MissingPackageError: if a format's package is not installed.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
-    if not formats or set(formats) - WRITERS.keys():
-        raise InvalidValueError(f"formats must be one or more of {', '.join(WRITERS)}; got {', '.join(formats)}")
+    if not formats or set(formats) - set(FORMATS):
+        raise InvalidValueError(f"formats must be one or more of {', '.join(FORMATS)}; got {', '.join(formats)}")
     if not out.name or not out.parent.is_dir():
-        raise InvalidValueError(f"the data set takes a folder in one that exists, got {str(out)!r}")
+        raise InvalidValueError(f"a dataset needs a folder in an existing one, got {str(out)!r}")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise InvalidValueError(f"{out} is there and not an empty folder: name another")
-    # Beside its place, so that moving it there is one step of the same file system.
+        raise InvalidValueError(f"{out} exists and is not an empty folder: name another")
+    # In the same file system, so that the final move is one atomic step.
     with TemporaryDirectory(prefix=f"{out.name}.", suffix=".part", dir=out.parent) as temporary:
         folder = Path(temporary) / "dataset"
         folder.mkdir()
-        rows = _write(config, folder, formats, rows_per_group, on_map)
-        (folder / "README.md").write_text(_card(config, tuple(formats), rows), encoding="utf-8")
+        rows = _write(config, folder, formats, on_map)
+        (folder / "README.md").write_text(_readme(config, tuple(formats), rows), encoding="utf-8")
         if out.exists():
             out.rmdir()
         folder.rename(out)
     return rows
 
 
-def _write(
-    config: DatasetConfig, folder: Path, formats: Sequence[str], rows_per_group: int, on_map: Callable[[], object]
-) -> int:
+def _write(config: DatasetConfig, folder: Path, formats: Sequence[str], on_map: Callable[[], object]) -> int:
     """Write all flights, whole ones in each row group, and return the number of rows."""
+    writers: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]]
+    writers = {"parquet": _parquet_writer, "minari": _minari_writer}
     rows, batch = 0, list[Trajectory]()
     with ExitStack() as stack:
-        writers = [stack.enter_context(WRITERS[name](folder, config)) for name in dict.fromkeys(formats)]
+        writes = [stack.enter_context(writers[name](folder, config)) for name in dict.fromkeys(formats)]
         for seed in config.seeds:
-            for trajectory in fly_map(config, seed):
-                batch.append(trajectory)
-                rows += trajectory.steps
-                last = trajectory.number == config.episodes - 1
-                if last or sum(one.steps for one in batch) >= rows_per_group:
-                    for write in writers:
-                        write(batch)
-                    batch = []
+            batch += fly_map(config, seed)
+            steps = sum(len(trajectory.actions) for trajectory in batch)
+            if seed == config.seeds[-1] or steps >= ROWS_PER_GROUP:
+                for write in writes:
+                    write(batch)
+                rows, batch = rows + steps, []
             on_map()
     return rows
 
 
-def _card(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
-    """The page that says what the data set holds: Markdown with the front matter that data set hubs read."""
+def _readme(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
+    """Render the dataset's README.md, with the front matter of dataset hubs."""
     with needs("data"):
         from drone_env.results.pages import render
 
@@ -100,3 +117,144 @@ def _card(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
         dataset_id=config.minari_id,
         about=json.dumps(config.as_json(), indent=2),
     )
+
+
+def columns(task: TaskConfig) -> list[Column]:
+    """Return the columns of a task's datasets, in order."""
+    per_action = (N_ACTIONS,)
+    grid = (task.height, task.width)
+    cells = ", ".join(f"{int(cell)} {cell.name.lower()}" for cell in Cell)
+    telemetry = "x/width, y/height, battery share, target x/width, target y/height"
+    telemetry += ", share of steps left" if task.telemetry_size > 5 else ""
+    ground = ", ".join(kind.name.lower() for kind in TERRAIN)
+    telemetry += f", 1 for the kind of the cell below the drone of {ground}" if task.telemetry_size > 6 else ""
+    names = np.array([event.name.lower() for event in Event])
+    flown = "action taken: 0 up, 1 down, 2 left, 3 right, 4 wait"
+    optimum = "highest score that any flight over the map gets"
+    score = "graded score after the step, provisional before the end"
+    best = "Q*: highest score that can be reached after each action"
+
+    def state(name: str) -> Callable[[Trajectory], Any]:
+        return lambda flight: flight.infos[name][:-1]
+
+    def returns_to_go(flight: Trajectory) -> npt.NDArray[np.float64]:
+        return np.cumsum(flight.rewards[::-1])[::-1]
+
+    return [
+        Column("episode", "int64", (), "number of the flight, from 0", lambda f: f.number),
+        Column("task", "string", (), "id of the task", lambda _: task.id),
+        Column("task_version", "int32", (), "version of the task", lambda _: task.version),
+        Column("seed", "int64", (), "number of the map", lambda f: f.seed),
+        Column("agent", "string", (), "name of the agent", lambda f: f.agent),
+        Column("step", "int32", (), "number of earlier steps, from 0", lambda f: np.arange(len(f.actions))),
+        Column("grid", "uint8", grid, f"cell ids: {cells}", lambda f: f.observations["grid"][:-1]),
+        Column("telemetry", "float32", (task.telemetry_size,), telemetry, lambda f: f.observations["telemetry"][:-1]),
+        Column("action_mask", "int8", per_action, "0 for each action that would bump", state("action_mask")),
+        Column("action", "int8", (), flown, lambda f: f.actions),
+        Column("agent_action", "int8", (), "the agent's action; a random one may replace it", state("agent_action")),
+        Column("reward", "float64", (), "reward of the step, by the reward profile", lambda f: f.rewards),
+        Column("return_to_go", "float64", (), "undiscounted sum of the rewards from here on", returns_to_go),
+        Column("terminated", "bool", (), "whether the step ended the flight", lambda f: f.terminated),
+        Column("event", "string", (), "event of the step", lambda f: names[f.infos["event"][1:]]),
+        Column("score", "float64", (), score, lambda f: f.infos["score"][1:]),
+        Column("final_score", "float64", (), "graded score of the flight", lambda f: f.infos["score"][-1]),
+        Column("optimal_score", "float64", (), optimum, lambda f: f.infos["value"][0]),
+        Column("value", "float64", (), "V*: highest score that can still be reached", state("value")),
+        Column("q_values", "float64", per_action, best, state("q_values")),
+        Column("regret", "float64", (), "V* - Q* of the action: score lost for good", state("regret")),
+        Column("optimal_actions", "bool", per_action, "whether each action reaches V*", state("optimal_actions")),
+    ]
+
+
+@contextmanager
+def _parquet_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
+    """Write `steps.parquet`; each call of the yielded function appends one row group.
+
+    The schema's metadata contains the configuration as JSON under `drone_env`; each field's its meaning and shape.
+    """
+    with needs("data"):
+        import pyarrow
+        import pyarrow.parquet
+
+    def field(column: Column) -> Any:
+        item = pyarrow.type_for_alias(column.dtype)
+        element = pyarrow.field("element", item, nullable=False)
+        kind = pyarrow.list_(element, math.prod(column.shape)) if column.shape else item
+        metadata = {"description": column.text, "shape": json.dumps(column.shape)}
+        return pyarrow.field(column.name, kind, nullable=False, metadata=metadata)
+
+    def array(column: Column, trajectories: Sequence[Trajectory]) -> Any:
+        kind = schema.field(column.name).type
+        parts = [(len(trajectory.actions), column.values(trajectory)) for trajectory in trajectories]
+        values = np.concatenate([np.full(steps, part) if np.ndim(part) == 0 else part for steps, part in parts])
+        if not column.shape:
+            return pyarrow.array(values, kind)
+        return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(values.reshape(-1), kind.value_type), type=kind)
+
+    def write(trajectories: Sequence[Trajectory]) -> None:
+        table = pyarrow.Table.from_arrays([array(column, trajectories) for column in described], schema=schema)
+        file.write_table(table, row_group_size=len(table))
+
+    described = columns(config.task)
+    schema = pyarrow.schema(map(field, described), {"drone_env": json.dumps(config.as_json())})
+    with pyarrow.parquet.ParquetWriter(folder / PARQUET_FILE, schema, compression="zstd") as file:
+        yield write
+
+
+@contextmanager
+def _minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
+    """Write a Minari dataset into `minari/<dataset id>`; each call of the yielded function appends flights.
+
+    `minari.load_dataset` finds it if the environment variable `MINARI_DATASETS_PATH` names that `minari` folder.
+    `infos` have T + 1 entries, one for each observation, as those of Minari's own collector.
+    """
+    with needs("data"):
+        import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari imports it only when it writes
+        import minari
+        from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_storage import MinariStorage
+    # Declared with lists, but arrays are written faster.
+    buffer: Any = EpisodeBuffer
+    env = gymnasium.make(config.task.gym_id, reward_profile=config.reward_profile)
+    # Minari resolves a relative path against itself when it adds up sizes.
+    home = folder.resolve() / MINARI_FOLDER / config.minari_id
+    home.mkdir(parents=True)
+    storage = MinariStorage.new(
+        home / "data",
+        observation_space=env.observation_space,
+        action_space=env.action_space,
+        env_spec=env.spec,
+        data_format="hdf5",
+        jpeg_encoding=False,
+    )
+    about = config.as_json()
+    storage.update_metadata(
+        {
+            "dataset_id": config.minari_id,
+            "minari_version": minari.__version__,
+            "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
+            "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
+            "requirements": [f"{DISTRIBUTION}>={about['package_version']}"],
+            "drone_env": about,
+        }
+    )
+
+    def episode(flight: Trajectory) -> Any:
+        parts = {name: getattr(flight, name) for name in ("seed", "observations", "actions", "rewards", "infos")}
+        return buffer(
+            id=flight.number, terminations=flight.terminated, truncations=np.zeros_like(flight.terminated), **parts
+        )
+
+    def write(trajectories: Sequence[Trajectory]) -> None:
+        storage.update_episodes(map(episode, trajectories))
+        metadata = [
+            {
+                "agent": flight.agent,
+                "final_score": float(flight.infos["score"][-1]),
+                "optimal_score": float(flight.infos["value"][0]),
+            }
+            for flight in trajectories
+        ]
+        storage.update_episode_metadata(metadata, [flight.number for flight in trajectories])
+
+    yield write

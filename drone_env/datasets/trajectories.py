@@ -1,87 +1,125 @@
-"""Trajectories: flights with the exact values of every state that they reach."""
+"""The configuration of a dataset, and its flights with the exact values of every state that they reach."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from drone_env import __version__
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode, choices
+from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
-from drone_env.datasets.config import DatasetConfig
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
+from drone_env.results.evaluate import episodes_key
+
+FORMAT = "drone_env/dataset"
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """One whole flight: T steps, T + 1 states.
+@dataclass(frozen=True)
+class DatasetConfig:
+    """Everything that determines the rows of a dataset: equal configurations give equal rows.
 
     Attributes:
-        number: The number of the flight in the data set, from 0.
+        task: The task.
+        seeds: The maps.
+        split: The split that the maps belong to, or `custom`.
+        agents: The agents, in this order on each map.
+        epsilon: Probability that a step takes a uniformly random action instead of the agent's.
+        reward_profile: The reward profile.
+
+    Raises:
+        UnknownNameError: if there is no such split, agent or reward profile.
+        InvalidValueError: if the seeds are empty, out of range or outside the split, the agents are empty or repeated,
+            or epsilon is not in [0, 1].
+    """
+
+    task: TaskConfig
+    seeds: range
+    split: str = "custom"
+    agents: Sequence[str] = ("optimal", "greedy", "random")
+    epsilon: float = 0.1
+    reward_profile: str = DEFAULT_PROFILE
+
+    def __post_init__(self) -> None:
+        if not self.agents or len(set(self.agents)) < len(self.agents):
+            raise InvalidValueError(f"agents must be one name or more, each once; got {list(self.agents)}")
+        if not 0 <= self.epsilon <= 1:
+            raise InvalidValueError(f"epsilon must be a probability, 0 to 1; got {self.epsilon!r}")
+        self.as_json()  # raises if another value is invalid
+
+    @property
+    def episodes(self) -> int:
+        """The number of flights."""
+        return len(self.seeds) * len(self.agents)
+
+    @property
+    def minari_id(self) -> str:
+        """The id of the dataset in Minari."""
+        return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the configuration as JSON values, with the version of this package."""
+        made = {name: make_agent(name, self.task) for name in self.agents}
+        keys = [episodes_key(self.task, name, self.seeds, self.split, made=agent) for name, agent in made.items()]
+        config = {
+            "format": FORMAT,
+            "format_version": 1,
+            "task": self.task.rules(),
+            "split": self.split,
+            "seeds": [self.seeds.start, self.seeds.stop],
+            "agents": [{"config_hash": key.config_hash, **made[key.agent].config} for key in keys],
+            "epsilon": float(self.epsilon),
+            "reward_profile": asdict(get_reward_profile(self.reward_profile)),
+            "package_version": __version__,
+        }
+        return json.loads(json.dumps(config, default=str))
+
+
+class Trajectory(NamedTuple):
+    """One flight: T steps, T + 1 states.
+
+    Attributes:
+        number: The number of the flight in the dataset, from 0.
         seed: The map.
         agent: The name of the agent.
-        grids: uint8[T + 1, H, W] of cell ids.
-        telemetry: float32[T + 1, telemetry_size].
-        action_masks: int8[T + 1, 5], 0 for each action that would bump.
-        scores: float64[T + 1], the graded score as it stands.
-        events: int8[T + 1], the event before the state (`Event`).
-        actions: int8[T], the flown actions.
-        agent_actions: int8[T], the agent's choices.
+        observations: `grid`, uint8[T + 1, H, W], and `telemetry`, float32[T + 1, telemetry_size].
+        actions: int64[T].
         rewards: float64[T].
-        values: float64[T + 1], V*: the highest score that can still be reached; at the end the score.
-        q_values: float64[T, 5], Q*: the highest score that can still be reached after each action.
+        infos: Arrays [T + 1, ...]. Of each state: `action_mask`, `score`, the `event` that led to it (`Event`), and
+            `value`, the highest score that can still be reached. Of the action in each state: `q_values` (the highest
+            score after each action), `regret`, `optimal_actions`, and `agent_action` before random actions replace
+            some. In the last state these are NaN, False or -1.
     """
 
     number: int
     seed: int
     agent: str
-    grids: npt.NDArray[np.uint8]
-    telemetry: npt.NDArray[np.float32]
-    action_masks: npt.NDArray[np.int8]
-    scores: npt.NDArray[np.float64]
-    events: npt.NDArray[np.int8]
-    actions: npt.NDArray[np.int8]
-    agent_actions: npt.NDArray[np.int8]
+    observations: dict[str, npt.NDArray[Any]]
+    actions: npt.NDArray[np.int64]
     rewards: npt.NDArray[np.float64]
-    values: npt.NDArray[np.float64]
-    q_values: npt.NDArray[np.float64]
-
-    @property
-    def steps(self) -> int:
-        """T."""
-        return len(self.actions)
+    infos: dict[str, npt.NDArray[Any]]
 
     @property
     def terminated(self) -> npt.NDArray[np.bool_]:
         """bool[T]: whether the step ended the flight."""
-        return np.arange(1, self.steps + 1) == self.steps
-
-    @property
-    def regrets(self) -> npt.NDArray[np.float64]:
-        """float64[T]: V*(s) - Q*(s, a) of the flown actions, in score."""
-        return self.values[:-1] - self.q_values[np.arange(self.steps), self.actions]
-
-    @property
-    def optimal_actions(self) -> npt.NDArray[np.bool_]:
-        """bool[T, 5]: the actions after which the highest score can still be reached."""
-        return self.q_values == self.values[:-1, None]
-
-    @property
-    def returns_to_go(self) -> npt.NDArray[np.float64]:
-        """float64[T]: the undiscounted sum of the rewards from this step to the end."""
-        return np.cumsum(self.rewards[::-1])[::-1]
+        return np.arange(1, len(self.actions) + 1) == len(self.actions)
 
 
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
-    """The flights of all agents over one map, which is solved once.
+    """Fly all agents over one map, which is solved once.
 
     Raises:
         TooLargeError: if the exact values of the map would take too much memory.
-        AgentError, InvalidValueError: if an agent fails, or names an action that there is not.
+        AgentError, InvalidValueError: if an agent fails, or returns an invalid action.
     """
     start = Episode(config.task, config.reward_profile, seed)
     solver = solver_of(start)
@@ -90,10 +128,10 @@ def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
         yield _fly(number, start.copy(), solver, name, config.epsilon)
 
 
-def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
-    """For each step a number in [0, 1) and an action: the action is flown where the number is below epsilon.
+def random_actions(agent: str, seed: int) -> Iterator[tuple[float, int]]:
+    """Yield a number in [0, 1) and an action for each step; the action is taken if the number is below epsilon.
 
-    They depend on the agent's name and the map alone, so a flight does not change with the other agents or maps.
+    They depend on the agent's name and the map only, so a flight does not change with the other agents or maps.
     """
     key = map_key(task_key(f"dataset/chance/{agent}", 1), seed)
     while True:
@@ -105,31 +143,30 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
     act = begin(make_agent(name, episode.task), name, episode)
-    states, q_values, agent_actions = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
-    for choice, (share, action) in zip(choices(episode, act), chance(name, episode.seed), strict=False):
-        q_values.append(solver.q_values(episode))
+    states, q_rows, agent_actions = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
+    for choice, (share, action) in zip(choices(episode, act), random_actions(name, episode.seed), strict=False):
+        q_rows.append(solver.q_values(episode))
         agent_actions.append(int(choice))
         episode.step(action if share < epsilon else choice)
         states.append(_state(episode))
     grids, telemetry, action_masks, scores, events = map(np.array, zip(*states, strict=True))
-    return Trajectory(
-        number=number,
-        seed=episode.seed,
-        agent=name,
-        grids=grids,
-        telemetry=telemetry,
-        action_masks=action_masks,
-        scores=scores,
-        events=events.astype(np.int8),
-        actions=np.array(episode.actions, np.int8),
-        agent_actions=np.array(agent_actions, np.int8),
-        rewards=np.array(episode.rewards),
-        values=np.append(np.max(q_values, axis=1), episode.score),
-        q_values=np.array(q_values),
-    )
+    values = np.append(np.max(q_rows, axis=1), episode.score)
+    q_values = np.array([*q_rows, np.full(N_ACTIONS, np.nan)])
+    actions = np.array(episode.actions, np.int64)
+    infos = {
+        "action_mask": action_masks,
+        "score": scores,
+        "event": events.astype(np.int8),
+        "value": values,
+        "q_values": q_values,
+        "regret": values - q_values[np.arange(len(values)), np.append(actions, 0)],
+        "optimal_actions": q_values == values[:, None],
+        "agent_action": np.array([*agent_actions, -1], np.int8),
+    }
+    observations = {"grid": grids, "telemetry": telemetry}
+    return Trajectory(number, episode.seed, name, observations, actions, np.array(episode.rewards), infos)
 
 
 def _state(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32], npt.NDArray[np.int8], float, int]:
-    """The stored part of a state: grid, telemetry, action mask, score and event."""
     obs = episode.observation()
     return obs["grid"], obs["telemetry"], episode.action_mask(), episode.score, episode.event

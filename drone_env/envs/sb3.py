@@ -18,13 +18,12 @@ from drone_env.envs.forms import to_planes, to_vector
 from drone_env.envs.vector import DroneDeliveryVectorEnv
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.installer import pip
 
 try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 except ModuleNotFoundError as error:
-    raise ImportError(f"drone_env.envs.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3") from error
+    raise ImportError("drone_env.envs.sb3 needs Stable-Baselines3: pip install stable-baselines3") from error
 
 Observations = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
 

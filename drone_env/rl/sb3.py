@@ -9,14 +9,13 @@ from drone_env.agents.named import as_agent
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
-from drone_env.installer import pip
 from drone_env.results.evaluate import evaluate, summarise
 from drone_env.results.result import Results
 
 try:
     from stable_baselines3.common.callbacks import BaseCallback, EventCallback
 except ModuleNotFoundError as error:
-    raise ImportError(f"drone_env.rl.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3") from error
+    raise ImportError("drone_env.rl.sb3 needs Stable-Baselines3: pip install stable-baselines3") from error
 
 
 class ScoreEvalCallback(EventCallback):

@@ -1,4 +1,4 @@
-"""Commands that stand in for those that tests cannot have, on a path of their own."""
+"""Fake commands on a separate `PATH`."""
 
 import shutil
 import subprocess
@@ -9,16 +9,16 @@ ROOT = Path(__file__).parents[2]
 
 
 def linter(name: str) -> str | None:
-    """A linter of the `test` extra, which stands beside the interpreter, or the system's."""
+    """Return the path of a linter of the `test` extra, or of the system."""
     return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
 
 
 class Commands:
-    """A folder of commands that is the whole `PATH`, so that nothing else is found.
+    """A folder of commands that is the whole `PATH`.
 
     Args:
-        folder: Where they are made.
-        real: Commands of the system that are there too.
+        folder: The folder to create.
+        real: Additional commands of the system.
     """
 
     def __init__(self, folder: Path, *real: str) -> None:
@@ -30,13 +30,13 @@ class Commands:
             (folder / name).symlink_to(found)
 
     def add(self, name: str, script: str) -> None:
-        """A command that is a script for bash."""
+        """Add a bash script as a command."""
         command = self.folder / name
         command.write_text(f"#!{shutil.which('bash')}\n{script}\n", encoding="utf-8")
         command.chmod(0o755)
 
     def run(self, *command: str, cwd: Path = ROOT, **variables: str) -> "subprocess.CompletedProcess[str]":
-        """Run a command with these commands alone."""
+        """Run a command with only these commands on `PATH`."""
         environment = {"PATH": str(self.folder), "HOME": str(self.folder), **variables}
         return subprocess.run(
             command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60, check=False

@@ -1,11 +1,8 @@
-"""The logic of `validate-submission.sh`: a real server or a failing one, and scripts in place of docker and openenv."""
+"""The logic of `validate-submission.sh`, with fake commands; once with a real server and curl."""
 
 import re
+import shutil
 import subprocess
-import threading
-from collections.abc import Generator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
@@ -16,7 +13,8 @@ from tests.tools import missing_tool
 from .commands import ROOT, Commands, linter
 
 SCRIPT = str(ROOT / "validate-submission.sh")
-NEEDED = ("cat", "curl", "find", "head", "mktemp", "rm", "sed", "tail", "timeout", "tr")
+NEEDED = ("cat", "find", "head", "mktemp", "rm", "sed", "tail", "timeout", "tr")
+SPACE = "https://user-name.hf.space"
 BANNER = """
 ========================================
   All 3/3 checks passed!
@@ -25,49 +23,26 @@ BANNER = """
 """
 
 
-@contextmanager
-def answering(status: int) -> Generator[str, None, None]:
-    """The address of a server that answers `POST /reset` with a status."""
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers["Content-Length"]))
-            right = (self.path, body, self.headers["Content-Type"]) == ("/reset", b"{}", "application/json")
-            self.send_response(status if right else 400)
-            self.end_headers()
-            self.wfile.write(b"this is\x00the answer")
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = HTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+CURL = """
+while [ "$1" != --output ]; do shift; done
+printf 'this is\\0the answer' > "$2"
+echo "${STATUS:-200}"
+"""
 
 
 @pytest.fixture
 def commands(tmp_path: Path) -> Commands:
-    """Docker and openenv that do all they are asked to."""
+    """Fake commands that succeed."""
     made = Commands(tmp_path / "bin", *NEEDED)
+    made.add("curl", CURL)
     made.add("docker", 'echo "docker $*"')
     made.add("openenv", 'echo "openenv $* in $PWD"')
     return made
 
 
-@pytest.fixture
-def space() -> Generator[str, None, None]:
-    with answering(200) as url:
-        yield url
-
-
 @pytest.mark.feature("P3")
 def test_all_three_pass_with_the_real_server(commands: Commands, server: Server) -> None:
+    commands.add("curl", f'exec {shutil.which("curl")} "$@"')
     commands.add("docker", 'echo "$*" >> "$HOME/docker.log"')
     commands.add("openenv", 'echo "$* $PWD" >> "$HOME/openenv.log"')
     done = commands.run(SCRIPT, f"{server.url}/", str(ROOT))
@@ -87,8 +62,7 @@ def failure(done: "subprocess.CompletedProcess[str]", passed: int = 2) -> str:
 
 
 def test_a_space_that_refuses_fails_the_first_check(commands: Commands) -> None:
-    with answering(404) as url:
-        shown = failure(commands.run(SCRIPT, url))
+    shown = failure(commands.run(SCRIPT, SPACE, STATUS="404"))
     assert "FAILED: it answers 404: this isthe answer" in shown
 
 
@@ -103,13 +77,13 @@ FAILURES = {
 
 
 @pytest.mark.parametrize("case", FAILURES)
-def test_one_check_that_fails_leaves_the_others_alone(space: str, commands: Commands, case: str) -> None:
+def test_one_check_that_fails_leaves_the_others_alone(commands: Commands, case: str) -> None:
     command, script, said = FAILURES[case]
     if script is None:
         (commands.folder / command).unlink()
     else:
         commands.add(command, script)
-    assert said in failure(commands.run(SCRIPT, space, BUILD_TIMEOUT="1" if case == "slow build" else "60"))
+    assert said in failure(commands.run(SCRIPT, SPACE, BUILD_TIMEOUT="1" if case == "slow build" else "60"))
 
 
 @pytest.mark.feature("P3")

@@ -1,8 +1,7 @@
-"""Each code block of the documentation is run, or says in an invisible comment why not: see CONTRIBUTING.md.
+"""Run the code blocks of the documentation, unless an invisible comment states why not: see CONTRIBUTING.md.
 
-What can be known of a block without running it is checked of all of them; running all is long. The blocks of a page
-share a folder that looks like a checkout, and its Python blocks one namespace. One real server and one scripted
-endpoint of a language model stand in for those that the pages name.
+All blocks are checked without running; running all is a long test. The blocks of a page share a copy of the checkout,
+and its Python blocks share a namespace. One real server and one scripted language model replace those on the pages.
 """
 
 import contextlib
@@ -11,6 +10,7 @@ import io
 import json
 import sys
 from collections.abc import Generator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,21 +32,21 @@ else:
     import tomli as tomllib
 
 SHELL = ("bash", "sh", "console")
-# They start no server and take a few seconds at most.
-SHORT = ("docs/gymnasium.md", "docs/quickstart.md", "docs/vector.md")
+# They start no server and take a second at most.
+SHORT = ("docs/gymnasium.md", "docs/vector.md")
 DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
 
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
-    """The address of a server, started when a page first needs it."""
+    """URL of a server, started on first use."""
     with serving(tmp_path_factory.mktemp("pages") / "data") as running:
         yield running.url
 
 
 @pytest.fixture
 def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """The address of an endpoint whose model flies well, whatever the prompt."""
+    """Base URL of a language model that flies well with any prompt."""
     address = f"{request.getfixturevalue('scripted_server')}/{tmp_path.name}"
     script = {"log": str(tmp_path / "endpoint.jsonl"), "pilot": "able"}
     httpx.post(f"{address}/script", json=script, timeout=60).raise_for_status()
@@ -54,17 +54,17 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What can be known of a block without running it.
+    """Check a block without running it.
 
     Raises:
-        AssertionError: if something in it does not exist, or nothing says why it is not run.
-        SyntaxError: if it is no Python.
-        ValueError: if it is not in its language.
+        AssertionError: if something in it does not exist, or no comment states why it is not run.
+        SyntaxError, ValueError: if its syntax is invalid.
     """
     if block.output_of:
         shell.check(block.output_of, block.where, monkeypatch)
     elif block.language in SHELL:
-        for command in [command for part in shell.split_skipped(block) for command in part]:
+        shell.commands_to_run(block)  # raises if a comment skips an unknown command
+        for command in shell.commands(block):
             shell.check(command, block.where, monkeypatch)
     elif block.skipped:
         raise AssertionError(f"{block.where}: only commands of a shell can be left out one by one")
@@ -77,28 +77,26 @@ def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
         assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
 
 
+@dataclass
 class Page:
-    """The run of one page.
+    """Runs the blocks of one page.
 
-    Args:
-        folder: Where its blocks are run.
-        request: Gives the servers, where the page needs one.
-        monkeypatch: Sets its environment.
+    Attributes:
+        folder: Folder in which the blocks run.
+        request: Provides servers if the page needs them.
+        names: Namespace of its Python blocks.
     """
 
-    def __init__(self, folder: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.folder = folder
-        self._request = request
-        self._monkeypatch = monkeypatch
-        self._names: dict[str, Any] = {"__name__": "__main__"}
+    folder: Path
+    request: pytest.FixtureRequest
+    names: dict[str, Any] = field(default_factory=lambda: {"__name__": "__main__"})
 
     def run(self, block: Block) -> None:
-        """Run a block, unless it says that it is not to be run."""
+        """Run a block, unless a comment skips it."""
         if block.output_of:
             assert self._shell([block.output_of], block).stdout == block.text, block.where
         elif block.language in SHELL:
-            chosen, _ = shell.split_skipped(block)
-            if chosen:
+            if chosen := shell.commands_to_run(block):
                 self._shell(chosen, block)
         elif block.language == "python" and not block.not_run:
             self._python(block)
@@ -107,22 +105,22 @@ class Page:
         script = shell.script_of(chosen, reserved_port)
         variables = {"DRONE_ENV_DATA": str(self.folder / "data")}
         if any(name in script for name in ("inference.py", "drone-env infer")):
-            url = self._request.getfixturevalue("endpoint")
+            url = self.request.getfixturevalue("endpoint")
             variables |= {"API_BASE_URL": url, "OPENAI_API_KEY": "sk-of-the-test", "MODEL_NAME": "scripted"}
         done = shell.run(self._addresses(script), self.folder, variables)
         assert done.returncode == 0, f"{block.where}: exit status {done.returncode}\n{done.stdout}\n{done.stderr}"
         return done
 
     def _python(self, block: Block) -> None:
-        # So many empty lines above it that a traceback names the page's own line.
+        # Empty lines above make the line numbers of tracebacks those of the page.
         code = compile("\n" * block.line + self._addresses(block.text), block.where.partition(":")[0], "exec")
         with contextlib.redirect_stdout(io.StringIO()):
-            exec(code, self._names)
+            exec(code, self.names)
 
     def _addresses(self, text: str) -> str:
         for address in ("http://localhost:8000", "http://127.0.0.1:8000"):
             if address in text:
-                text = text.replace(address, self._request.getfixturevalue("server"))
+                text = text.replace(address, self.request.getfixturevalue("server"))
         return text
 
 
@@ -152,8 +150,8 @@ def test_its_code_blocks_run(
         if block.file:
             (folder / block.file).write_text(block.text, encoding="utf-8")
             monkeypatch.syspath_prepend(folder)  # Python blocks find it as well
-    run = Page(folder, request, monkeypatch)
+    run = Page(folder, request)
     for block in found:
         run.run(block)
     del run
-    gc.collect()  # so that what the page leaves open fails this test and no later one
+    gc.collect()  # open resources fail this test instead of a later one

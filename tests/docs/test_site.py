@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.pages import ROOT, blocks
+from tests.docs.pages import ROOT
 
 FETCHING = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
 OURS = re.compile(r"\bDRONE_ENV_[A-Z]+(?:_[A-Z]+)*\b")
@@ -39,24 +39,6 @@ def test_every_variable_that_the_package_reads_is_documented() -> None:
     assert {name for name in read if f"`{name}`" not in page} == set()
 
 
-def test_the_map_of_the_code_names_every_file_in_its_room() -> None:
-    tree = next(block.text for block in blocks(ROOT / "docs" / "architecture.md") if block.language == "text")
-    # A part of the package begins two columns in; what follows it, deeper, is about it.
-    drawn = {part.split(maxsplit=1)[0]: part for part in re.split(r"\n  (?=\S)", tree)[1:]}
-    named = {
-        (room if room.endswith("/") else "", file)
-        for room, text in drawn.items()
-        for file in re.findall(r"\b[a-z0-9_]+\.py\b", text)
-    }
-    files = [file.relative_to(ROOT / "drone_env") for file in (ROOT / "drone_env").rglob("*.py")]
-    there = {(f"{file.parts[0]}/" if len(file.parts) > 1 else "", file.name) for file in files}
-    # The subcommands are files by their own names.
-    there_to_see = {(room, file) for room, file in there if file != "__init__.py" and room != "commands/"}
-    assert ("core/", "rules.py") in named
-    assert there_to_see - named == set()
-    assert {file for _, file in named} - {file for _, file in there} == set()
-
-
 class Fetched(HTMLParser):
     """What a browser loads by itself for a page."""
 
@@ -79,6 +61,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_site_is_whole_and_loads_nothing_from_elsewhere(site: Path) -> None:
     pages = {page.relative_to(site).with_suffix(".md").as_posix() for page in site.rglob("*.html")}
     sources = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
@@ -92,6 +75,7 @@ def test_the_site_is_whole_and_loads_nothing_from_elsewhere(site: Path) -> None:
         assert "url(http" not in style.read_text(encoding="utf-8"), style
 
 
+@pytest.mark.long
 def test_the_reference_holds_what_the_package_offers(site: Path) -> None:
     import drone_env
 

@@ -8,8 +8,7 @@ import pytest
 
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
-from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError
-from drone_env.installer import install_command
+from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError, install_command
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps
 from drone_env.planning.optimal import solve
 

@@ -1,4 +1,4 @@
-"""What each extra brings, from the metadata of what is installed."""
+"""The packages of each extra, from the metadata of installed packages."""
 
 import sys
 from functools import cache
@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, req
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from drone_env.installer import DISTRIBUTION
+from drone_env.errors import DISTRIBUTION
 from tests.package.installed import ROOT
 
 if sys.version_info >= (3, 11):
@@ -15,12 +15,13 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+INSTALLED = packages_distributions()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 @cache
 def brought(*extras: str) -> frozenset[str]:
-    """The top-level names that the package with extras makes importable."""
+    """Return the top-level modules that the package with extras installs."""
     wanted = [Requirement(line) for line in PROJECT["dependencies"]]
     wanted += [Requirement(line) for extra in extras for line in PROJECT["optional-dependencies"][extra]]
     seen: set[tuple[str, str]] = set()
@@ -37,7 +38,7 @@ def brought(*extras: str) -> frozenset[str]:
     names = {name for name, _ in seen}
     importable = {
         module
-        for module, distributions in packages_distributions().items()
+        for module, distributions in INSTALLED.items()
         if any(canonicalize_name(distribution) in names for distribution in distributions)
     }
     return frozenset(importable | {name.replace("-", "_") for name in names})

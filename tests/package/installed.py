@@ -1,4 +1,4 @@
-"""Wheel and source distribution in empty environments, outside the checkout: does all that they promise work there?
+"""Check the wheel and the source distribution in empty environments, outside the checkout.
 
     python tests/package/installed.py [--python 3.10 3.11 3.12 3.13]
 
@@ -16,18 +16,16 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
 import urllib.request
 import venv
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from drone_env import __version__  # noqa: E402
-from drone_env.installer import DISTRIBUTION  # noqa: E402
+from tests.stranger import background  # noqa: E402
 from tests.tools import path_of_python, reserved_port  # noqa: E402
 
 
@@ -41,9 +39,9 @@ def copy_tracked(folder: Path) -> None:
 
 
 def build(folder: Path, *kinds: str) -> list[Path]:
-    """What `python -m build` makes of a copy of the tracked files, so that nothing is left in the checkout.
+    """Build a copy of the tracked files, so that nothing is left in the checkout.
 
-    Where no kind is named: the source distribution, and the wheel that is built from it.
+    Without a kind, build the source distribution, and the wheel from it.
     """
     source = folder / "source"
     copy_tracked(source)
@@ -56,7 +54,7 @@ class Installed:
     """A wheel or a source distribution, installed.
 
     Args:
-        file: What is installed.
+        file: The wheel or source distribution.
         python: The interpreter to make the environment with; None for this one, with its dependencies.
         folder: An empty folder.
     """
@@ -66,7 +64,7 @@ class Installed:
         self.place.mkdir()
         self.bin = folder / "env" / "bin"
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "DRONE_ENV_"))}
-        # Compiled code of its own, as on a machine that never saw the package.
+        # An empty cache of compiled code, as on a new machine.
         self.environment = {**kept, "DRONE_ENV_CACHE": str(folder / "cache")}
         own = str(self.bin / "python")
         if python is None:
@@ -82,75 +80,45 @@ class Installed:
         self.packages = next((folder / "env").glob("lib/python*/site-packages"))
         subprocess.run(command, check=True, env=self.environment)
 
-    def run(self, *arguments: str) -> str:
-        """Standard output of `drone-env`, run from another folder; ends the program where it fails."""
-        command = [str(self.bin / "drone-env"), *arguments]
+    def run(self, program: str, *arguments: str) -> str:
+        """Return the standard output of a program of the environment, run from another folder."""
+        command = [str(self.bin / program), *arguments]
         done = subprocess.run(
             command, cwd=self.place, env=self.environment, capture_output=True, text=True, check=False
         )
-        if done.returncode != 0:
-            raise AssertionError(f"drone-env {' '.join(arguments)}: exit status {done.returncode}: {done.stderr}")
+        assert done.returncode == 0, f"{' '.join(command)}: exit status {done.returncode}: {done.stderr}"
         return done.stdout
 
-    def python(self, code: str) -> list[str]:
-        """The lines that a program prints there."""
-        command = [str(self.bin / "python"), "-c", code]
-        return subprocess.check_output(command, cwd=self.place, env=self.environment, text=True).splitlines()
-
     def check_commands(self) -> None:
-        """Version, origin, flights, evaluation, doctor."""
-        flown = self.run("fly", "--task", "hard", "--agent", "pathqnet", "--seed", "7")
+        """Check version, origin, flights, evaluation and doctor."""
+        flown = self.run("drone-env", "fly", "--task", "hard", "--agent", "pathqnet", "--seed", "7")
         assert flown.splitlines()[-1].startswith("[END] success=true"), flown
-        assert self.run("--version").split() == ["drone-env", __version__]
-        where, hint = self.python("import drone_env, drone_env.installer as i; print(drone_env.__file__)"
-                                  "; print(i.install_command('train'))")  # fmt: skip
-        assert Path(where).is_relative_to(self.packages), where
-        assert hint.endswith(f"pip install '{DISTRIBUTION}[train]'"), hint
-        judged = json.loads(self.run("evaluate", "--task", "easy", "--agents", "greedy", "optimal", "--episodes", "5",
-                                     "--json", "-"))  # fmt: skip
-        assert judged["tasks"]["easy_delivery"]["agents"]["optimal"]["score_ratio"] == 1
-        doctor = json.loads(self.run("doctor", "--json"))
+        assert self.run("drone-env", "--version").split() == ["drone-env", __version__]
+        origin = self.run("python", "-c", "import drone_env; print(drone_env.__file__)").strip()
+        assert Path(origin).is_relative_to(self.packages), origin
+        options = ["--task", "easy", "--agents", "greedy", "optimal", "--episodes", "5", "--json", "-"]
+        evaluated = json.loads(self.run("drone-env", "evaluate", *options))
+        assert evaluated["tasks"]["easy_delivery"]["agents"]["optimal"]["score_ratio"] == 1
+        doctor = json.loads(self.run("drone-env", "doctor", "--json"))
         assert doctor["healthy"], doctor
 
     def check_server(self, files: list[str]) -> None:
-        """The page with all its files, and a step over HTTP."""
-        url = f"http://127.0.0.1:{reserved_port()}"
-        with (self.place / "serve.log").open("wb") as log:
-            server = subprocess.Popen(
-                [str(self.bin / "drone-env"), "serve", "--port", url.rpartition(":")[2]],
-                cwd=self.place, env=self.environment, stdout=log, stderr=log,
-            )  # fmt: skip
-        try:
-            self._wait(lambda: json.loads(get(f"{url}/health"))["status"] == "healthy", server)
+        """Check the page with all its files, and a step over HTTP."""
+        port = reserved_port()
+        url, command = f"http://127.0.0.1:{port}", [str(self.bin / "drone-env"), "serve", "--port", str(port)]
+        with background(command, port, self.place, self.environment):
+            assert json.loads(get(f"{url}/health"))["status"] == "healthy"
             for file in files:
                 assert get(f"{url}/static/{file}"), file
             body = json.dumps({"task_name": "hard_delivery", "seed": 7}).encode()
             request = urllib.request.Request(f"{url}/reset", body, {"Content-Type": "application/json"})
             assert len(json.loads(get(request))["grid"]) == 18
-            # Last: the server compiles the first solver for it.
+            # Last, because the server compiles the first solver for it.
             assert b"<title>" in get(f"{url}/")
-        finally:
-            server.terminate()
-            try:
-                server.wait(timeout=60)
-            finally:
-                server.kill()
-                server.wait()
-
-    def _wait(self, holds: Callable[[], bool], server: "subprocess.Popen[bytes]") -> None:
-        deadline = time.monotonic() + 180
-        while time.monotonic() < deadline:
-            assert server.poll() is None, (self.place / "serve.log").read_text()
-            try:
-                if holds():
-                    return
-            except OSError:
-                time.sleep(0.1)
-        raise AssertionError(f"the server did not answer: {(self.place / 'serve.log').read_text()}")
 
 
 def get(request: "str | urllib.request.Request") -> bytes:
-    """The body of an answer; anything but 200 is an error."""
+    """Return the body of a response with status 200."""
     with urllib.request.urlopen(request, timeout=60) as answer:
         assert answer.status == 200, answer.status
         return answer.read()
@@ -169,10 +137,10 @@ def page_files(wheel: Path) -> list[str]:
 
 
 def check(file: Path, page: list[str], python: str | None = None) -> None:
-    """Install a wheel or a source distribution and try everything.
+    """Install a wheel or a source distribution, and check it.
 
     Raises:
-        AssertionError: if something does not work.
+        AssertionError, OSError, RuntimeError: if something does not work.
         subprocess.CalledProcessError: if it cannot be installed.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -182,7 +150,7 @@ def check(file: Path, page: list[str], python: str | None = None) -> None:
 
 
 def main() -> int:
-    """Check each Python; 1 if one failed."""
+    """Check each Python; return 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--python", nargs="+", default=["3.10", "3.11", "3.12", "3.13"], metavar="X.Y")
     versions: list[str] = parser.parse_args().python
@@ -197,7 +165,7 @@ def main() -> int:
             try:
                 check(file, page_files(wheel), python)
                 print(f"{version} {file.name}: works", flush=True)
-            except (AssertionError, OSError, subprocess.CalledProcessError) as error:
+            except (AssertionError, OSError, RuntimeError, subprocess.CalledProcessError) as error:
                 failed = 1
                 print(f"{version} {file.name}: failed: {error}", flush=True)
     return failed

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 import pytest
 from packaging.requirements import Requirement
 
-from drone_env.installer import DISTRIBUTION
+from drone_env.errors import DISTRIBUTION
 from tests.package.installed import ROOT
 from tests.tools import find_uv, missing_tool
 

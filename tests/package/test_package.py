@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from drone_env import __version__
-from drone_env.installer import DISTRIBUTION
+from drone_env.errors import DISTRIBUTION
 from tests.package.installed import ROOT, build, check, page_files
 
 NAME = f"{DISTRIBUTION.replace('-', '_')}-{__version__}"

@@ -68,13 +68,12 @@ class Drawing:
         self._parts[kind].append(f'<{kind} id="{number}" version="1" {attributes}>{"".join(inner)}</{kind}>')
 
 
-def converted(
-    source: Path, path: Path, kept: Callable[[str, int], bool] = lambda kind, number: True, form: str = ""
-) -> Path:
-    """An extract, or some of it, in another format."""
+def converted(source: Path, path: Path, keep: Callable[[str, int], bool] = lambda kind, number: True) -> Path:
+    """Write an extract, or some of it, in another format."""
     box = osmium.io.Reader(str(source)).header()
+    form = "pbf,pbf_compression=none" if path.suffix == ".pbf" else ""
     with osmium.SimpleWriter(osmium.io.File(str(path), form), header=box) as writer:
-        for thing in osmium.FileProcessor(str(source)):
-            if kept(thing.type_str(), thing.id):
-                writer.add(thing)
+        for item in osmium.FileProcessor(str(source)):
+            if keep(item.type_str(), item.id):
+                writer.add(item)
     return path

@@ -1,4 +1,4 @@
-"""Extracts of OpenStreetMap, and maps of the MovingAI benchmark, as cities."""
+"""Extracts of OpenStreetMap become cities."""
 
 from pathlib import Path
 
@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from drone_env.city.city_file import city_text, text_rows
-from drone_env.city.importer import import_city
+from drone_env.city.openstreetmap import import_city
 from drone_env.city.raster import metres_per_degree, paint_area, water_beside
-from drone_env.errors import InvalidValueError
 from tests.unit.osm_files import BOX, Drawing
 
 SIGNS = {"· ": ".", "🏢": "B", "🌳": "T", "🚧": "#", "🔋": "P"}
@@ -18,7 +17,7 @@ OPEN = ["......"] * 4
 
 def rows_of(drawing: Drawing, folder: Path) -> list[str]:
     """The rows of a drawing's city, a letter for each cell."""
-    text = "\n".join(text_rows(import_city(drawing.save(folder / "town.osm"), BOX).city.grid))
+    text = "\n".join(text_rows(import_city(drawing.save(folder / "town.osm"), BOX).grid))
     for symbol, sign in SIGNS.items():
         text = text.replace(symbol, sign)
     return text.split("\n")
@@ -88,31 +87,17 @@ def test_a_thing_becomes_these_cells(drawing: Drawing, rows: list[str], tmp_path
     assert rows_of(drawing, tmp_path) == rows
 
 
-def test_what_is_dropped_is_counted(tmp_path: Path) -> None:
-    drawing = (
-        Drawing()
-        .box(1, 1, 5, 3, building="yes")
-        .box(7, 1, 8, 3, building="yes")
-        .node((-1, 2), natural="tree")
-        .box(1, 1, 5, 3, missing=(1,), building="yes")
-        .way((1, 1), (2, 2), missing=(0, 1), railway="rail")
-    )
-    imported = import_city(drawing.save(tmp_path / "town.osm"), BOX)
-    assert (imported.outside, imported.broken) == (2, 2)
-
-
 def test_without_a_box_the_middle_of_the_file_is_taken(tmp_path: Path) -> None:
     drawing = Drawing().box(2, 1, 4, 3, building="yes")
-    imported = import_city(drawing.save(tmp_path / "town.osm"), size=(4, 2))
-    assert imported.whole == (6, 4)
-    assert text_rows(imported.city.grid) == ["· 🏢🏢· "] * 2
-    again = import_city(tmp_path / "town.osm", imported.city.bbox).city
-    assert city_text(again) == city_text(imported.city)
+    city = import_city(drawing.save(tmp_path / "town.osm"), size=(4, 2))
+    assert text_rows(city.grid) == ["· 🏢🏢· "] * 2
+    again = import_city(tmp_path / "town.osm", city.bbox)
+    assert city_text(again) == city_text(city)
     # A file that does not say what it covers is measured.
     drawing = Drawing(bounds=False).node((0, 0)).node((6, 4)).box(2, 1, 4, 3, building="yes")
-    imported = import_city(drawing.save(tmp_path / "town.osm"))
-    assert text_rows(imported.city.grid) == ["· · · · · · ", "· · 🏢🏢· · ", "· · 🏢🏢· · ", "· · · · · · "]
-    assert imported.city.bbox == pytest.approx(BOX, abs=1e-7)
+    city = import_city(drawing.save(tmp_path / "town.osm"))
+    assert text_rows(city.grid) == ["· · · · · · ", "· · 🏢🏢· · ", "· · 🏢🏢· · ", "· · · · · · "]
+    assert city.bbox == pytest.approx(BOX, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -135,33 +120,3 @@ def test_the_water_of_a_jagged_coast_is_what_its_ring_does_not_hold() -> None:
         land = np.zeros((20, 20), np.bool_)
         paint_area(land, [ring])
         assert (water_beside([ring], land.shape) == ~land).all()
-
-
-MAP = "type octile\nheight 3\nwidth 4\nmap\n.G@O\nTWS.\n....\n"
-
-
-def test_a_map_of_the_benchmark(tmp_path: Path) -> None:
-    path = tmp_path / "arena.map"
-    path.write_text(MAP)
-    city = import_city(path).city
-    assert text_rows(city.grid) == ["· · 🚧🚧", "🚧🚧🌳· ", "· · · · "]
-    assert (city.cell, city.bbox, city.source) == (None, None, "arena.map")
-    imported = import_city(path, size=(2, 2))
-    assert (text_rows(imported.city.grid), imported.whole) == (["· 🚧", "🚧🌳"], (4, 3))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("type tile\n", "begins with `type octile`, `height H`, `width W`, `map`, a line each; got 'type tile"),
-        (MAP.replace("height 3", "height 4"), "height is 4, and there are 3 rows"),
-        (MAP.replace("width 4", "width 5"), "width is 5, and row 0 has 4 cells"),
-        (MAP.replace("S", "x"), "unknown sign 'x' in row 1, column 2; allowed: . G S @ O T W"),
-    ],
-)
-def test_what_is_no_map_of_the_benchmark_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "arena.map"
-    path.write_text(text)
-    with pytest.raises(InvalidValueError) as raised:
-        import_city(path)
-    assert said in str(raised.value)

@@ -2,7 +2,6 @@
 
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
@@ -16,7 +15,6 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
 from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
-from drone_env.graders import GRADERS
 from drone_env.llm.config import RunConfig
 from drone_env.results.store import Store
 from drone_env.rl.common import require_same
@@ -28,16 +26,11 @@ GRID = np.array([[0, 0, 1, 0], [0, 2, 3, 0], [0, 0, 0, 8], [0, 0, 0, 0]], np.uin
 
 
 @pytest.fixture
-def yard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The file of a city whose task is not known any more afterwards."""
+def yard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of a city."""
     monkeypatch.setenv(PLUGINS, "")
-    path = tmp_path / "yard.toml"
-    write_city(City(GRID, numbers={"deliveries": 3}), path)
-    before = dict(TASKS)
-    yield path
-    for name in set(TASKS) - set(before):
-        gymnasium.registry.pop(TASKS[name].gym_id)
-        del GRADERS[name], TASKS[name]
+    write_city(City(GRID, numbers={"deliveries": 3}), tmp_path / "yard.toml")
+    return tmp_path / "yard.toml"
 
 
 def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
@@ -85,18 +78,15 @@ def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.Ca
     assert "other" not in TASKS
 
 
-def test_processes_that_are_started_know_the_city(yard: Path) -> None:
-    register_city(yard)
-    register_city(yard)
-    assert os.environ[PLUGINS] == str(yard)
-
-
-def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plugins_and_started_processes_know_cities(yard: Path) -> None:
     assert [module.__name__ for module in load_plugins(["json", str(yard)])] == ["json"]
     with pytest.raises(InvalidValueError, match=r"modules and files that end in .toml: "):
         load_plugins(["./towns"])
     env = gymnasium.make("DroneDelivery-Yard-v1")
     assert env.reset(seed=3)[0]["grid"].shape == (4, 4)
+    register_city(yard)
+    register_city(yard)
+    assert os.environ[PLUGINS] == str(yard)
 
 
 def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:

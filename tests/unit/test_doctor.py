@@ -1,4 +1,4 @@
-"""`drone-env doctor`: what it says of a sound machine, and of each way in which one is not."""
+"""`drone-env doctor` on a sound machine and on broken ones."""
 
 import json
 import shutil
@@ -11,7 +11,6 @@ import pytest
 
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.cli import main
-from drone_env.errors import MissingPackageError
 from tests.tools import reserved_port
 
 SECRET = "hf_do_not_print_me"
@@ -39,7 +38,7 @@ def test_a_sound_machine(capsys: pytest.CaptureFixture[str], empty_folder: Path)
     assert status == 0
     for name in ("python", "required", "easy_delivery", "hard_delivery", "tournet", "data", "cache", "server"):
         assert found[name]["status"] == "ok", found[name]
-    assert found["data"]["detail"].startswith(f"{empty_folder / 'data'}, ")
+    assert found["data"]["detail"] == str(empty_folder / "data")
     assert list(empty_folder.iterdir()) == []
 
 
@@ -90,8 +89,7 @@ def test_what_flying_needs_is_broken_if_missing_and_an_extra_is_absent(
     assert (ended, {name for name in found if found[name]["status"] == "broken"}) == (status, broken)
     assert found["all"]["status"] == "absent"
     assert missing in found["all"]["detail"]
-    command = found["all"]["detail"].partition(" brings ")[0]
-    assert command in str(MissingPackageError(missing, "all"))
+    assert found["all"]["detail"].endswith("""run: pip install "drone-delivery-env[all]\"""")
 
 
 def test_a_plugin_that_cannot_be_imported_is_broken(

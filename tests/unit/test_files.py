@@ -10,8 +10,7 @@ import pytest
 from drone_env.agents.pathqnet import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
-from drone_env.city.importer import read_movingai
-from drone_env.city.openstreetmap import extent
+from drone_env.city.openstreetmap import import_city
 from drone_env.errors import DroneEnvError
 from drone_env.files import write_text
 from drone_env.llm.prompt import read_prompt
@@ -27,8 +26,7 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "city.toml": read_city,
     "reward.toml": load_reward_profile,
     "prompt.toml": read_prompt,
-    "arena.map": read_movingai,
-    "town.osm": extent,
+    "town.osm": import_city,
     "easy.safetensors": load_network,
     "tournet.safetensors": load_tour_network,
     "easy.pth": load_checkpoint,

@@ -1,12 +1,10 @@
 """The Python interface: what `import drone_env` offers, and what travels as JSON."""
 
-import subprocess
-import sys
-
 import pytest
 from pydantic import BaseModel
 
 import drone_env
+from drone_env.cli import main
 
 
 def test_everything_promised_is_there_and_nothing_else() -> None:
@@ -29,8 +27,6 @@ def test_the_schema_of_what_travels_describes_every_field(model: type[BaseModel]
     assert all("description" in field for field in schema["properties"].values())
 
 
-def test_the_package_says_which_version_it_is() -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "drone_env.cli", "--version"], capture_output=True, text=True, check=True
-    )
-    assert result.stdout == f"drone-env {drone_env.__version__}\n"
+def test_the_command_prints_the_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"drone-env {drone_env.__version__}\n"

@@ -1,6 +1,6 @@
 """A reward profile from a file of one's own, wherever one is named."""
 
-import shutil
+import re
 from pathlib import Path
 
 import gymnasium
@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from drone_env.cli import main
+from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.rl.run import load_checkpoint
+from drone_env.errors import CheckpointError
+from drone_env.reward_file import load_reward_profile
+from drone_env.rl.common import require_same
+from drone_env.rl.config import TrainConfig
 
 EASY = "drone_env:DroneDelivery-Easy-v1"
 MINE = """
@@ -19,10 +23,6 @@ step = -0.25
 wait = 0.5
 delivery = 7
 """
-TRAIN = [
-    "train", "--task", "easy", "--episodes", "8", "--num-threads", "1", "--num-envs", "8", "--batch-size", "16",
-    "--replay-size", "400", "--learning-starts", "50", "--validation-maps", "1",
-]  # fmt: skip
 
 
 @pytest.fixture
@@ -50,17 +50,17 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in capsys.readouterr().err
 
 
-def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(*TRAIN, "--reward-profile", "mine.toml") == 0
-    kept = load_checkpoint(Path("data/easy.pth"))["config"]
-    assert (kept["reward_profile"], kept["reward events"]) == ("mine", "delivery 7, wait 0.5, step -0.25")
-    shutil.copy(mine, "copy.toml")
-    assert run(*TRAIN, "--reward-profile", "copy.toml") == 0
-    assert "nothing to do" in capsys.readouterr().err
+def test_a_training_continues_with_the_same_rewards_only(mine: Path) -> None:
+    def identity() -> dict[str, object]:
+        REWARD_PROFILES["mine"] = load_reward_profile(mine)
+        return TrainConfig(task="easy", reward_profile="mine").identity()
+
+    before = identity()
+    require_same(identity(), before)
     mine.write_text(MINE.replace("-0.25", "-0.5"))
-    assert run("train", "--task", "easy", "--reward-profile", "mine.toml") == 2
     different = "reward events 'delivery 7, wait 0.5, step -0.25' (now 'delivery 7, wait 0.5, step -0.5'); use those"
-    assert f"has other settings: {different}" in capsys.readouterr().err
+    with pytest.raises(CheckpointError, match=re.escape(f"has other settings: {different}")):
+        require_same(identity(), before)
 
 
 def test_environments_pay_by_the_file(mine: Path) -> None:
