@@ -133,7 +133,7 @@ def nearby(page: Page) -> None:
     eight(page)
     expect(page.locator("#start")).to_be_enabled()
     for _ in range(2):
-        page.get_by_role("button", name="Nearer").click()
+        page.get_by_role("button", name="Zoom in").click()
 
 
 def flying(

@@ -1,13 +1,13 @@
-// The layers that lie on the map: their switches, and what `POST /values` says of the moment that is shown.
+// The layers of the map: their switches, and the answers of `POST /values` for the present moment.
 import { ApiError } from "./api.js";
 import { el, toast } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
 const KEPT = 60;
-/** Milliseconds until it is asked about the moment that is looked at then. */
+/** Milliseconds between a new moment and its request. */
 const LOOK = 120;
 
-/** Asks for the values if a layer shows them or the flight is a fork. @param {import("./context.js").Context} context */
+/** Requests the values if a layer shows them or the flight is a fork. */
 export function mountMapValues(context) {
   const { stage, api } = context;
   const kept = new Map();
@@ -31,15 +31,15 @@ export function mountMapValues(context) {
     else if (!asking) timer ||= setTimeout(ask, LOOK);
   }
 
-  // One question at a time, and after it the newest: on large maps a flight would leave all answers behind.
+  // One request at a time, then one for the newest moment: large maps are slow.
   async function ask() {
     timer = 0;
     if (!wanted() || kept.has(stage.moment)) {
       look();
       return;
     }
-    const { world, track, clock, moment: key } = stage;
-    const flight = { task: world.task.id, seed: world.seed, actions: track.actionsTo(clock.cursor) };
+    const { world, track, actions, moment: key } = stage;
+    const flight = { task: world.task.id, seed: world.seed, actions };
     asking = true;
     let answer = null;
     try {
@@ -50,7 +50,7 @@ export function mountMapValues(context) {
     } finally {
       asking = false;
     }
-    // What was refused is not asked again.
+    // A rejected request is not repeated.
     if (kept.size === KEPT) kept.delete(kept.keys().next().value);
     kept.set(key, answer);
     if (answer && wanted() && stage.track === track && !stage.answer) show({ key, answer });
@@ -68,7 +68,7 @@ export function mountMapValues(context) {
   context.on("layers", look);
 }
 
-/** The switches of the layers. @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./actions.js").Actions} acts */
+/** The switches of the layers. */
 export function mountSwitches(root, context, acts) {
   const { stage } = context;
   const rows = LAYERS.filter(({ name }) => name).map((layer) => {
