@@ -286,17 +286,11 @@ export function mount(root, context) {
   );
   for (const type of ["pointerup", "pointercancel"]) grid.addEventListener(type, () => drawing.end());
 
-  /** Moves the map until a cell is visible. */
-  function follow(cell) {
+  /** Centres a zoomed map on a cell. */
+  function follow([x, y]) {
     if (camera.zoom === 1) return;
-    const { cell: side, left, top, scale } = layout();
-    const { width, height } = grid.querySelector(".map").getBoundingClientRect();
-    const beyond = [left, top].map((from, axis) => {
-      const before = from / side + cell[axis];
-      return Math.min(0, before) + Math.max(0, before + 1 - ([width, height][axis] * scale) / side);
-    });
-    if (!beyond.some(Boolean)) return;
-    camera.pan(-beyond[0], -beyond[1]);
+    camera.centre = [x + 0.5, y + 0.5];
+    camera.following = false;
     own.emit("camera");
   }
 

@@ -1,5 +1,5 @@
 // The figures of the map, from the sheet that the Gymnasium renderer also uses, and the marks of the page.
-import { colourOf, font } from "./base.js";
+import { colourOf } from "./base.js";
 import { el } from "./dom.js";
 
 /** The size of a figure on the sheet, in cells. */
@@ -125,17 +125,4 @@ export function drawArrow(ctx, x1, y1, x2, y2, width) {
   }
   ctx.fill();
   ctx.restore();
-}
-
-/** A chess player's mark (`?!`, `?`, `??`, `!!`) in a disc. */
-export function drawMark(ctx, x, y, size, mark, colour) {
-  ctx.fillStyle = colour;
-  ctx.beginPath();
-  ctx.arc(x, y, size * 0.5, 0, 2 * Math.PI);
-  ctx.fill();
-  ctx.fillStyle = colourOf("--ground");
-  ctx.font = font(size * 0.62);
-  ctx.textAlign = "center";
-  ctx.textBaseline = "middle";
-  ctx.fillText(mark, x, y + size * 0.04);
 }

@@ -63,7 +63,7 @@ export function mountInstruments(root, context) {
     setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
-    setText(target.value, frame.target ? `[${frame.target.join(", ")}], ${frame.distance} cells away` : "–");
+    setText(target.value, frame.target ? `[${frame.target.join(", ")}], distance ${frame.distance}` : "–");
     setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : cellName(frame.cell_below));
     ground.hidden = !world.task.pads;
   }

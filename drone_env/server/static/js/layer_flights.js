@@ -1,10 +1,11 @@
 // The moving parts: trails, parcels, target, network values, best flight and drones.
 import { colourOf, labelColour } from "./base.js";
-import { drawArrow, drawDrone, drawFigure, drawMark, drawTarget } from "./figures.js";
+import { drawArrow, drawDrone, drawFigure, drawTarget } from "./figures.js";
 
 export const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
 const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
-const RECENT = [9, 5, 2];
+/** The number of highlighted steps behind the selected drone. */
+const RECENT = 5;
 const SMALLEST_DRONE = 22;
 const LARGE_DRONE = 56;
 const SMALLEST_PARCEL = 15;
@@ -41,14 +42,11 @@ export function drawTrails(ctx, view) {
     ctx.moveTo(...middle(layout, position(one, end)));
     ctx.lineTo(...here);
     ctx.stroke();
-    // The newest steps are brighter: strokes of several lengths overlap.
     ctx.lineWidth = Math.max(2, cell * 0.13);
-    for (const steps of RECENT) {
-      ctx.beginPath();
-      for (let k = Math.max(0, end - steps); k <= end; k++) ctx.lineTo(...middle(layout, position(one, k)));
-      ctx.lineTo(...here);
-      ctx.stroke();
-    }
+    ctx.beginPath();
+    for (let k = Math.max(0, end - RECENT); k <= end; k++) ctx.lineTo(...middle(layout, position(one, k)));
+    ctx.lineTo(...here);
+    ctx.stroke();
   });
   ctx.globalAlpha = 1;
 }
@@ -145,11 +143,6 @@ export function drawDrones(ctx, view) {
     drawDrone(ctx, x + aside, y + aside, wide, one.heading(clock.position), spin, lift, colourOf(one.colour));
   });
   ctx.globalAlpha = 1;
-  const move = track.annotation?.moves[clock.cursor - 1];
-  if (!move?.mark || clock.position !== clock.cursor) return;
-  const [x, y] = middle(layout, track.at(clock.position));
-  const side = Math.max(18 * layout.scale, size * 0.5);
-  drawMark(ctx, x + size * 0.46, y - size * 0.46, side, move.mark, labelColour(move.label));
 }
 
 /** The best moves from here, if the flight took another one. */

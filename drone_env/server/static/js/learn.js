@@ -12,7 +12,7 @@ const MORE =
 export function mount(root, context) {
   const lessons = el("ol.lessons");
   root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons);
-  root.append(el("h2", { text: "Technical specifications" }));
+  root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
   for (const [family, tasks] of context.families) root.append(specifications(title(family), tasks));
   root.append(legend(context));
   context.on("view", (view) => {
@@ -58,14 +58,14 @@ const WORLD = [
   ["Battery", (t) => `${t.battery_capacity} units`],
   ["Battery use per step", (t) => `1 unit${drains(t.drain)}`],
 ];
+/** The reward profile of the page's flights. */
+const PROFILE = "tiered";
 /** The reward of each event if the step moves away from the target, keeps the distance, or moves closer. */
 const rewardRows = (rewards) =>
   Object.keys(rewards).map((event) => [
     title(event),
     (t) => t.rewards[PROFILE][event].map((reward) => fixed(reward)).join(" / "),
   ]);
-/** The reward profile of the page's flights. */
-const PROFILE = "tiered";
 
 /** The numbers of the tasks of a family side by side, from `GET /tasks`. */
 function specifications(family, tasks) {
@@ -94,5 +94,6 @@ function group(name, rows, tasks) {
 /** The kinds of cells, drawn as on the map. */
 function legend({ kinds }) {
   const entry = ({ name, effect }) => el("div", el("dt", drawSign(name), cellName(name)), el("dd", { text: effect }));
-  return el("section.glossary", { "aria-label": "Legend" }, el("h2", { text: "Legend" }), el("dl", ...kinds.map(entry)));
+  const shown = kinds.filter(({ name }) => name !== "unknown");
+  return el("section.glossary", { "aria-label": "Legend" }, el("h2", { text: "Legend" }), el("dl", ...shown.map(entry)));
 }

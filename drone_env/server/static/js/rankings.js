@@ -5,9 +5,7 @@ import { fixed, percent, points, signed } from "./format.js";
 /**
  * A table that scrolls if it is larger than its place.
  *
- * @param {string} caption
  * @param {[string, (row: any) => Node|string, boolean?][]} columns Name, content, whether it is a number.
- * @param {any[]} rows
  * @param {(row: any) => Node|null} [below] Details that a row has opened.
  */
 export function grid(caption, columns, rows, below = () => null) {
@@ -57,11 +55,9 @@ const opener = (open, key, ...contents) =>
   el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
 
 /**
- * @param {import("./context.js").Context} context
  * @param {Object} board From `GET /leaderboard/{task_name}`.
  * @param {string[]} chosen One pilot has its maps open; two are compared.
  * @param {Node|null} maps The maps of the chosen pilot.
- * @param {(agents: string[]) => void} choose
  */
 export function leaderboard(context, board, chosen, maps, choose) {
   if (!board.rows.length) return el("p.note", { text: "No flights of this task yet. Fly it to add one." });
@@ -112,8 +108,6 @@ export function leaderboard(context, board, chosen, maps, choose) {
 /**
  * The maps of a pilot, largest loss first, with a button that opens the flight.
  *
- * @param {import("./context.js").Context} context
- * @param {string} name The pilot's name.
  * @param {Object[]} maps From `GET /leaderboard/{task_name}/maps`.
  */
 export function mapsOf(context, name, maps) {
@@ -188,12 +182,7 @@ const gap = (difference) => signed(difference === null ? null : difference * 100
 /**
  * Two pilots over their common maps.
  *
- * @param {import("./context.js").Context} context
- * @param {Object} task
  * @param {Object} answer From `GET /paired/{task_name}`.
- * @param {[string, string]} pilots
- * @param {(agent: string) => string} name
- * @param {Object[]} rows The leaderboard.
  */
 export function paired(context, task, answer, pilots, name, rows) {
   const [a, b] = pilots.map(name);
