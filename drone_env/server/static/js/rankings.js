@@ -35,7 +35,7 @@ function scoreBar(score, ci, colour) {
 /** A value with ± half its interval, or with both ends if the interval is not symmetric. */
 function within(value, ci, write) {
   const cut = ci && Math.abs(ci[0] + ci[1] - 2 * value) > 1e-9;
-  const margin = cut ? ` [${ci.map(write).join(", ")}]` : ci ? ` ± ${write(ci[1] - value)}` : "";
+  const margin = cut ? ` [${ci.map((end) => write(end)).join(", ")}]` : ci ? ` ± ${write(ci[1] - value)}` : "";
   return el("span.within", write(value), el("span.margin", { text: margin }));
 }
 
