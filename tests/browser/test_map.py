@@ -36,6 +36,12 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
     expect(box(page, "Best flight")).to_be_hidden()
     fly(page)
     ended(page)
+    # At the end no move is left: the layers show the moment before the last step.
+    before = pictures(page)
+    with page.expect_response("**/values"):
+        page.keyboard.press("v")
+    until(page, lambda: changed(page, before) == [CELLS])
+    page.keyboard.press("v")
     page.keyboard.press("Home")
     page.on("request", note)
     try:
