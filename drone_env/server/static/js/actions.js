@@ -66,7 +66,7 @@ export function actionsOf(context, fleet) {
       if (layer.when && !layer.when(stage)) return;
       const shown = !context.shows(layer.id);
       context.showLayer(layer.id, shown);
-      if (shown && layer.asks) fleet.help();
+      if (shown && layer.needsValues) fleet.help();
     },
   };
   return acts;

@@ -16,15 +16,15 @@ export class Emitter {
 }
 
 const due = new Set();
-let asked = false;
+let scheduled = false;
 
 /** Calls `draw(now)` once in the next animation frame. */
 export function nextFrame(draw) {
   due.add(draw);
-  if (asked) return;
-  asked = true;
+  if (scheduled) return;
+  scheduled = true;
   requestAnimationFrame((now) => {
-    asked = false;
+    scheduled = false;
     const drawers = [...due];
     due.clear();
     for (const draw of drawers) draw(now);

@@ -34,7 +34,7 @@ export function mount(root, context) {
 class Compare {
   constructor(root, context) {
     this.context = context;
-    this.asked = 0;
+    this.request = 0;
     this.timer = 0;
     this.failed = false;
     /** The task, its leaderboard and its runs. */
@@ -78,7 +78,7 @@ class Compare {
   /** Shows another address. */
   look() {
     const { task } = this.context.router.address;
-    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.asked);
+    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.request);
     else if (task !== this.wanted) this.load();
   }
 
@@ -88,11 +88,11 @@ class Compare {
 
   /** Reloads everything. */
   async load() {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const { api, router, tasks } = this.context;
     this.wanted = router.address.task;
-    await this.trying(asked, () => this.context.meet(this.wanted));
-    if (asked !== this.asked) return;
+    await this.trying(request, () => this.context.meet(this.wanted));
+    if (request !== this.request) return;
     // An unknown task shows only the error.
     const nowhere = this.wanted !== null && !this.known(this.wanted);
     for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
@@ -101,11 +101,11 @@ class Compare {
       this.chosen.hidden = this.ranked.hidden = true;
       this.task = this.drawn = null;
     }
-    await this.trying(asked, async () => {
+    await this.trying(request, async () => {
       const named = this.wanted ?? (await api.get("episodes", { limit: 1 })).episodes[0]?.task ?? tasks[0].id;
       await this.context.meet(named);
       const board = await api.get(`leaderboard/${encodeURIComponent(named)}`);
-      if (asked !== this.asked) return;
+      if (request !== this.request) return;
       this.board = board;
       if (this.task?.id !== board.task) {
         this.task = this.known(board.task);
@@ -113,21 +113,21 @@ class Compare {
         this.ranked.hidden = true;
       }
       this.choice.value = this.task.short_name;
-      await Promise.all([this.choose(asked), this.flights.show(this.task, board.rows), this.loadRuns(asked)]);
+      await Promise.all([this.choose(request), this.flights.show(this.task, board.rows), this.loadRuns(request)]);
     });
   }
 
   /** Loads the runs, which takes the server a while the first time. */
-  async loadRuns(asked) {
+  async loadRuns(request) {
     const runs = await this.context.api.get(`leaderboard/${this.board.task}/runs`);
-    if (asked !== this.asked || JSON.stringify(runs) === JSON.stringify(this.runs)) return;
+    if (request !== this.request || JSON.stringify(runs) === JSON.stringify(this.runs)) return;
     this.runs = runs;
     this.ranked.hidden = !runs.boards.length && !runs.unranked.length;
     this.ranked.replaceChildren(...runsOf(this.context, runs));
   }
 
   /** Shows the leaderboard and the chosen pilots. */
-  async choose(asked) {
+  async choose(request) {
     const { api } = this.context;
     const [a, b] = this.pilots;
     const path = b ? `paired/${this.board.task}` : `leaderboard/${this.board.task}/maps`;
@@ -135,9 +135,9 @@ class Compare {
     // Hides the previous choice until the new one is loaded.
     if (this.shown !== shown) this.draw(null);
     this.shown = shown;
-    await this.trying(asked, async () => {
+    await this.trying(request, async () => {
       const answer = a ? await api.get(path, b ? { a, b } : { agent: a }) : null;
-      if (asked === this.asked && this.shown === shown) this.draw(answer);
+      if (request === this.request && this.shown === shown) this.draw(answer);
     });
   }
 
@@ -158,12 +158,12 @@ class Compare {
   }
 
   /** Shows an error of the newest request. */
-  async trying(asked, work) {
+  async trying(request, work) {
     try {
       await work();
-      if (asked === this.asked) this.failed = !(this.problem.hidden = true);
+      if (request === this.request) this.failed = !(this.problem.hidden = true);
     } catch (error) {
-      if (asked !== this.asked) return;
+      if (request !== this.request) return;
       this.failed = true;
       this.problem.hidden = false;
       this.problem.textContent = `Could not load the comparison: ${error.message}`;

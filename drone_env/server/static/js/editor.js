@@ -23,11 +23,11 @@ const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowR
 const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";
 
 /** Drawings of this tab, by their origin: Back and Reload restore them. */
-const kept = new Map();
+const drawings = new Map();
 const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`;
 
 function keep(key, map) {
-  kept.set(key, map);
+  drawings.set(key, map);
   remember(key, JSON.stringify(map), "sessionStorage");
 }
 
@@ -73,7 +73,7 @@ export function mount(root, context) {
     "div.draw-acts",
     act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
     act("race-map", "Race", () => go(null)),
-    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await keptTask()).id, seed: 0 }).href, "Link copied.")),
+    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await storeTask()).id, seed: 0 }).href, "Link copied.")),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
@@ -193,20 +193,20 @@ export function mount(root, context) {
     if (asking) return;
     asking = true;
     while (newest) {
-      const asked = newest;
-      const parcels = asked.parcels.length;
+      const sent = newest;
+      const parcels = sent.parcels.length;
       newest = null;
       let answer = null;
       let wrong = null;
       try {
-        answer = await api.post("maps/worth", asked);
+        answer = await api.post("maps/worth", sent);
       } catch (error) {
         if (!(error instanceof ApiError)) throw error;
         wrong = error.message;
-        if (error.status === 503) setTimeout(() => asked === drawing.map && ask(), AGAIN);
+        if (error.status === 503) setTimeout(() => sent === drawing.map && ask(), AGAIN);
       }
       // The visitor may have opened another map.
-      if (asked !== drawing.map) continue;
+      if (sent !== drawing.map) continue;
       worth = answer && { ...answer, parcels };
       tell(wrong);
       drawBest();
@@ -234,14 +234,14 @@ export function mount(root, context) {
     }
   }
 
-  async function keptTask() {
+  async function storeTask() {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
     return answer.task;
   }
 
   async function go(pilots) {
-    const { id } = await keptTask();
+    const { id } = await storeTask();
     const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(id)).map((pilot) => pilot.id);
     router.go({ task: id, seed: 0, pilots: pilots ?? able.slice(0, context.most) });
   }
@@ -345,10 +345,10 @@ export function mount(root, context) {
 
   // The address selects the map.
   async function look() {
-    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === kept.get(key))) return;
+    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
     const wanted = keyOf(address);
-    const left = kept.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
+    const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
     await load(wanted, left ?? (() => origin(address)));
   }
 

@@ -139,12 +139,12 @@ export class Fleet extends Emitter {
 
   /** An address whose missing parts come from the present flights. @param {import("./router.js").Address} address */
   complete(address) {
-    const { lesson, ...asked } = { ...NOTHING, ...address };
-    const { task, pilots } = asked;
+    const { lesson, ...rest } = { ...NOTHING, ...address };
+    const { task, pilots } = rest;
     const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
     const named = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
     return {
-      ...asked,
+      ...rest,
       view: "fly",
       task: task === null || this.task(task) ? known.short_name : task, // the server rejects an unknown one
       pilots: named.length ? named : this.able(known).slice(0, 1),
@@ -262,7 +262,7 @@ export class Fleet extends Emitter {
 
   /** Shows values to a visitor who flies; the record notes it. */
   help() {
-    if (this.mine && !this.mine.asked) this.context.live.send({ type: "help", flight: this.human });
+    if (this.mine && !this.mine.showsValues) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {

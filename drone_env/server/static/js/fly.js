@@ -29,7 +29,7 @@ export function mountFly(root, context) {
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
   /** Whether values are hidden: a visitor flies and has not turned them on. */
-  context.secret = (track) => track.live && !track.done && !track.asked && !fleet.pilot(track.pilot).automatic;
+  context.secret = (track) => track.live && !track.done && !track.showsValues && !fleet.pilot(track.pilot).automatic;
 
   const plan = el("aside.plan", { "aria-label": "Flight plan" });
   const middle = el("div.middle");
@@ -119,7 +119,7 @@ export function mountFly(root, context) {
   async function follow(view) {
     const { address } = router;
     // A stored flight that is still loading for an earlier address is dropped.
-    past.asked += 1;
+    past.request += 1;
     if (address.lesson)
       lessons ??= import("./lessons.js").then(
         ({ mountLesson }) => mountLesson(lesson, context),

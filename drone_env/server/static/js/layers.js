@@ -8,7 +8,7 @@ import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
  * @property {string} id @property {"ground"|"cells"|"air"} place "air" is drawn in every animation frame, the others on change.
  * @property {string} [name] The label of its switch; a layer without a name is always shown. @property {string} [key]
  * @property {string} [hint] @property {boolean} [on] Whether it is shown at first.
- * @property {boolean} [asks] Whether it needs `POST /values`.
+ * @property {boolean} [needsValues] Whether it needs `POST /values`.
  * @property {(stage: import("./stage.js").Stage) => boolean} [when] Whether it has something to show.
  * @property {(ctx: CanvasRenderingContext2D, view: Object) => void} draw
  */
@@ -22,7 +22,7 @@ export const LAYERS = [
     name: "Best moves",
     hint: "The best moves from each cell, with the present battery, parcels and steps. Greener cells allow a higher score",
     key: "v",
-    asks: true,
+    needsValues: true,
     draw: drawValues,
   },
   {
@@ -31,7 +31,7 @@ export const LAYERS = [
     name: "Network mistakes",
     hint: "The network's moves that lose points, at each cell",
     key: "e",
-    asks: true,
+    needsValues: true,
     draw: drawNetwork,
   },
   {
@@ -40,7 +40,7 @@ export const LAYERS = [
     name: "Battery range",
     hint: "The cells in reach of the battery, with the units left there",
     key: "b",
-    asks: true,
+    needsValues: true,
     when: ({ world }) => Boolean(world?.task.pads),
     draw: drawRange,
   },

@@ -82,13 +82,13 @@ export const LESSONS = [
   },
 ];
 
-const kept = new Map();
+const cached = new Map();
 const key = (number) => `drone-env-lesson-${number}`;
 
 /** The indices of the goals that were reached. @param {number} number From 1. @returns {Set<number>} */
 export function reached(number) {
-  if (!kept.has(number)) kept.set(number, new Set([...(recall(key(number)) ?? "")].map(Number)));
-  return kept.get(number);
+  if (!cached.has(number)) cached.set(number, new Set([...(recall(key(number)) ?? "")].map(Number)));
+  return cached.get(number);
 }
 
 /** Stores that a goal was reached. */

@@ -10,14 +10,14 @@ const LOOK = 120;
 /** Requests the values if a layer shows them or the flight is a fork. */
 export function mountMapValues(context) {
   const { stage, api } = context;
-  const kept = new Map();
+  const cached = new Map();
   let timer = 0;
   let asking = false;
 
   function wanted() {
     const { track } = stage;
     if (!track || context.secret(track)) return false;
-    return track.asked || track.forkedAt !== null || LAYERS.some(({ id, asks }) => asks && context.shows(id));
+    return track.showsValues || track.forkedAt !== null || LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
   }
 
   function look() {
@@ -27,14 +27,14 @@ export function mountMapValues(context) {
     }
     const key = stage.moment;
     if (key === stage.values?.key) return;
-    if (kept.has(key)) show({ key, answer: kept.get(key) });
+    if (cached.has(key)) show({ key, answer: cached.get(key) });
     else if (!asking) timer ||= setTimeout(ask, LOOK);
   }
 
   // One request at a time, then one for the newest moment: large maps are slow.
   async function ask() {
     timer = 0;
-    if (!wanted() || kept.has(stage.moment)) {
+    if (!wanted() || cached.has(stage.moment)) {
       look();
       return;
     }
@@ -51,8 +51,8 @@ export function mountMapValues(context) {
       asking = false;
     }
     // A rejected request is not repeated.
-    if (kept.size === KEPT) kept.delete(kept.keys().next().value);
-    kept.set(key, answer);
+    if (cached.size === KEPT) cached.delete(cached.keys().next().value);
+    cached.set(key, answer);
     if (answer && wanted() && stage.track === track && !stage.answer) show({ key, answer });
     look();
   }

@@ -14,7 +14,7 @@ export class Past {
     this.episode = null;
     /** The records of the opened file, one of which is shown. */
     this.records = [];
-    this.asked = 0;
+    this.request = 0;
     this.track = null;
     const { stage } = context;
     stage.on("load", () => (stage.tracks.length === 1 && stage.track === this.track) || this.leave());
@@ -22,9 +22,9 @@ export class Past {
 
   /** Shows a stored flight. @throws {ApiError} */
   async open(id, step) {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const track = await this.stored(id);
-    if (asked !== this.asked) return;
+    if (request !== this.request) return;
     this.episode = id;
     this.records = [];
     this.show(track, step);
@@ -41,16 +41,16 @@ export class Past {
 
   /** Opens a file and shows its first flight. */
   async openFile(file) {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const records = await readFlights(file);
-    if (asked === this.asked) await this.openRecord(0, records);
+    if (request === this.request) await this.openRecord(0, records);
   }
 
   /** Shows a flight of the file. */
   async openRecord(index, records = this.records) {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const track = await this.flown(records[index]);
-    if (asked !== this.asked) return;
+    if (request !== this.request) return;
     this.episode = null;
     this.records = records;
     this.show(track, 0);
@@ -58,7 +58,7 @@ export class Past {
 
   /** The stage shows something else. */
   leave() {
-    this.asked += 1;
+    this.request += 1;
     this.episode = this.track = null;
     this.records = [];
   }

@@ -1,5 +1,5 @@
 // The flight plan: task, map and pilots.
-import { el, setText, toast } from "./dom.js";
+import { el, setText } from "./dom.js";
 import { title } from "./format.js";
 
 export function mountPlan(root, context, fleet, acts) {
@@ -68,11 +68,9 @@ export function mountPlan(root, context, fleet, acts) {
     acts.start({ pilots: ids }).finally(update);
   }
 
-  /** Drops pilots that cannot fly the task, with a message. */
+  /** Drops pilots that cannot fly the task; their rows state why. */
   function chooseTask(task) {
     const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
-    const left = fleet.setup.pilots.filter((id) => !able.includes(id)).map((id) => fleet.pilot(id).name);
-    if (left.length) toast(`${left.join(" and ")} cannot fly ${title(task.short_name)}.`);
     const pilots = able.length ? able : fleet.able(task).slice(0, 1);
     acts.start({ task: task.short_name, seed: null, pilots }).finally(update);
   }

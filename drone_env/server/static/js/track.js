@@ -36,7 +36,7 @@ export class Track {
   }
 
   /** Whether the visitor turned the values on while flying. */
-  get asked() {
+  get showsValues() {
     return this.by.split(" from step ")[0].includes(" with values");
   }
 
