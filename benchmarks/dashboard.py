@@ -1,15 +1,13 @@
-"""Measure the page: CPU time of frames while pilots fly, first paint, size.
+"""Measure the page: CPU time per frame while pilots fly, first paint and size.
 
     python benchmarks/dashboard.py [--seconds 10] [--speed 6] [--visits 10] [--json FILE]
 
-Frames are those of four pilots over hard map 7, and of eight flights over the task
-`city`, Helsinki on 64 x 64 cells, whole and from nearby while the map follows the drone. The server flies at most four
-on a map: there the other four are these again, mirrored.
+It measures four pilots over hard map 7 and over the task `city` (Helsinki, 64 x 64 cells), the city also zoomed in
+while the map follows the drone.
 
-The server and the machine's own chromium, without a window, run here. Frames come from the browser's own trace: the
-time between two animation frames, and the script part of each, which is the CPU time that its main thread spent in
-JavaScript (animation callbacks, messages of the socket, timers) until the next. Without a graphics card, the rest is
-software rendering. First paint is that of visits with an empty cache.
+The script starts a server and the installed chromium without a window. The browser's trace contains the time between
+two animation frames and the script time of each: the CPU time of the main thread in JavaScript (animation callbacks,
+socket messages, timers) until the next frame. The first paint is measured with an empty cache.
 """
 
 import argparse
@@ -23,7 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page, WebSocketRoute, expect
+from playwright.sync_api import Browser, Page, expect
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -32,7 +30,7 @@ from tests.api.serving import serving  # noqa: E402
 from tests.browser.tabs import WIDE, find_chromium, launched  # noqa: E402
 
 FOUR = "/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random"
-EIGHT = "/?task=city&seed=7&pilots=optimal,greedy,random,random"
+CITY = "/?task=city&seed=7&pilots=optimal,greedy,tournet,random"
 SCRIPT = {
     "FireAnimationFrame",
     "FunctionCall",
@@ -47,13 +45,13 @@ KILOBYTE = 1000
 
 
 def percentiles(values: Sequence[float]) -> dict[str, float]:
-    """p50, p95, p99 and maximum, in the unit of the values."""
+    """p50, p95, p99 and maximum."""
     cuts = statistics.quantiles(values, n=100, method="inclusive")
     return {"p50": cuts[49], "p95": cuts[94], "p99": cuts[98], "max": max(values)}
 
 
 def main_thread(trace: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The complete events of the thread that fires animation frames, by their start."""
+    """The complete events of the main thread, sorted by start."""
     frames = [event for event in trace if event.get("name") == "FireAnimationFrame"]
     if not frames:
         raise SystemExit("the page drew no frame")
@@ -63,19 +61,19 @@ def main_thread(trace: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def script_spans(events: list[dict[str, Any]]) -> Iterator[tuple[float, float]]:
-    """(start, CPU time) in microseconds of each stretch in script, nested calls counted once."""
+    """(start, CPU time) in microseconds of each script call, without nested calls."""
     end = -1.0
     for event in events:
         if event["name"] in SCRIPT and event["ts"] >= end:
             end = event["ts"] + event["dur"]
-            # Of a few that are short the trace has no CPU time.
+            # The trace has no CPU time for a few short calls.
             yield event["ts"], event.get("tdur", event["dur"])
 
 
 def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
-    """Milliseconds from frame to frame, and of script in each."""
+    """The time between frames and the script time of each, in ms."""
     events = main_thread(trace)
-    # Several callbacks of one frame start within a fraction of a millisecond of each other, back to back.
+    # One frame may fire several callbacks within a fraction of a millisecond.
     starts = [event["ts"] for event in events if event["name"] == "FireAnimationFrame"]
     frames = [start for before, start in zip([float("-inf"), *starts], starts, strict=False) if start - before > 4000]
     spans = list(script_spans(events))
@@ -91,61 +89,34 @@ def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
     return [(b - a) / 1000 for a, b in pairwise(frames)], costs
 
 
-def mirrored(flight: Any) -> Any:
-    """The flight or frame with its columns for rows: it is flown where the other is not."""
-    frames = flight.get("frames", [flight])
-    turned = [{**frame, "x": frame["y"], "y": frame["x"]} for frame in frames]
-    return {**flight, "frames": turned} if "frames" in flight else turned[0]
-
-
-def double(socket: WebSocketRoute) -> None:
-    """Have the page be told of each flight twice."""
-    server = socket.connect_to_server()
-
-    def tell(text: str | bytes) -> None:
-        message = json.loads(text)
-        match message["type"]:
-            case "flights":
-                message["flights"] += [mirrored(flight) for flight in message["flights"]]
-            case "frames":
-                more = [(moved["flight"] + 4, mirrored(moved["frame"])) for moved in message["frames"]]
-                message["frames"] += [{"flight": flight, "frame": frame} for flight, frame in more]
-            case _:
-                pass
-        socket.send(json.dumps(message))
-
-    server.on_message(tell)
-
-
-def four(page: Page) -> None:
-    """Four flights over one board."""
+def hard(page: Page) -> None:
+    """Four pilots over a small map."""
     page.goto(FOUR)
 
 
-def eight(page: Page) -> None:
-    """Eight flights over a real city, all of it."""
-    page.route_web_socket("**/live", double)
-    page.goto(EIGHT)
+def city(page: Page) -> None:
+    """Four pilots over a real city."""
+    page.goto(CITY)
 
 
-def nearby(page: Page) -> None:
-    """The same twice as large: the map moves with the drone."""
-    eight(page)
+def city_zoomed(page: Page) -> None:
+    """The same, zoomed in: the map moves with the drone."""
+    city(page)
     expect(page.locator("#start")).to_be_enabled()
     for _ in range(2):
-        page.get_by_role("button", name="Nearer").click()
+        page.get_by_role("button", name="Zoom in").click()
 
 
 def flying(
     browser: Browser, url: str, opened: Callable[[Page], None], seconds: float, speed: str
 ) -> tuple[list[float], list[float]]:
-    """Frames while the flights of a page that is opened so are flown."""
+    """Frame costs while pilots fly on the page that `opened` opens."""
     context = browser.new_context(base_url=url, viewport=WIDE)  # type: ignore[arg-type]
     page = context.new_page()
     opened(page)
     page.get_by_role("combobox", name="Speed").select_option(speed)
     page.get_by_role("button", name="Start", exact=True).click()
-    # The optimal pilot may have to think first.
+    # The optimal pilot may need time to plan.
     begun = re.compile(r"Step ([3-9]|\d\d) of")
     expect(page.locator("#step-counter")).to_contain_text(begun, timeout=60_000)
     browser.start_tracing(page=page, categories=CATEGORIES)
@@ -176,10 +147,10 @@ def visit(browser: Browser, url: str) -> tuple[float, float, int, int]:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=10, help="of flying, each")
-    parser.add_argument("--speed", default="6", help="steps per second, as the page has them")
-    parser.add_argument("--visits", type=int, default=10, help="with an empty cache")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--seconds", type=float, default=10, help="seconds of flight per case")
+    parser.add_argument("--speed", default="6", help="steps per second, one of the choices of the page")
+    parser.add_argument("--visits", type=int, default=10, help="number of visits with an empty cache")
+    parser.add_argument("--json", type=Path, help="also write the results to this file")
     given = parser.parse_args()
     chromium = find_chromium()
     if chromium is None:
@@ -190,7 +161,7 @@ def main() -> None:
         launched(chromium) as browser,
     ):
         frames: dict[str, dict[str, Any]] = {}
-        for opened in (four, eight, nearby):
+        for opened in (hard, city, city_zoomed):
             intervals, scripts = flying(browser, server.url, opened, given.seconds, given.speed)
             costs = {"frame_ms": percentiles(intervals), "script_ms": percentiles(scripts)}
             frames[opened.__name__] = {"frames": len(intervals), **costs}

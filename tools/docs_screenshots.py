@@ -1,17 +1,17 @@
-"""Take the pictures of the page, in half a minute.
+"""Take the screenshots of the page for the docs, in half a minute.
 
     docs/images/dashboard-fly.png        the trained network over hard map 7
     docs/images/dashboard-fly-light.png  the same in light colours
     docs/images/dashboard-narrow.png     the same on a telephone
-    docs/images/dashboard-fork.png       a person who tries from its worst move
-    docs/images/dashboard-layers.png     what is best from each cell of a skyline city, and the battery's range
+    docs/images/dashboard-fork.png       a fork at the worst move of a flight
+    docs/images/dashboard-layers.png     the best moves from each cell of a skyline city, and the battery range
     docs/images/dashboard-several.png    four pilots on one map, their flights annotated
     docs/images/dashboard-city.png       the same over a real city
-    docs/images/dashboard-compare.png    who flies best, and two pilots map by map
+    docs/images/dashboard-compare.png    the leaderboard, and two pilots map by map
     docs/images/dashboard-draw.png       the map editor
     docs/images/dashboard-learn.png      the tutorial, and the levels side by side
 
-Server, flights and the machine's own chromium are real; the pictures depend on its fonts a little.
+The script starts a server and the installed chromium; the fonts of the machine affect the pictures.
 """
 
 import io
@@ -37,16 +37,16 @@ FLIGHTS = 60
 
 
 def save(page: Page, name: str) -> None:
-    """The picture of what is in the window, once nothing moves but the drones."""
+    """Save a screenshot after the animations have ended."""
     page.wait_for_timeout(700)
     taken = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    # 256 colours of the page's few: a third of the size, and nobody sees it. The rare ones are those of the pilots.
+    # 256 colours cut the size to a third. MAXCOVERAGE keeps the rare colours of the pilots.
     few = taken.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(IMAGES / f"dashboard-{name}.png", optimize=True)
 
 
 def fly_to_the_end(page: Page) -> None:
-    """Start at the highest speed, and wait until the page shows all results of the flights."""
+    """Fly at the highest speed and wait for the annotations."""
     fly(page)
     ended(page)
     page.wait_for_load_state("networkidle")
@@ -66,7 +66,7 @@ def alone(tabs: Tabs) -> None:
 
 
 def fork(tabs: Tabs) -> None:
-    """Greedy's worst move over a skyline city, and another in its place."""
+    """A fork at Greedy's worst move over a skyline city."""
     page = tabs.open("/?task=skyline_hard&seed=7&pilot=greedy", viewport=WIDE)
     fly_to_the_end(page)
     page.get_by_role("button", name="Try from step").click()
@@ -122,7 +122,7 @@ def drawing(tabs: Tabs) -> None:
 
 
 def main() -> None:
-    """Take them all."""
+    """Take all screenshots."""
     expect.set_options(timeout=60_000)
     chromium = find_chromium()
     if chromium is None:

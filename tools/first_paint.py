@@ -25,11 +25,11 @@ from drone_env.server.pilots import HUMAN, OURS
 
 RIVALS = (HUMAN, "tournet", "greedy")
 SECOND, PAUSE = 4, 8
-"""Steps that are flown in a second, and how many the end of the flight is seen for."""
+"""Steps per second, and the pause at the end in steps."""
 UNIT = 100
-"""Of the picture, for the side of a cell: what the sheet of figures has."""
+"""The side of a cell in the picture, as on the sheet of figures."""
 FIELD = 180
-"""Side of a figure's field on the sheet."""
+"""The side of a figure on the sheet."""
 VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
 """Number of figures of a kind on the map; each additional one makes the page larger."""
 
@@ -46,12 +46,12 @@ def draw() -> dict[Path, str]:
 def _section(flight: Link, episode: Episode) -> str:
     yourself = flight.model_copy(update={"pilot": HUMAN})
     race = Link(task=flight.task, seed=flight.seed, pilots=",".join(RIVALS))
-    score = f"scored {100 * episode.score:.1f}, and nobody can do better on this map."
-    who = f"{OURS[flight.pilot].name}, the network that flies here,"
+    score = f"scored {100 * episode.score:.1f}, the optimum of this map."
+    who = f"{OURS[flight.pilot].name}, a trained network,"
     where = f'data-task="{flight.task}" data-seed="{flight.seed}"'
     return f"""<section id="hello" class="hello" aria-labelledby="hello-title" {where}>
 <div class="hello-words">
-<h2 id="hello-title">Deliver all parcels before the battery is empty: {who} {score}</h2>
+<h2 id="hello-title">Deliver all parcels before the battery is empty. {who} {score}</h2>
 <p class="hello-actions"><a class="button primary" href="?{escape(yourself.query())}">Fly it yourself</a>
 <a class="button" href="?{escape(race.query())}">Race the network</a></p>
 </div>
@@ -60,7 +60,7 @@ def _section(flight: Link, episode: Episode) -> str:
 
 
 def _picture(flown: Episode) -> str:
-    """The map at the start of a flight, with its way, as inline SVG. The policy of the page allows it no styles."""
+    """The map and the path of a flight as inline SVG. The content security policy forbids inline styles."""
     start, task = Episode(flown.task, seed=flown.seed), flown.task
     grid = start.grid()
     grid[start.position[::-1]] = start.under
@@ -94,7 +94,7 @@ aria-label="A drone flies over a city and delivers {task.deliveries} parcels">
 
 
 def _figures(names: set[str]) -> str:
-    """Figures of the sheet as symbols, with the shadows that they cast."""
+    """Figures of the sheet as symbols, with their shadows."""
     sheet = (ART / "figures.svg").read_text(encoding="utf-8")
     shadows = re.findall("<filter .*?</filter>", sheet)
     found = dict(re.findall(r'<svg id="(\w+)".*?>(.*?)</svg>', sheet, re.DOTALL))
@@ -104,7 +104,7 @@ def _figures(names: set[str]) -> str:
 
 
 def _figure(kind: Cell, x: int, y: int) -> str:
-    """The name of a figure: of a building there are several."""
+    """The name of a figure. A building has several."""
     several = VARIETY.get(kind)
     return f"{CELL_KINDS[kind].name}{'' if several is None else crc32(bytes((x, y))) % several}"
 
@@ -124,12 +124,12 @@ def _way(flown: Episode) -> list[tuple[int, int]]:
 
 
 def _moves(way: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """How far the drone comes in each step: to the right, and down."""
+    """The displacement of the drone in each step: right and down."""
     return [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(way)]
 
 
 def _motion(flown: Episode) -> str:
-    """Keyframes at the steps of the flight, for those who do not ask for less motion."""
+    """Keyframes for the steps of the flight, unless the visitor prefers reduced motion."""
     way, whole = _way(flown), flown.steps + PAUSE
     moves = _moves(way)
     turns = [0, *(step for step in range(1, flown.steps) if moves[step] != moves[step - 1]), flown.steps]

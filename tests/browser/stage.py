@@ -119,7 +119,7 @@ def pilot(page: Page, name: str) -> Locator:
 
 def along(page: Page, name: str) -> Locator:
     """The box that makes a pilot fly along."""
-    return page.get_by_role("checkbox", name=f"{name} flies along", exact=True)
+    return page.get_by_role("checkbox", name=f"Add {name}", exact=True)
 
 
 def copied(page: Page, button: str, says: str) -> str:

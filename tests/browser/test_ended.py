@@ -107,14 +107,6 @@ def test_a_stored_flight_opens_from_its_link_with_slider_and_steps(page: Page, s
     expect(page.get_by_role("radio", name="Medium", exact=True)).to_be_checked()
     here = f"{server.url}/?episode={episode['id']}&step=3"
     expect(page).to_have_url(here)
-    # A file has an address of its own while the page has it, and no link.
-    other = flown("easy", 7, "greedy", label="me")
-    opened(page, other)
-    expect(page).to_have_url(f"{server.url}/?file=flight.json")
-    page.go_back()
-    expect(page).to_have_url(here)
-    page.go_forward()
-    expect_frame(page, frames(server, other)[0], 60)
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
@@ -129,7 +121,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
     opened(page, record_of(by_hand("easy", 5, [Action.UP]), "me"))
-    expect(page.locator(".strip")).to_contain_text("me: In flight. This flight did not end")
+    expect(page.locator(".strip")).to_contain_text("me: In flight. This flight is not finished")
     page.keyboard.press("End")
     expect_step(page, 1, 60, "UP")
 
@@ -152,8 +144,8 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
     show(page, f"/?episode={id_}")
     answer, prompt = page.locator("#llm-answer"), page.locator("#llm-prompt")
     # Its first answer was not legal, so it was asked again.
-    expect(answer).to_have_text(f"Hm. (illegal)\n\nAsked again: {calls[1]['answer']}")
-    page.get_by_text("What it was asked").click()
+    expect(answer).to_have_text(f"Hm. (illegal)\n\nRetry: {calls[1]['answer']}")
+    page.get_by_text("Prompt", exact=True).click()
     for call in calls[1:]:
         page.keyboard.press("ArrowRight")
         expect_step(page, call["step"], len(calls) - 1)

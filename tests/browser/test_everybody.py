@@ -102,7 +102,7 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
         assert len(names) < 40, names
         page.keyboard.press("Tab")
         names.append(focused.evaluate("e => e.getAttribute('aria-label') || e.innerText.trim() || e.id"))
-    assert {"Easy", "Greedy", "Greedy flies along", "New map", "Nearer"} <= {*names}
+    assert {"Easy", "Greedy", "Add Greedy", "New map", "Zoom in"} <= {*names}
     for _ in range(4):
         page.keyboard.press(">")
     expect(speed).to_have_value(FASTEST)
@@ -122,7 +122,7 @@ def test_the_focus_comes_back_from_a_dialog_and_goes_to_a_fork(page: Page) -> No
     another, dialog = page.get_by_role("button", name="New map"), page.get_by_role("dialog")
     another.press("Enter")
     # The button that loses nothing has the focus.
-    expect(dialog.get_by_role("button", name="Go on flying")).to_be_focused()
+    expect(dialog.get_by_role("button", name="Keep flying")).to_be_focused()
     page.keyboard.press("Escape")
     expect(another).to_be_focused()
     expect_step(page, 1, 60)
@@ -164,7 +164,7 @@ def test_less_motion_stands_still_between_steps(page: Page) -> None:
     assert moves()
     page.emulate_media(reduced_motion="reduce")
     press(page, "Pause")
-    expect(page.get_by_role("button", name="Go on")).to_be_visible()
+    expect(page.get_by_role("button", name="Resume")).to_be_visible()
 
 
 def test_the_page_weighs_less_than_300_kb(page: Page) -> None:

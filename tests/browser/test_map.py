@@ -10,10 +10,10 @@ from tests.browser.stage import ended, fly, press, show, until
 GROUND, CELLS, AIR = range(3)
 """The canvases of a map: the city, the layers of its cells, what moves."""
 LAYERS = {
-    "Best from everywhere": ("v", CELLS),
-    "Where the network errs": ("e", CELLS),
-    "Range of the battery": ("b", CELLS),
-    "A best flight": ("g", AIR),
+    "Best moves": ("v", CELLS),
+    "Network mistakes": ("e", CELLS),
+    "Battery range": ("b", CELLS),
+    "Best flight": ("g", AIR),
 }
 
 
@@ -33,13 +33,19 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
     show(page, "/?task=skyline_easy&seed=4711&pilot=greedy")
     expect_step(page, 0, 60)
     # Hidden before the end: it would show what is best.
-    expect(box(page, "A best flight")).to_be_hidden()
+    expect(box(page, "Best flight")).to_be_hidden()
     fly(page)
     ended(page)
+    # At the end no move is left: the layers show the moment before the last step.
+    before = pictures(page)
+    with page.expect_response("**/values"):
+        page.keyboard.press("v")
+    until(page, lambda: changed(page, before) == [CELLS])
+    page.keyboard.press("v")
     page.keyboard.press("Home")
     page.on("request", note)
     try:
-        box(page, "A best flight").uncheck()
+        box(page, "Best flight").uncheck()
         bare = pictures(page)
         for name, (key, place) in LAYERS.items():
             box(page, name).check()
@@ -73,23 +79,23 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
     finally:
         page.unroute("**/values")
         page.remove_listener("request", note)
-        box(page, "Best from everywhere").uncheck()
-        box(page, "A best flight").check()
+        box(page, "Best moves").uncheck()
+        box(page, "Best flight").check()
 
 
 def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
-    ranges, thoughts = box(page, "Range of the battery"), box(page, "What the network thinks")
+    ranges, thoughts = box(page, "Battery range"), box(page, "Network values")
     show(page, "/?task=easy&seed=7&pilot=greedy")
     expect_step(page, 0, 60)
     # These maps have no pads.
     expect(ranges).to_be_hidden()
     expect(thoughts).to_be_checked()
     columns = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
-    expect(columns).to_have_text(["Move", "Network", "Still possible", "Loses"])
+    expect(columns).to_have_text(["Move", "Network", "Still possible", "Loss"])
     # The network that flies here has no values for single moves.
     show(page, "/?task=skyline_easy&seed=7&pilot=tournet")
     expect(thoughts).to_be_hidden()
-    expect(columns).to_have_text(["Move", "Still possible", "Loses"])
+    expect(columns).to_have_text(["Move", "Still possible", "Loss"])
     expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
     expect(ranges).to_be_visible()
 
@@ -101,7 +107,7 @@ JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
 
 def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_shows(page: Page) -> None:
     credit = page.get_by_role("link", name=CONTRIBUTORS)
-    farther, nearer = (page.get_by_role("button", name=name) for name in ("Farther", "Nearer"))
+    farther, nearer = (page.get_by_role("button", name=name) for name in ("Zoom out", "Zoom in"))
     show(page, "/?task=city&seed=7&pilots=greedy")
     expect(credit).to_have_attribute("href", "https://www.openstreetmap.org/copyright")
     assert painted(page.locator(FIELD), *JOINED) == list(JOINED)

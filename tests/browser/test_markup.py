@@ -54,6 +54,4 @@ def test_in_tasks_pilots_and_messages(hostile: Page) -> None:
     expect(hostile.locator(".problems")).to_contain_text(MARKUP)
     view(hostile, "API")
     expect(hostile.get_by_role("log", name="Training")).to_contain_text(MARKUP)
-    view(hostile, "Learn")
-    expect(hostile.get_by_role("region", name="Reward profiles")).to_contain_text(MARKUP)
     expect_only_text(hostile)

@@ -106,7 +106,7 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     ground = phone.locator("#boards canvas").first
     whole = corner()
     for _ in range(4):
-        phone.get_by_role("button", name="Nearer").tap()
+        phone.get_by_role("button", name="Zoom in").tap()
     start = corner()
     assert start[2] - start[0] > 3 * (whole[2] - whole[0])
     fly(phone)
@@ -123,5 +123,5 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     assert corner() == moved
     phone.get_by_role("button", name="Follow the drone").tap()
     for _ in range(4):
-        phone.get_by_role("button", name="Farther").tap()
+        phone.get_by_role("button", name="Zoom out").tap()
     assert corner() == whole

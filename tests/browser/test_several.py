@@ -39,7 +39,7 @@ def test_four_are_ranked_while_they_fly_and_each_is_annotated(page: Page, server
     for at in (1, 2):
         press(page, "Step")
         expect_ranked(at)
-    fly(page, "Go on")
+    fly(page, "Resume")
     expect(page.locator("#standings-note")).to_have_text(f"A tie with {points(best)}.")
     expect_ranked(60)
     for number, (agent, name) in enumerate(NAMES.items(), 1):

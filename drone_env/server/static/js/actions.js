@@ -1,38 +1,36 @@
-// What a visitor can do in Fly, by button or key.
+// The actions of Fly, for buttons and keys.
 import { ask } from "./dom.js";
 import { SPEEDS } from "./stage.js";
-
-/** @typedef {ReturnType<typeof actionsOf>} Actions */
 
 /** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function actionsOf(context, fleet) {
   const { stage } = context;
   const { clock } = stage;
 
-  /** Does what would end the visitor's own flight, once he has said so. */
+  /** Asks before an action ends the visitor's own flight. */
   async function givingUp(act) {
     const { own } = fleet;
-    if (own && !(await ask(`Give up your flight at step ${own.steps}?`, "Give it up", "Go on flying"))) return;
+    if (own && !(await ask(`Give up your flight at step ${own.steps}?`, "Give up", "Keep flying"))) return;
     act();
   }
-  /** Whether a step from here is a new one, which the server flies. */
+  /** Whether the next step is a new one of the server. */
   const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();
-  /** Other flights: what is named is new, the rest as it is shown. A flight of the past lends its map, and its pilot if it flies. */
+  /** Starts other flights. Missing parts come from the flights that are shown, also from a stored one. */
   function start(change, how) {
     const { track, world } = stage;
     const past = world && !fleet.shown;
     const flown = past && { task: world.task.short_name, seed: world.seed, profile: world.profile };
     const pilots = past ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
-    return givingUp(() => fleet.start(past ? fleet.asks({ pilots, ...flown, ...change }) : change, how));
+    return givingUp(() => fleet.start(past ? fleet.complete({ pilots, ...flown, ...change }) : change, how));
   }
   const acts = {
     givingUp,
     goesOn,
-    /** What Start does now, and whether something plays. @returns {[string, boolean]} */
+    /** The label of the start button, and whether something plays. @returns {[string, boolean]} */
     word() {
       if (clock.playing || (fleet.playing && fleet.shown)) return ["Pause", true];
-      if (!goesOn()) return ["Play", false];
-      return [clock.cursor > 0 ? "Go on" : "Start", false];
+      if (!goesOn()) return ["Replay", false];
+      return [clock.cursor > 0 ? "Resume" : "Start", false];
     },
     toggle() {
       if (clock.playing) clock.stop();
@@ -43,7 +41,7 @@ export function actionsOf(context, fleet) {
     first: () => clock.goTo(0),
     back: () => clock.goTo(clock.cursor - 1),
     last: () => clock.goTo(clock.newest()),
-    /** The next step of what was flown; at its end the pilots fly one more. */
+    /** Shows the next step; at the newest one, the pilots fly one more. */
     forward() {
       if (goesOn()) fleet.step();
       else clock.goTo(clock.cursor + 1);
@@ -55,7 +53,7 @@ export function actionsOf(context, fleet) {
     fork(options) {
       const { track } = stage;
       if (!track || fleet.atHand || track.frameAt(clock.cursor).done) return;
-      // The next key is for the drone, not for the button that was pressed.
+      // The next key is for the drone, not for the pressed button.
       document.activeElement.blur();
       givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
     },
@@ -63,12 +61,12 @@ export function actionsOf(context, fleet) {
       const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];
       if (speed) fleet.setSpeed(speed);
     },
-    /** Shows a layer, or hides it; what a flying person asks to see, the record says. */
+    /** Shows or hides a layer. If the visitor flies, the record notes that values were shown. */
     flick(layer) {
       if (layer.when && !layer.when(stage)) return;
       const shown = !context.shows(layer.id);
       context.showLayer(layer.id, shown);
-      if (shown && layer.asks) fleet.help();
+      if (shown && layer.needsValues) fleet.help();
     },
   };
   return acts;

@@ -1,12 +1,12 @@
-// The server's HTTP calls. All addresses are relative to the page, which may lie under a prefix.
+// HTTP requests. URLs are relative to the page, which may have a path prefix.
 import { recall, remember } from "./base.js";
 import { el } from "./dom.js";
 
 const TOKEN = "drone-env-token";
-/** What a header can carry; with anything else a request could not even be made. */
+/** Characters that a header may contain. */
 const SENDABLE = /^[\x21-\x7e]+$/;
 
-/** An answer that is not a success; `status` 0 means that the server could not be reached. */
+/** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
   constructor(status, code, detail) {
     super(detail);
@@ -48,12 +48,12 @@ export function createApi() {
   return {
     get: (path, query = {}) => call("GET", path + search(query)),
     post: (path, body) => call("POST", path, body),
-    /** What a WebSocket offers so that it is let in. */
+    /** The subprotocols of the WebSocket, with the token if there is one. */
     protocols: () => (token ? ["drone-env", `bearer.${base64url(token)}`] : ["drone-env"]),
   };
 }
 
-/** An address of the server, whatever prefix the page lies under. */
+/** The URL of a path on the server. */
 export function address(path) {
   return new URL(path.replace(/^\//, ""), document.baseURI);
 }
@@ -70,7 +70,7 @@ function base64url(text) {
 
 let asking = null;
 
-/** Asks for the token of the server. @param {boolean} wrong Whether there was a token, which the server refused. @returns {Promise<string>} */
+/** Asks the visitor for the token. @param {boolean} wrong Whether the server rejected a token. @returns {Promise<string>} */
 function askForToken(wrong) {
   asking ??= tokenOf(wrong).finally(() => {
     asking = null;
@@ -89,15 +89,15 @@ function tokenOf(wrong) {
   const form = el(
     "form",
     { method: "dialog" },
-    el("h2", { id: "token-title", text: "This server asks for a token" }),
+    el("h2", { id: "token-title", text: "This server requires a token" }),
     el("p.note", {
       text: wrong
-        ? "The token was refused. Try another."
-        : "It is the value of DRONE_ENV_TOKEN that the server was started with. It is kept for this tab.",
+        ? "The server rejected this token. Try another one."
+        : "The operator of the server has it. This tab remembers it.",
     }),
     el("label.eyebrow", { for: "token-input", text: "Token" }),
     input,
-    el("button.button.primary", { type: "submit", text: "Enter" }),
+    el("button.button.primary", { type: "submit", text: "Continue" }),
   );
   dialog.replaceChildren(form);
   if (!dialog.open) dialog.showModal();
@@ -106,7 +106,7 @@ function tokenOf(wrong) {
     form.addEventListener("submit", () => {
       given = input.value.trim();
     });
-    // Without a token there is no page. "cancel" is no help: browsers let the second Escape through.
+    // The page needs a token, so the dialog opens again after Escape.
     dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
   });
 }

@@ -1,14 +1,13 @@
-// API: how programs connect to this server, and what it does now: requests, training, flights that end.
+// API: how programs connect to this server, and its live logs of requests and training.
 import { address } from "./api.js";
 import { copyText, el } from "./dom.js";
-import { fixed, flightName, moment, outcome, points } from "./format.js";
-import { linkOf } from "./router.js";
+import { fixed } from "./format.js";
 
 const KEPT = 200;
 const TOKEN = "Authorization: Bearer TOKEN";
-const TOPICS = ["requests", "training", "episodes"];
+const TOPICS = ["requests", "training"];
 
-/** Programs that connect, each as a page of the documentation has it. @param {string} url Of the server. */
+/** Example clients. @param {string} url Of the server. */
 const snippets = (url) => [
   [
     "HTTP, by curl",
@@ -30,24 +29,22 @@ with DroneDeliveryClient("${url}").sync() as env:
   ],
 ];
 
-/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const { api, live } = context;
   const url = address(".").href.replace(/\/$/, "");
-  // The page has a token where the server wants one.
-  const token = api.protocols().length > 1 ? el("span", " Each call needs ", el("code", { text: TOKEN }), ".") : null;
+  // The page has a token only if the server requires one.
+  const token = api.protocols().length > 1 ? el("span", " Send ", el("code", { text: TOKEN }), " with each request.") : null;
   const requests = new Log("Requests", "log-requests", "No request yet.");
-  const training = new Log("Training", "log-training", "No training has written here. It starts with: drone-env train");
-  const flights = new Log("Flights", "log-flights", "No flight has ended yet.");
+  const training = new Log("Training", "log-training", "No training log yet. To start a training, run: drone-env train");
   root.append(
     el(
       "div.view-head",
       el("h2", { text: "API" }),
-      el("a.button.primary", { href: "docs", text: "All calls, to read and to try" }),
+      el("a.button.primary", { href: "docs", text: "All endpoints" }),
     ),
-    el("p.about", "This server is ", el("code", { text: url }), ". Whoever speaks JSON can fly here.", token),
+    el("p.about", "This server is ", el("code", { text: url }), ". Any HTTP client can fly here.", token),
     el("div.snippets", ...snippets(url).map(snippet)),
-    el("div.logs", requests.root, training.root, flights.root),
+    el("div.logs", requests.root, training.root),
   );
 
   live.on("requests", (message) => requests.add(message.requests.map((r) => [r.number, requestLine(r)])));
@@ -55,8 +52,7 @@ export function mount(root, context) {
     training.clear();
     training.add(lines.map((line) => [null, el("li", { text: line })]));
   });
-  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(context, e)])));
-  // Another process may answer after that, which counts its requests from 1 again.
+  // After a restart the server numbers its requests from 1 again.
   live.on("state", ({ state }) => state === "open" && requests.clear());
 
   context.on("view", (view) => view === "api" && live.subscribe(TOPICS));
@@ -68,8 +64,6 @@ function snippet([name, text]) {
   return el("section.snippet", el("h3", { text: name }), copy, el("pre", el("code", { text })));
 }
 
-const byTime = (episodes) => [...episodes].sort((a, b) => (a.finished_at < b.finished_at ? -1 : 1));
-
 function requestLine({ time, method, path, status, milliseconds }) {
   return el(
     "li",
@@ -80,17 +74,7 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-function flightLine(context, e) {
-  const flight = flightName(context, e);
-  return el(
-    "li",
-    el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),
-    ` ${flight}: ${outcome(e)}, ${e.steps} steps, score ${points(e.score)} `,
-    el("a", { href: linkOf({ episode: e.id }).search, text: "Open", "aria-label": `Open the flight ${flight}` }),
-  );
-}
-
-/** A list that grows downwards and keeps its newest lines in sight, unless it was scrolled away from them. */
+/** A list that stays scrolled to its newest line unless the visitor scrolls up. */
 class Log {
   constructor(name, id, empty) {
     this.keys = new Set();
@@ -105,7 +89,7 @@ class Log {
     this.root = el("section.log", { "aria-labelledby": `${id}-title` }, heading, this.none, this.frame);
   }
 
-  /** @param {[any, HTMLElement][]} lines Each with a key that is shown once, or null. */
+  /** @param {[any, HTMLElement][]} lines Each with a key; a repeated key is skipped unless it is null. */
   add(lines) {
     const fresh = lines.filter(([key]) => key === null || !this.keys.has(key));
     if (!fresh.length) return;

@@ -1,12 +1,11 @@
-// What all parts of the page build on: events, animation frames, storage, colours, and canvases that fill their element.
+// Shared helpers: events, animation frames, storage, colours and canvases.
 
-/** Calls listeners: the parts of the page communicate by events alone. */
+/** An event emitter: the parts of the page communicate by events. */
 export class Emitter {
   constructor() {
     this.listeners = new Map();
   }
 
-  /** Calls f at every event. */
   on(type, f) {
     this.listeners.set(type, [...(this.listeners.get(type) ?? []), f]);
   }
@@ -17,15 +16,15 @@ export class Emitter {
 }
 
 const due = new Set();
-let asked = false;
+let scheduled = false;
 
-/** Calls `draw(now)` in the next animation frame, once, however often it is requested. */
+/** Calls `draw(now)` once in the next animation frame. */
 export function nextFrame(draw) {
   due.add(draw);
-  if (asked) return;
-  asked = true;
+  if (scheduled) return;
+  scheduled = true;
   requestAnimationFrame((now) => {
-    asked = false;
+    scheduled = false;
     const drawers = [...due];
     due.clear();
     for (const draw of drawers) draw(now);
@@ -34,10 +33,10 @@ export function nextFrame(draw) {
 
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
-/** Whether the visitor asked for less motion. */
+/** Whether the system asks for reduced motion. */
 export const lessMotion = () => still.matches;
 
-/** @param {"localStorage"|"sessionStorage"} where @returns {string|null} Null also if storage is forbidden, as in a frame of another site. */
+/** @param {"localStorage"|"sessionStorage"} where @returns {string|null} Null also if storage is blocked, as in a cross-site frame. */
 export function recall(key, where = "localStorage") {
   try {
     return window[where].getItem(key);
@@ -46,27 +45,27 @@ export function recall(key, where = "localStorage") {
   }
 }
 
-/** Stores a value if storage is allowed. @param {"localStorage"|"sessionStorage"} where For ever, or for this tab. */
+/** Stores a value if storage is allowed. @param {"localStorage"|"sessionStorage"} where */
 export function remember(key, value, where = "localStorage") {
   try {
     window[where].setItem(key, value);
   } catch {
-    // Then nothing outlasts the page.
+    // The value lasts as long as the page.
   }
 }
 
 const colours = new Map();
 
-/** The value of a custom property of the style sheet, such as `--ink`; each is read once per theme. */
+/** A custom property of the style sheet, such as `--ink`, cached per theme. */
 export function colourOf(name) {
   if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
   return colours.get(name);
 }
 
-/** Another theme is shown: the colours are read again. */
+/** Clears the cache after a change of theme. */
 export const forgetColours = () => colours.clear();
 
-/** The page's font for a canvas, so many device pixels high. */
+/** The page's font for a canvas, in device pixels. */
 export const font = (size, weight = 500) => `${weight} ${size}px ${colourOf("--font")}`;
 
 const LABELS = { best: "--good", inaccuracy: "--warn", mistake: "--accent", blunder: "--bad" };
@@ -75,15 +74,15 @@ const LABELS = { best: "--good", inaccuracy: "--warn", mistake: "--accent", blun
 export const labelColour = (label) => colourOf(LABELS[label] ?? "--ink-3");
 
 /**
- * Keeps a canvas as large as an element, sharp at any pixel density. The size comes from an observer: drawing forces no layout.
+ * Keeps a canvas as large as an element, at any pixel density. A ResizeObserver reads the size without a forced layout.
  *
- * @param {() => void} resized Called when the size or the density has changed.
+ * @param {() => void} resized Called after a change.
  * @returns {{width: number, height: number, scale: number}} Size in CSS pixels, device pixels per one.
  */
 export function fit(root, canvas, resized) {
   const size = { width: 0, height: 0, scale: 1 };
   const observer = new ResizeObserver(([entry]) => {
-    // Whole pixels: a canvas stretched by a fraction would be blurred.
+    // Whole pixels keep the canvas sharp.
     const width = Math.floor(entry.contentRect.width);
     const height = Math.floor(entry.contentRect.height);
     Object.assign(size, { width, height, scale: window.devicePixelRatio || 1 });

@@ -1,37 +1,35 @@
-// Large maps and real places: cells of one kind that touch are drawn as one block.
+// Large maps and real cities: adjacent cells of one kind are drawn as one block.
 import { colourOf } from "./base.js";
 import { drawFigure } from "./figures.js";
 import { drawGrid, drawLabels, variety } from "./layer_city.js";
 
 const TONES = 3;
-/** Kinds of cells that are drawn as blocks. */
 export const BLOCKS = new Set(["building", "tree", "obstacle"]);
-/** Whether a map is drawn with blocks: a large one, or of a real place. */
+/** Whether a map is drawn with blocks. */
 export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
 
-/** How far roofs stand above the ground, in cells, and where their shadow lies. */
+/** The offsets of roofs and shadows, in cells. */
 const HEIGHT = 0.16;
 const SHADOW = 0.17;
-/** Cells of fewer CSS pixels show neither their grid nor each of their trees. */
+/** Smaller cells, in CSS pixels, show no grid and no single trees. */
 const FINE = 13;
 const SMALLEST_SIGN = 12;
 
-/** Paths in cells, made once for each map: they are drawn in all sizes and colours. @type {WeakMap<object, object>} */
+/** Paths in units of cells, cached per map. @type {WeakMap<object, object>} */
 const shapes = new WeakMap();
 
-/** @param {CanvasRenderingContext2D} ctx */
 export function drawBlocks(ctx, { world, layout, names }) {
   const { cell, left, top, scale } = layout;
   if (!shapes.has(world)) shapes.set(world, shapesOf(world, names));
   const { buildings, trees, crowns, obstacles, hatching, pads } = shapes.get(world);
   const fine = cell >= FINE * scale;
-  // Whole pixels: the sides of neighbouring cells leave no seam.
+  // Whole pixels avoid seams between cells.
   const place = (dx = 0, dy = 0) => ctx.setTransform(cell, 0, 0, cell, left + Math.round(dx * cell), top + Math.round(dy * cell));
   const paint = (path, colour) => {
     ctx.fillStyle = colourOf(colour);
     ctx.fill(path);
   };
-  /** A block with an outline: the stroke between its cells is painted over. */
+  /** Fills a block over its stroke, which stays visible as an outline. */
   const outlined = (path, colour, edge) => {
     ctx.lineWidth = (2 * Math.max(scale, 1)) / cell;
     ctx.strokeStyle = colourOf(edge);
@@ -94,7 +92,7 @@ function shapesOf(world, names) {
   return found;
 }
 
-/** Three trees in a cell, not two cells alike. */
+/** Three trees in a cell. */
 function addCrowns(path, x, y) {
   const some = variety(x, y);
   for (let i = 0; i < 3; i++) {
@@ -106,7 +104,7 @@ function addCrowns(path, x, y) {
   }
 }
 
-/** Of each cell with a building the tone of its block: cells that share a side have one. */
+/** The tone of each building cell; connected cells have the same tone. */
 function toneOfBlocks({ cells, width, height }, building) {
   const tones = new Int8Array(width * height).fill(-1);
   const isOne = (at) => tones[at] < 0 && cells[Math.floor(at / width)][at % width] === building;

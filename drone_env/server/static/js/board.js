@@ -1,4 +1,4 @@
-// Draws a map with the flights over it on three canvases: the city, what is known of its cells, and what moves.
+// Draws a map on three canvases: the city, the layers of its cells, and the moving parts.
 import { fit, lessMotion, nextFrame } from "./base.js";
 import { el } from "./dom.js";
 import { title } from "./format.js";
@@ -9,8 +9,8 @@ const PLACES = ["ground", "cells", "air"];
 
 export class Board {
   /**
-   * @param {HTMLElement} root Filled with the canvases, which take its size.
-   * @param {import("./context.js").Context} context For the stage, the camera, the layers that are shown, and the theme.
+   * @param {HTMLElement} root Contains the canvases and sets their size.
+   * @param {import("./context.js").Context} context
    */
   constructor(root, context) {
     this.context = context;
@@ -27,7 +27,7 @@ export class Board {
     this.spin = 0;
     this.drawn = {};
     this.draw = this.draw.bind(this);
-    // A canvas that has another size is empty: it is drawn at once, before the browser shows it.
+    // Resizing clears a canvas: draw before the browser shows it.
     this.size = fit(root, air, () => {
       this.drawn = {};
       this.draw(performance.now());
@@ -48,7 +48,7 @@ export class Board {
     nextFrame(this.draw);
   }
 
-  /** Draws the city again, too: another map, size or theme. */
+  /** Also redraws the city, after a change of map, size or theme. */
   reload() {
     this.drawn = {};
     this.canvases[2].setAttribute("aria-label", this.stage.world ? describe(this.stage.world) : "No flight");
@@ -87,7 +87,7 @@ export class Board {
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
     };
     const shown = LAYERS.filter((layer) => this.context.shows(layer.id));
-    // What lies in cells is drawn for the whole map, and moved by the browser as the camera moves.
+    // Cells are drawn for the whole map; CSS moves them with the camera.
     this.drawCells(ground, view, shown, "ground", "");
     this.drawCells(cells, view, shown, "cells", stage.values?.key);
     cells.classList.toggle("waiting", stage.answer === null);
@@ -119,5 +119,5 @@ export class Board {
 
 function describe({ task, seed, width, height, parcels }) {
   const many = `${parcels.length} ${parcels.length === 1 ? "parcel" : "parcels"}`;
-  return `City map of ${title(task.short_name)}, ${width} by ${height} cells, map ${seed}, ${many}. The events are listed below.`;
+  return `City map of ${title(task.short_name)}, ${width} by ${height} cells, map ${seed}, ${many}. The list of moves describes each step.`;
 }

@@ -1,11 +1,10 @@
-// The map in the middle, with its tools, drags that move it, and its zoom for flights by hand.
+// The map with its zoom buttons and drags.
 import { Board } from "./board.js";
 import { el, icon } from "./dom.js";
 
-/** CSS pixels that a cell takes at least where somebody begins to fly by hand. */
+/** The minimum size of a cell in CSS pixels when the visitor starts to fly. */
 const BY_HAND = 22;
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @returns {Board} */
 export function mountBoards(root, context) {
   const { stage, camera } = context;
   const field = el("div.map-field");
@@ -15,8 +14,8 @@ export function mountBoards(root, context) {
     act();
     context.emit("camera");
   };
-  const farther = tool("Farther", "M6 12h12", move(() => camera.nearer(-1)));
-  const nearer = tool("Nearer", "M12 6v12M6 12h12", move(() => camera.nearer(1)));
+  const farther = tool("Zoom out", "M6 12h12", move(() => camera.nearer(-1)));
+  const nearer = tool("Zoom in", "M12 6v12M6 12h12", move(() => camera.nearer(1)));
   const follow = tool(
     "Follow the drone",
     "M12 4v3M12 17v3M4 12h3M17 12h3M8 12a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
@@ -49,7 +48,7 @@ export function mountBoards(root, context) {
   return board;
 }
 
-/** Who flies by hand begins nearby: from afar, a cell is too small to fly by. */
+/** Zooms in until the cells are large enough for a visitor who flies. @returns {boolean} Whether it zoomed. */
 function nearEnough({ stage, pilots, camera }, scale) {
   const byHand = ({ live, done, pilot }) => live && !done && pilots.some((one) => one.id === pilot && !one.automatic);
   if (!stage.tracks.some(byHand)) return false;
@@ -68,7 +67,7 @@ function listenToDrags(grid, context) {
   for (const type of ["pointerup", "pointercancel", "pointerleave"]) grid.addEventListener(type, () => (before = null));
   grid.addEventListener("pointermove", (event) => {
     if (!before || !event.isPrimary || !stage.world) return;
-    // One finger flies where the visitor does.
+    // If the visitor flies, a swipe flies.
     if (event.pointerType !== "mouse" && document.body.classList.contains("human-flies")) return;
     camera.pan((event.clientX - before.clientX) / camera.cell, (event.clientY - before.clientY) / camera.cell);
     before = event;

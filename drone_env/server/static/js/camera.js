@@ -1,21 +1,21 @@
-// Which part of the map is in sight, and how large: handed to whatever draws.
+// The visible part of the map and its zoom.
 
 const LABEL_ROOM = 22;
 const LABELS_FROM = 20;
-/** Cells left free around the grid: the rotors reach over it. */
+/** Free cells around the grid, for the rotors. */
 const EDGE = 0.32;
 const ZOOMS = [1, 1.5, 2, 3, 4, 6];
-/** Device pixels that the picture of a map may be wide. */
+/** The maximum width of a map in device pixels. */
 const WIDEST = 4096;
-/** A share of the window, from its middle, in which the drone moves without the map moving with it. */
+/** The share of the window in which the drone moves without moving the map. */
 const CALM = 0.3;
 
 /**
- * @typedef {Object} Layout Where the grid lies in the window, in device pixels.
+ * @typedef {Object} Layout The position of the grid in the window, in device pixels.
  * @property {number} cell Side of a cell, whole.
  * @property {number} left @property {number} top Corner of cell [0, 0].
  * @property {number} scale Device pixels per CSS pixel.
- * @property {boolean} labels Whether there is room for the numbers of columns and rows.
+ * @property {boolean} labels Whether the numbers of columns and rows fit.
  */
 
 export class Camera {
@@ -26,17 +26,17 @@ export class Camera {
   /** The whole map. */
   reset() {
     this.zoom = 1;
-    /** The cell in the middle of the window; it is kept to while the drone is not followed. */
+    /** The cell in the middle of the window, unless the camera follows the drone. */
     this.centre = null;
     this.following = true;
   }
 
-  /** Whether it cannot go nearer: the picture of the map would be too large. */
+  /** Whether this is the maximum zoom. */
   get nearest() {
     return this.zoom === ZOOMS.at(-1) || this.zoom * this.whole >= this.most;
   }
 
-  /** One step nearer or farther. @returns {boolean} Whether that was possible. */
+  /** Zooms one step in or out. @returns {boolean} Whether the zoom changed. */
   nearer(by) {
     const next = ZOOMS[ZOOMS.indexOf(this.zoom) + by];
     if (!next || (by > 0 && this.nearest)) return false;
@@ -45,7 +45,7 @@ export class Camera {
     return true;
   }
 
-  /** Moves the map by cells; from then on the drone is not followed. */
+  /** Moves the map by cells and stops following the drone. */
   pan(dx, dy) {
     if (this.zoom === 1 || !this.centre) return;
     this.centre = [this.centre[0] - dx, this.centre[1] - dy];
@@ -80,7 +80,7 @@ export class Camera {
 
 const within = (value, least, most) => Math.max(least, Math.min(most, value));
 
-/** The whole map in the middle: whole device pixels per cell, so that lines are sharp. */
+/** The whole map, centred, with whole device pixels per cell for sharp lines. */
 function fitted(world, { width, height, scale }) {
   const place = (room) =>
     Math.floor(Math.min((width - room) / (world.width + EDGE), (height - room) / (world.height + EDGE)));

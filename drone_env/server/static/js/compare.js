@@ -1,4 +1,4 @@
-// Compare: who flies a task best, two of them map by map, runs over the same maps, trainings, and the newest flights.
+// Compare: leaderboard, pairs, runs over the same maps, training curves and newest flights.
 import { el } from "./dom.js";
 import { Flights } from "./flights.js";
 import { title } from "./format.js";
@@ -6,11 +6,10 @@ import { leaderboard, mapsOf, paired, runsOf } from "./rankings.js";
 import { Training } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
-/** Several flights that end at once are one change; so many milliseconds later all is asked for anew. */
+/** Milliseconds between the end of a flight and the reload, which may cover several flights. */
 const PAUSE = 300;
 const MOST = 2;
 
-/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
@@ -27,7 +26,7 @@ export function mount(root, context) {
   };
   router.on("address", look);
   live.on("training", ({ curve }) => shown && training.show(curve));
-  live.on("episodes", ({ episodes }) => shown && compare.heard(episodes));
+  live.on("episodes", ({ episodes }) => shown && compare.onEpisodes(episodes));
   live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
   look();
 }
@@ -35,10 +34,10 @@ export function mount(root, context) {
 class Compare {
   constructor(root, context) {
     this.context = context;
-    this.asked = 0;
+    this.request = 0;
     this.timer = 0;
     this.failed = false;
-    /** What is compared: the task as `/tasks` tells it, its leaderboard, and the runs over it. */
+    /** The task, its leaderboard and its runs. */
     this.task = this.board = this.runs = null;
     const option = (task) => el("option", { value: task.short_name, text: title(task.short_name) });
     const group = ([family, tasks]) => el("optgroup", { label: title(family) }, ...tasks.map(option));
@@ -56,7 +55,7 @@ class Compare {
     root.append(
       el(
         "div.view-head",
-        el("h2", { text: "Who flies best" }),
+        el("h2", { text: "Leaderboard" }),
         el("div.filters", el("label", { for: "compare-task" }, el("span", { text: "Task" }), this.choice)),
       ),
       this.problem,
@@ -67,7 +66,7 @@ class Compare {
     );
   }
 
-  /** The pilots that the address names: the maps of one are shown, two are paired. */
+  /** The pilots of the address: one shows its maps, two are compared. */
   get pilots() {
     return this.context.router.address.pilots.slice(0, MOST);
   }
@@ -76,10 +75,10 @@ class Compare {
     this.context.router.go({ view: "compare", task, pilots });
   }
 
-  /** Another address is shown. */
+  /** Shows another address. */
   look() {
     const { task } = this.context.router.address;
-    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.asked);
+    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.request);
     else if (task !== this.wanted) this.load();
   }
 
@@ -87,14 +86,14 @@ class Compare {
     return this.context.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name));
   }
 
-  /** All anew, as for another task or after flights that have ended. */
+  /** Reloads everything. */
   async load() {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const { api, router, tasks } = this.context;
     this.wanted = router.address.task;
-    await this.trying(asked, () => this.context.meet(this.wanted));
-    if (asked !== this.asked) return;
-    // Beside what is said of a task that there is not, nothing of another is shown.
+    await this.trying(request, () => this.context.meet(this.wanted));
+    if (request !== this.request) return;
+    // An unknown task shows only the error.
     const nowhere = this.wanted !== null && !this.known(this.wanted);
     for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
     if (nowhere) {
@@ -102,11 +101,11 @@ class Compare {
       this.chosen.hidden = this.ranked.hidden = true;
       this.task = this.drawn = null;
     }
-    await this.trying(asked, async () => {
+    await this.trying(request, async () => {
       const named = this.wanted ?? (await api.get("episodes", { limit: 1 })).episodes[0]?.task ?? tasks[0].id;
       await this.context.meet(named);
       const board = await api.get(`leaderboard/${encodeURIComponent(named)}`);
-      if (asked !== this.asked) return;
+      if (request !== this.request) return;
       this.board = board;
       if (this.task?.id !== board.task) {
         this.task = this.known(board.task);
@@ -114,43 +113,43 @@ class Compare {
         this.ranked.hidden = true;
       }
       this.choice.value = this.task.short_name;
-      await Promise.all([this.choose(asked), this.flights.show(this.task, board.rows), this.loadRuns(asked)]);
+      await Promise.all([this.choose(request), this.flights.show(this.task, board.rows), this.loadRuns(request)]);
     });
   }
 
-  /** What takes the server a while, the first time. */
-  async loadRuns(asked) {
+  /** Loads the runs, which takes the server a while the first time. */
+  async loadRuns(request) {
     const runs = await this.context.api.get(`leaderboard/${this.board.task}/runs`);
-    if (asked !== this.asked || JSON.stringify(runs) === JSON.stringify(this.runs)) return;
+    if (request !== this.request || JSON.stringify(runs) === JSON.stringify(this.runs)) return;
     this.runs = runs;
     this.ranked.hidden = !runs.boards.length && !runs.unranked.length;
-    this.ranked.replaceChildren(...runsOf(this.context, runs, this.flights));
+    this.ranked.replaceChildren(...runsOf(this.context, runs));
   }
 
-  /** Shows the leaderboard, and what is chosen in it. */
-  async choose(asked) {
+  /** Shows the leaderboard and the chosen pilots. */
+  async choose(request) {
     const { api } = this.context;
     const [a, b] = this.pilots;
     const path = b ? `paired/${this.board.task}` : `leaderboard/${this.board.task}/maps`;
     const shown = JSON.stringify([this.board.task, a, b]);
-    // What was chosen before does not stand beside another choice, until that is there.
+    // Hides the previous choice until the new one is loaded.
     if (this.shown !== shown) this.draw(null);
     this.shown = shown;
-    await this.trying(asked, async () => {
+    await this.trying(request, async () => {
       const answer = a ? await api.get(path, b ? { a, b } : { agent: a }) : null;
-      if (asked === this.asked && this.shown === shown) this.draw(answer);
+      if (request === this.request && this.shown === shown) this.draw(answer);
     });
   }
 
   draw(answer) {
-    const { context, task, board, pilots, flights } = this;
+    const { context, task, board, pilots } = this;
     const drawn = JSON.stringify([board, pilots, answer]);
     if (this.drawn === drawn) return;
     this.drawn = drawn;
     const two = pilots.length === 2;
     const name = (agent) => board.rows.find((row) => row.agent === agent)?.name ?? agent;
-    const maps = !two && answer ? mapsOf(context, name(pilots[0]), answer.maps, flights, pilots[0]) : null;
-    // Who came here by keys stays where they are.
+    const maps = !two && answer ? mapsOf(context, name(pilots[0]), answer.maps) : null;
+    // The keyboard focus stays on its button.
     const { key } = document.activeElement.dataset;
     this.rows.replaceChildren(leaderboard(context, board, pilots, maps, (chosen) => this.go(chosen)));
     this.chosen.replaceChildren(...(two && answer ? paired(context, task, answer, pilots, name, board.rows) : []));
@@ -158,21 +157,21 @@ class Compare {
     if (key) this.rows.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
   }
 
-  /** Says what goes wrong, unless something else has been asked for meanwhile. */
-  async trying(asked, work) {
+  /** Shows an error of the newest request. */
+  async trying(request, work) {
     try {
       await work();
-      if (asked === this.asked) this.failed = !(this.problem.hidden = true);
+      if (request === this.request) this.failed = !(this.problem.hidden = true);
     } catch (error) {
-      if (asked !== this.asked) return;
+      if (request !== this.request) return;
       this.failed = true;
       this.problem.hidden = false;
-      this.problem.textContent = `This could not be compared: ${error.message}`;
+      this.problem.textContent = `Could not load the comparison: ${error.message}`;
     }
   }
 
-  /** Flights have ended, by whomever. */
-  heard(episodes) {
+  /** Reloads after a flight of this task. */
+  onEpisodes(episodes) {
     const newest = episodes.find((episode) => episode.task === this.task?.id)?.id;
     if (newest === undefined || newest === this.newest) return;
     this.newest = newest;

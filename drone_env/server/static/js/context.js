@@ -1,4 +1,4 @@
-// What all parts of the page share.
+// The shared state of the page.
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
 import { Camera } from "./camera.js";
@@ -7,23 +7,20 @@ import { Stage } from "./stage.js";
 
 /**
  * @typedef {Object} Context
- * @property {import("./router.js").Router} router The address, which is what the page shows.
+ * @property {import("./router.js").Router} router The address of the page.
  * @property {ReturnType<import("./api.js").createApi>} api HTTP calls.
  * @property {import("./live.js").Live} live The socket.
- * @property {Object[]} tasks As `GET /tasks` tells them.
- * @property {Map<string, Object[]>} families The same by family.
- * @property {Object[]} rewardProfiles Likewise.
- * @property {Object[]} pilots As `GET /pilots` tells them. @property {number} most How many may fly at once.
- * @property {Object[]} kinds As `GET /kinds` tells them.
- * @property {Stage} stage The map, the flights and the moment that are shown in Fly.
+ * @property {Object[]} tasks From `GET /tasks`. @property {Map<string, Object[]>} families The tasks by family.
+ * @property {Object[]} pilots From `GET /pilots`. @property {number} most The maximum number of pilots of a flight.
+ * @property {Object[]} kinds From `GET /kinds`.
+ * @property {Stage} stage The map, the flights and the moment of Fly.
  * @property {Camera} camera @property {(id: string) => boolean} shows Whether a layer is shown.
  * @property {string} view "fly", "compare", "learn", "api" or "draw".
- * @property {(name: string|null) => Promise} meet Asks for the task of a drawn map, which `/tasks` does not list.
+ * @property {(name: string|null) => Promise} meet Loads the task of a drawn map, which `/tasks` does not list.
  * @property {(event: string, f: Function) => () => void} on
  * @property {(event: string, ...args: any[]) => void} emit
  *
- * Events: "view" (name) another view is shown; "theme" (name) the colours have changed; "layers" others are shown; "camera" the
- * map is seen from elsewhere; "task" (task) one more is known.
+ * Events, sent after a change: "view" (name), "theme" (name), "layers", "camera", "task" (new task).
  */
 
 /** @returns {Context} */
@@ -37,7 +34,6 @@ export function createContext(parts) {
     camera: new Camera(),
     view: "fly",
     shows: (id) => layers.has(id),
-    /** Shows a layer, or hides it. */
     showLayer(id, shown) {
       if (shown) layers.add(id);
       else layers.delete(id);
@@ -48,7 +44,7 @@ export function createContext(parts) {
   return context;
 }
 
-/** One more task, as `GET /tasks/{task_name}` tells it. @param {import("./context.js").Context} context */
+/** Adds a task of `GET /tasks/{task_name}`. @param {import("./context.js").Context} context */
 export function add(context, { task, pilots }) {
   const { families } = context;
   if (context.tasks.some(({ id }) => id === task.id)) return;
@@ -58,13 +54,12 @@ export function add(context, { task, pilots }) {
   context.emit("task", task);
 }
 
-/** Asks for the task of a drawn map by its name, unless it is known. */
 async function meet(context, name) {
   if (!name?.startsWith("drawn_") || context.tasks.some(({ id }) => id === name)) return;
   try {
     add(context, await context.api.get(`tasks/${encodeURIComponent(name)}`));
   } catch (error) {
-    // Of a map that is not kept here the server says so where it is to be flown.
+    // If the map is unknown, the start request reports it.
     if (!(error instanceof ApiError && error.status === 404)) throw error;
   }
 }

@@ -1,4 +1,4 @@
-// Below the maps: the graph, and the transport of flights that go on or have ended.
+// The graph and the playback controls below the map.
 import { el, icon, setText } from "./dom.js";
 import { signed, title } from "./format.js";
 import { SPEEDS } from "./stage.js";
@@ -7,10 +7,6 @@ import { mountTimeline } from "./timeline.js";
 const PLAY = ["!M7 4.500v15l13-7.500z"];
 const PAUSE = ["!M7 5h3.500v14H7z", "!M13.500 5H17v14h-3.500z"];
 
-/**
- * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {import("./actions.js").Actions} acts
- */
 export function mountControls(root, context, fleet, acts) {
   const { stage } = context;
   const { clock } = stage;
@@ -22,9 +18,9 @@ export function mountControls(root, context, fleet, acts) {
   const forward = button("step", "Step", "→ or .", ["M9 6l7 6-7 6"], acts.forward);
   const last = button("last", "Last step", "End", ["M6 6l7 6-7 6", "M17.500 6v12"], acts.last);
   const named = (id, text, title, press) => el("button.button", { id, text, title, press });
-  const undo = named("undo", "Undo", "Take the last move back (U)", acts.undo);
-  const reset = named("reset", "Reset", "The same map from its start (R)", acts.reset);
-  const fork = named("fork", "Try from here", "Fly on from this step, beside the flight (F)", () => acts.fork());
+  const undo = named("undo", "Undo", "Take back the last move (U)", acts.undo);
+  const reset = named("reset", "Reset", "Restart this map (R)", acts.reset);
+  const fork = named("fork", "Try from here", "Fork the flight at this step and fly it yourself (F)", () => acts.fork());
   const speed = el(
     "select",
     { id: "speed", "aria-label": "Speed", on: { change: () => fleet.setSpeed(Number(speed.value)) } },
@@ -39,7 +35,7 @@ export function mountControls(root, context, fleet, acts) {
   function update() {
     const { track } = stage;
     const [word, playing] = acts.word();
-    // A button whose parts are new while it is held down is not clicked.
+    // Replacing the children of a pressed button would cancel the click.
     if (toggle.textContent !== word) toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
     toggle.title = `${word} (Space)`;
     const away = context.live.state !== "open" && fleet.shown && !stage.over;
@@ -64,7 +60,7 @@ export function mountControls(root, context, fleet, acts) {
   update();
 }
 
-/** Where we are, in words: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */
+/** The present step: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */
 function sentence(track, step, { world }) {
   const frame = track.frameAt(step);
   const of = track.done ? track.steps : world.maxSteps;

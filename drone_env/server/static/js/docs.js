@@ -1,4 +1,4 @@
-// The page of all calls, `/docs`: Swagger UI over what the server says of itself. Its files are here, so it needs no internet.
+// The API reference at `/docs`: Swagger UI with local files.
 /* global SwaggerUIBundle */
 
 SwaggerUIBundle({ url: "openapi.json", dom_id: "#calls", deepLinking: true, validatorUrl: null });

@@ -1,11 +1,11 @@
-// Builds elements. Text is always set as text, never as HTML.
+// DOM helpers. Text is always set as text, never as HTML.
 
 /**
  * @param {string} tag Element name, with optional classes: `div.gauge.wide`; `svg:path` for an SVG element.
- * @param {...(Object|Node|string|null)} contents Children; before them, what the element is given: `text` sets
- *   textContent, `press` is called on a click, `on` adds listeners, `style` sets custom properties and styles, `data` sets
- *   data attributes, null and undefined are left out, everything else is an attribute or a property.
- * @returns {HTMLElement} A button submits nothing unless its `type` says so.
+ * @param {...(Object|Node|string|null)} contents Properties, then children. `text` sets textContent, `press` adds a click
+ *   listener, `on` adds listeners, `style` sets styles and custom properties, `data` sets data attributes; null and
+ *   undefined are skipped; all other properties are attributes.
+ * @returns {HTMLElement} A button has the type "button" by default.
  */
 export function el(tag, ...contents) {
   const given = contents[0]?.constructor === Object ? contents.shift() : {};
@@ -29,13 +29,13 @@ export function el(tag, ...contents) {
   return node;
 }
 
-/** A name with its value, for a `dl`. */
+/** A name and a value of a `dl`. */
 export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
 
 /**
  * A table with a caption for screen readers.
  *
- * @param {[string, boolean?][]} columns Names, which may be empty, and whether a column has numbers. @param {...HTMLElement} bodies
+ * @param {[string, boolean?][]} columns Names, and whether a column contains numbers. @param {...HTMLElement} bodies
  */
 export function table(tag, props, caption, columns, ...bodies) {
   const head = ([text, number]) => (text ? el(number ? "th.num" : "th", { scope: "col", text }) : el("td"));
@@ -48,12 +48,12 @@ export function table(tag, props, caption, columns, ...bodies) {
   );
 }
 
-/** Sets the text of a node if it differs: unchanged nodes cost no layout. */
+/** Sets the text of a node if it differs, to avoid a layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-/** An icon of one or more strokes on a 24 by 24 field; a path that starts with `!` is filled. */
+/** An icon of 24 by 24 units; a path that starts with `!` is filled. */
 export function icon(...paths) {
   const drawn = paths.map((d) => {
     const solid = d.startsWith("!");
@@ -62,16 +62,16 @@ export function icon(...paths) {
   return el("svg:svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, ...drawn);
 }
 
-/** Puts a style sheet or a script into the page's head. @returns {Promise<void>} Once it is loaded. */
+/** Adds a style sheet to the page. @returns {Promise<void>} Resolves when it is loaded. */
 export function loaded(element) {
   return new Promise((resolve, reject) => {
     element.addEventListener("load", () => resolve());
-    element.addEventListener("error", () => reject(new Error(`there is no ${element.href ?? element.src}`)));
+    element.addEventListener("error", () => reject(new Error(`cannot load ${element.href}`)));
     document.head.append(element);
   });
 }
 
-/** Hands the visitor a file. */
+/** Downloads a file. */
 export function download(name, blob) {
   const url = URL.createObjectURL(blob);
   const link = el("a", { href: url, download: name });
@@ -81,7 +81,7 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
-/** Asks a question with two answers. @returns {Promise<boolean>} Whether the first was given. */
+/** Asks a question with two answers. @returns {Promise<boolean>} Whether the visitor chose the first one. */
 export function ask(question, yes, no) {
   const dialog = document.getElementById("ask");
   const answer = (text, value, tag) => el(tag, { type: "submit", value, text });
@@ -96,7 +96,7 @@ export function ask(question, yes, no) {
   });
 }
 
-/** A short message at the foot of the page, also for screen readers. */
+/** A short message at the top of the page, also for screen readers. */
 export function toast(text) {
   const node = el("div.toast", { text });
   document.getElementById("toasts").append(node);
@@ -104,18 +104,18 @@ export function toast(text) {
   setTimeout(() => node.remove(), 4000);
 }
 
-/** Says something to screen readers, after what they are saying. */
+/** Announces a text to screen readers. */
 export function announce(text) {
   document.getElementById("announcer").textContent = text;
 }
 
-/** Copies a text. */
-export async function copyText(text, said) {
+/** Copies a text to the clipboard. */
+export async function copyText(text, message) {
   try {
     await navigator.clipboard.writeText(text);
-    toast(said);
+    toast(message);
   } catch {
-    // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
-    window.prompt("To copy:", text);
+    // Without permission, as in a cross-site frame, the visitor copies it from a dialog.
+    window.prompt("Copy this text:", text);
   }
 }

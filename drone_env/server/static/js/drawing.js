@@ -1,13 +1,11 @@
-// What is drawn: a map, the stroke that paints it cell by cell, and the way back.
+// The model of the editor: a map, the present stroke and the undo history.
 import { Emitter } from "./base.js";
 
 const UNDONE = 100;
 const same = (a, b) => a[0] === b[0] && a[1] === b[1];
 
 /**
- * Emits `stroke` where a stroke has changed the map, `end` where one has ended that did, and `map` where the map is
- * another as a whole.
- * A cell is [x, y].
+ * Events: "stroke" a stroke goes on, "end" a stroke has changed the map, "map" the whole map is replaced. A cell is [x, y].
  */
 export class Drawing extends Emitter {
   /** @param {{id: number, name: string}[]} kinds */
@@ -15,16 +13,16 @@ export class Drawing extends Emitter {
     super();
     this.kinds = kinds;
     this.road = this.idOf("road");
-    /** What paints: a kind of cell, `parcel`, `start`, or `move`. */
+    /** A kind of cell, `parcel`, `start` or `move`. */
     this.tool = "move";
     this.become(null);
   }
 
-  /** Another map, as `POST /maps/worth` takes it, or none. */
+  /** Replaces the map: the body of `POST /maps/worth`, or null. */
   become(map) {
     this.map = map;
     this.past = [];
-    /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
+    /** The present stroke: the map before it, its cell, and the cell of the held item. */
     this.stroke = null;
   }
 
@@ -58,7 +56,7 @@ export class Drawing extends Emitter {
     return Array.from({ length: height }, () => new Array(width).fill(this.road));
   }
 
-  /** Moves what stands at a cell to another, if there is room. @returns {boolean} */
+  /** Moves an item to a road cell. @returns {boolean} Whether it moved. */
   move(from, to) {
     const { map } = this;
     if (!this.inside(to) || this.nameAt(to) !== "road") return false;
@@ -72,7 +70,7 @@ export class Drawing extends Emitter {
     return true;
   }
 
-  /** Paints a cell. The start gives way to nothing, the last parcel to none. */
+  /** Paints a cell, except the start and the last parcel. */
   paint(cell) {
     const { map, tool } = this;
     if (!this.inside(cell) || same(map.start, cell)) return;
@@ -88,14 +86,14 @@ export class Drawing extends Emitter {
     }
   }
 
-  /** Begins a stroke at a cell; there is none if it holds nothing to be moved. */
+  /** Begins a stroke. The move tool needs an item at the cell. */
   begin(cell) {
     const { map, tool } = this;
     const name = this.nameAt(cell);
     const held = name === "start" || (tool === "move" && name !== "road") ? cell : null;
     if (tool === "move" && !held) return;
     this.stroke = { before: JSON.stringify(map), cell, held };
-    // A parcel goes where it is painted again.
+    // Painting a parcel again removes it.
     if (!held && tool === "parcel" && name === "parcel" && map.parcels.length > 1) {
       map.parcels.splice(this.parcelAt(cell), 1);
       this.stroke.done = true;
@@ -106,7 +104,7 @@ export class Drawing extends Emitter {
     this.emit("stroke");
   }
 
-  /** Draws on to a cell, by all that lie between; without a stroke, nothing. */
+  /** Continues the stroke to a cell, along a straight line. */
   goOn(cell) {
     const { stroke } = this;
     if (!stroke || same(cell, stroke.cell)) return;
@@ -124,7 +122,7 @@ export class Drawing extends Emitter {
     if (seen) this.emit("stroke");
   }
 
-  /** The stroke, if there is one, is at this cell: where the way was barred, what it moves has stayed behind. */
+  /** Sets the cell of the stroke, for a held item that could not follow. */
   comeTo(cell) {
     if (this.stroke) this.stroke.cell = cell;
   }
@@ -137,7 +135,7 @@ export class Drawing extends Emitter {
     this.stroke = null;
   }
 
-  /** One change as a whole. */
+  /** Makes a change that is undone at once. */
   edit(change) {
     this.stroke = { before: JSON.stringify(this.map) };
     change();
@@ -145,7 +143,7 @@ export class Drawing extends Emitter {
     this.emit("map");
   }
 
-  /** Shows the map before the last stroke. */
+  /** Restores the map before the last change. */
   undo() {
     this.end();
     if (!this.past.length) return;
@@ -153,7 +151,7 @@ export class Drawing extends Emitter {
     this.emit("map");
   }
 
-  /** @param {number | null} value What the size gives, if null. */
+  /** @param {number | null} value Null restores the default of the map size. */
   setNumber(name, value) {
     this.edit(() => {
       if (value === null) delete this.map.numbers[name];
@@ -161,7 +159,7 @@ export class Drawing extends Emitter {
     });
   }
 
-  /** Another size: what still fits stays. */
+  /** Resizes the map and keeps what fits. */
   resize(width, height) {
     this.edit(() => {
       const { map } = this;

@@ -1,4 +1,4 @@
-// Draw: a map that people paint; the server says at once what it is worth, keeps it as a task and writes its file.
+// Draw: a map editor. The server computes the optimum, stores the map as a task and writes its file.
 import { ApiError } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
@@ -14,7 +14,7 @@ import { Track } from "./track.js";
 
 const SIDES = [2, 128];
 const EMPTY = 12;
-/** Milliseconds until a server that is busy is asked again. */
+/** Milliseconds until the next request to a busy server. */
 const AGAIN = 2000;
 const SHOWN = new Set(["city", "best", "parcels", "drones"]);
 const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
@@ -22,23 +22,22 @@ const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], cha
 const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
 const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";
 
-/** Drawings of this tab, by what they were made from: Back and Reload come to them as they were left. */
-const kept = new Map();
-const keyOf = ({ file, task, seed }) => `drone-env-drawing ${file ?? `${task ?? ""} ${seed ?? 0}`}`;
+/** Drawings of this tab, by their origin: Back and Reload restore them. */
+const drawings = new Map();
+const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`;
 
 function keep(key, map) {
-  kept.set(key, map);
+  drawings.set(key, map);
   remember(key, JSON.stringify(map), "sessionStorage");
 }
 
-/** Opens the file of a city. @throws {ApiError} Where it is none. @param {File} file @param {import("./context.js").Context} context */
+/** Opens a city file as a new drawing. @throws {ApiError} If it is invalid. */
 async function openMap(file, { api, router }) {
-  const address = { view: "draw", file: file.name };
+  const address = { view: "draw" };
   keep(keyOf(address), await api.post("maps/file", { toml: await file.text() }));
   router.go(address);
 }
 
-/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const { api, router, kinds } = context;
   const own = Object.assign(new Emitter(), context, {
@@ -51,15 +50,14 @@ export function mount(root, context) {
   const { stage, camera } = own;
   const drawing = new Drawing(kinds);
   let key = null;
-  /** What the map is worth, as the server says. */
+  /** The answer of `POST /maps/worth`, with the parcels of that map; null until it arrives. */
   let worth = null;
   let cursor = null;
 
-  // What stands on the page.
+  // Elements.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
   const blank = el("a.button.small", { href: "?view=draw", text: "Empty map" });
-  const again = el("button.button.small", { text: "Start over", title: "As it was before you drew", press: startOver });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
   const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
   const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
@@ -68,19 +66,19 @@ export function mount(root, context) {
   const score = el("strong.hero-number", { id: "map-optimum", text: "–" });
   const note = el("span.hero-note", { id: "map-note" });
   const problem = el("p.problem", { role: "alert", hidden: true });
-  const about = el("p.note", { text: "Flown by the rules of Skyline, whatever it was made from." });
-  const whose = el("p.note");
+  const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
+  const credit = el("p.note");
   const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
   const acts = el(
     "div.draw-acts",
     act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
     act("race-map", "Race", () => go(null)),
-    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await keptTask()).id, seed: 0 }).href, "Link copied.")),
+    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await storeTask()).id, seed: 0 }).href, "Link copied.")),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
   root.append(
-    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, again, blank)),
+    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, blank)),
     middle,
     el(
       "aside.draw-side",
@@ -91,14 +89,14 @@ export function mount(root, context) {
       numbers,
       opening,
       about,
-      whose,
+      credit,
     ),
   );
   root.classList.add("draw");
   const board = mountBoards(middle, own);
   const grid = middle.querySelector(".boards");
   grid.id = "drawing";
-  Object.assign(grid, { tabIndex: 0, ariaLabel: "Map: arrows move the cursor, Space or Enter paints", role: "application" });
+  Object.assign(grid, { tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });
   const mark = el("i.draw-cursor", { hidden: true });
   grid.append(mark);
 
@@ -115,7 +113,7 @@ export function mount(root, context) {
     return { id, input, label: el("label", el("span", { text }), input) };
   }
 
-  // What is changed.
+  // Changes.
   drawing.on("stroke", changed);
   drawing.on("map", show);
   drawing.on("end", () => {
@@ -137,8 +135,8 @@ export function mount(root, context) {
     drawing.resize(...sides.map(({ input }) => Number(input.value)));
   }
 
-  // What is shown.
-  /** The map has another size, or is another. */
+  // Drawing.
+  /** Shows another map, or another size. */
   function show() {
     turns();
     draw();
@@ -157,18 +155,18 @@ export function mount(root, context) {
     stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
     stage.tracks = [track];
     board.reload();
-    setText(whose, map.attribution);
+    setText(credit, map.attribution);
     drawBest();
   }
 
-  /** What the server says of the map; the map itself is drawn already. */
+  /** Draws the optimal path. */
   function drawBest() {
     stage.track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
     board.refresh();
     fill();
   }
 
-  /** What was typed and not taken gives way once its field is left. */
+  /** Writes the numbers into the fields, except the focused one. */
   function fill() {
     const { map } = drawing;
     const numbers = map && { columns: map.cells[0].length, rows: map.cells.length, ...map.numbers };
@@ -181,12 +179,12 @@ export function mount(root, context) {
 
   function changed() {
     draw();
-    // A stroke is kept as a whole: storage is slower than fingers.
+    // Stored once per stroke: storage is slow.
     if (!drawing.stroke) keep(key, drawing.map);
     ask();
   }
 
-  // One question at a time, and after it the newest: what was drawn in between is asked by nobody.
+  // One request at a time, then one for the newest map.
   let asking = false;
   let newest = null;
   async function ask() {
@@ -195,20 +193,21 @@ export function mount(root, context) {
     if (asking) return;
     asking = true;
     while (newest) {
-      const asked = newest;
+      const sent = newest;
+      const parcels = sent.parcels.length;
       newest = null;
       let answer = null;
       let wrong = null;
       try {
-        answer = await api.post("maps/worth", asked);
+        answer = await api.post("maps/worth", sent);
       } catch (error) {
         if (!(error instanceof ApiError)) throw error;
         wrong = error.message;
-        if (error.status === 503) setTimeout(() => asked === drawing.map && ask(), AGAIN);
+        if (error.status === 503) setTimeout(() => sent === drawing.map && ask(), AGAIN);
       }
-      // Another map may stand here by now.
-      if (asked !== drawing.map) continue;
-      worth = answer;
+      // The visitor may have opened another map.
+      if (sent !== drawing.map) continue;
+      worth = answer && { ...answer, parcels };
       tell(wrong);
       drawBest();
     }
@@ -217,15 +216,15 @@ export function mount(root, context) {
   }
 
   function tell(wrong) {
-    const { optimum, bounds } = worth ?? {};
+    const { optimum, bounds, parcels } = worth ?? {};
     setText(score, optimum ? points(optimum.score) : "–");
-    setText(note, worth ? inWords(optimum, bounds, drawing.map.parcels.length) : "");
+    setText(note, worth ? inWords(optimum, bounds, parcels) : "");
     problem.hidden = wrong === null;
     setText(problem, wrong ?? "");
     for (const button of acts.children) button.disabled = wrong !== null;
   }
 
-  // What is done with it.
+  // Actions.
   async function trying(press) {
     try {
       await press();
@@ -235,14 +234,14 @@ export function mount(root, context) {
     }
   }
 
-  async function keptTask() {
+  async function storeTask() {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
     return answer.task;
   }
 
   async function go(pilots) {
-    const { id } = await keptTask();
+    const { id } = await storeTask();
     const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(id)).map((pilot) => pilot.id);
     router.go({ task: id, seed: 0, pilots: pilots ?? able.slice(0, context.most) });
   }
@@ -287,17 +286,11 @@ export function mount(root, context) {
   );
   for (const type of ["pointerup", "pointercancel"]) grid.addEventListener(type, () => drawing.end());
 
-  /** Moves the map as far as it takes to see a cell. */
-  function follow(cell) {
+  /** Centres a zoomed map on a cell. */
+  function follow([x, y]) {
     if (camera.zoom === 1) return;
-    const { cell: side, left, top, scale } = layout();
-    const { width, height } = grid.querySelector(".map").getBoundingClientRect();
-    const beyond = [left, top].map((from, axis) => {
-      const before = from / side + cell[axis];
-      return Math.min(0, before) + Math.max(0, before + 1 - ([width, height][axis] * scale) / side);
-    });
-    if (!beyond.some(Boolean)) return;
-    camera.pan(-beyond[0], -beyond[1]);
+    camera.centre = [x + 0.5, y + 0.5];
+    camera.following = false;
     own.emit("camera");
   }
 
@@ -326,7 +319,7 @@ export function mount(root, context) {
         drawing.comeTo(to);
       }
     } else if ((event.key === " " || event.key === "Enter") && cursor) {
-      // What is taken up goes along until it is put down.
+      // A held item moves along until the next press.
       if (drawing.stroke) drawing.end();
       else drawing.begin(cursor);
       if (!drawing.stroke?.held) drawing.end();
@@ -350,17 +343,16 @@ export function mount(root, context) {
     drawing.undo();
   });
 
-  // Which map it is, the address says.
+  // The address selects the map.
   async function look() {
-    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === kept.get(key))) return;
+    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
     const wanted = keyOf(address);
-    const left = kept.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
+    const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
     await load(wanted, left ?? (() => origin(address)));
   }
 
-  async function origin({ task, seed, file }) {
-    if (file) throw new ApiError(0, "gone", `The file ${file} is on this page no more: open it again.`);
+  async function origin({ task, seed }) {
     if (task) return api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
     return { cells: drawing.empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
   }
@@ -381,23 +373,13 @@ export function mount(root, context) {
     }
   }
 
-  /** Another map stands here, or none. */
+  /** Replaces the drawing, or clears it. */
   function become(wanted, found) {
     key = wanted;
     worth = null;
     drawing.become(found);
     point(null);
     turns();
-    again.hidden = Boolean(router.address.file);
-  }
-
-  async function startOver() {
-    const wanted = key;
-    await trying(async () => {
-      const found = await origin(router.address);
-      if (drawing.map && key === wanted) drawing.edit(() => (drawing.map = found));
-      else look();
-    });
   }
 
   router.on("address", look);
@@ -408,11 +390,11 @@ export function mount(root, context) {
 /** The optimum in words. */
 function inWords(optimum, bounds, parcels) {
   if (!optimum) {
-    if (!bounds) return "Too large to be solved";
+    if (!bounds) return "This map is too large for the exact solver.";
     const [least, most] = bounds.map((bound) => points(bound));
-    return `Too large to be solved: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
+    return `This map is too large for the exact solver: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
   }
   const steps = optimum.steps === 1 ? "step" : "steps";
   if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
-  return `${optimum.deliveries} of ${parcels} parcels at best: battery or steps last for no more`;
+  return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
 }

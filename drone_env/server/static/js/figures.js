@@ -1,10 +1,10 @@
-// What stands on maps: the sheet of figures from which the pictures of Gymnasium are drawn too, and the marks of the page.
-import { colourOf, font } from "./base.js";
+// The figures of the map, from the sheet that the Gymnasium renderer also uses, and the marks of the page.
+import { colourOf } from "./base.js";
 import { el } from "./dom.js";
 
-/** A figure's field on the sheet is so much wider than the cell in its middle. */
+/** The size of a figure on the sheet, in cells. */
 const FIELD = 1.8;
-/** Figures that are kept in the sizes they were drawn in. */
+/** The maximum number of cached figures. */
 const KEPT = 400;
 const CORNERS = [
   [-1, -1],
@@ -13,13 +13,13 @@ const CORNERS = [
   [1, 1],
 ];
 
-/** Where on the sheet the figures of a kind are, [x, y] of each: of a building there are several. */
+/** The positions [x, y] of each kind on the sheet; a building has several. */
 const places = new Map();
 const drawn = new Map();
 let sheet = null;
 let side = 0;
 
-/** Fetches the sheet: before, nothing can be drawn. */
+/** Loads the sheet. Nothing can be drawn before. */
 export async function loadFigures() {
   const answer = await fetch(new URL("../figures.svg", import.meta.url));
   const art = new DOMParser().parseFromString(await answer.text(), "image/svg+xml").documentElement;
@@ -29,7 +29,7 @@ export async function loadFigures() {
     places.set(kind, [...(places.get(kind) ?? []), [x, y]]);
     side = width;
   }
-  // The drone turns, and its shadow would turn with it: that is drawn apart.
+  // The drone rotates, so its shadow is drawn separately.
   art.querySelector("#drone [filter]").remove();
   sheet = new Image();
   sheet.src = `data:image/svg+xml,${encodeURIComponent(new XMLSerializer().serializeToString(art))}`;
@@ -37,9 +37,9 @@ export async function loadFigures() {
 }
 
 /**
- * One figure around its centre, in device pixels; nothing where a kind has none.
+ * Draws a figure around its centre, in device pixels.
  *
- * @param {number} [variety] Which one, where a kind has several.
+ * @param {number} [variety] Selects one of several figures.
  */
 export function drawFigure(ctx, kind, x, y, cell, variety = 0) {
   const there = places.get(kind);
@@ -48,7 +48,7 @@ export function drawFigure(ctx, kind, x, y, cell, variety = 0) {
   ctx.drawImage(inSize(there[variety % there.length], size), Math.round(x) - size / 2, Math.round(y) - size / 2);
 }
 
-/** A figure is drawn from its shapes once for each size. */
+/** A figure, cached per size. */
 function inSize([x, y], size) {
   const key = `${x} ${y} ${size}`;
   if (!drawn.has(key)) {
@@ -61,10 +61,10 @@ function inSize([x, y], size) {
 }
 
 /**
- * The drone from above, with rotors that turn in the colour of who flies.
+ * The drone from above, with rotors in the colour of its pilot.
  *
  * @param {number} size Its width in device pixels. @param {number} heading Radians, 0 is up.
- * @param {number} spin Angle of the rotors. @param {number} lift 0 on the ground, 1 in flight: how far its shadow lies.
+ * @param {number} spin Angle of the rotors. @param {number} lift 0 on the ground, 1 in flight: the distance of the shadow.
  */
 export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
   ctx.save();
@@ -91,7 +91,7 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
   ctx.restore();
 }
 
-/** Brackets around the current target. @param {number} breath In [0, 1], opens them a little. */
+/** Brackets around the current target. @param {number} breath In [0, 1], widens them. */
 export function drawTarget(ctx, x, y, cell, breath, colour) {
   const half = cell * (0.47 + 0.07 * breath);
   const end = half - cell * 0.2;
@@ -107,7 +107,7 @@ export function drawTarget(ctx, x, y, cell, breath, colour) {
   ctx.stroke();
 }
 
-/** An arrow from one point to another, thick at its head. */
+/** An arrow from one point to another. */
 export function drawArrow(ctx, x1, y1, x2, y2, width) {
   const length = Math.hypot(x2 - x1, y2 - y1);
   if (length < 1) return;
@@ -125,17 +125,4 @@ export function drawArrow(ctx, x1, y1, x2, y2, width) {
   }
   ctx.fill();
   ctx.restore();
-}
-
-/** A chess player's mark (`?!`, `?`, `??`, `!!`) in a disc. */
-export function drawMark(ctx, x, y, size, mark, colour) {
-  ctx.fillStyle = colour;
-  ctx.beginPath();
-  ctx.arc(x, y, size * 0.5, 0, 2 * Math.PI);
-  ctx.fill();
-  ctx.fillStyle = colourOf("--ground");
-  ctx.font = font(size * 0.62);
-  ctx.textAlign = "center";
-  ctx.textBaseline = "middle";
-  ctx.fillText(mark, x, y + size * 0.04);
 }

@@ -1,20 +1,23 @@
-// The live flights of this page: what is asked of the server, and what it tells.
+// The live flights of this page: requests to the server, and its messages.
 import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
-const PATIENCE = 2500;
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
 const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
- * What is flown is kept as the address says it: see `Address` of router.js.
+ * `setup` describes the flights as an `Address` of router.js. `phase` is the request that waits for an answer:
  *
- * Events: "setup" other flights were chosen, "playing" started, paused or another speed, "refused" (text), "begun" the server
- * flies what was chosen, "ended" (track) one has ended and is stored.
+ *   idle       start() -> starting;  the connection opens, unfinished flights -> attaching;  session_gone -> starting
+ *   starting   the connection opens: `start` is sent (again);  flights, error or rest() -> idle
+ *   attaching  flights or error -> idle;  session_gone -> starting
+ *
+ * Events: "setup" other flights are chosen, "playing" flights start, pause or change speed, "refused" (text), "begun" the
+ * server has opened the flights, "ended" (track) a flight has ended and is stored.
  */
 export class Fleet extends Emitter {
   /** @param {import("./context.js").Context} context */
@@ -24,14 +27,13 @@ export class Fleet extends Emitter {
     this.stage = context.stage;
     /** @type {Partial<import("./router.js").Address>} */
     this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
-    /** The flights that the server flies for us. @type {Track[]} */
+    /** The flights that the server runs for this page. @type {Track[]} */
     this.tracks = [];
     this.playing = false;
-    this.asked = null;
+    /** @type {"idle"|"starting"|"attaching"} */
+    this.phase = "idle";
     this.number = 0;
-    this.how = { play: false, beside: [], flown: null, after: null, moves: [] };
-    this.waiting = false;
-    this.slow = 0;
+    this.how = { play: false, beside: [], flown: null, moves: [] };
     const { live } = context;
     live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
     live.on("flights", (message) => this.begin(message));
@@ -42,7 +44,7 @@ export class Fleet extends Emitter {
     live.on("playing", ({ playing }) => this.setPlaying(playing));
     live.on("ended", ({ flight, episode }) => this.ended(this.tracks[flight], episode));
     live.on("error", (message) => this.refused(message));
-    // A page that is closed gives its sessions back: nobody could attach to them, and they take the room of others.
+    // A closed page releases its sessions for other visitors.
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
   }
 
@@ -50,46 +52,46 @@ export class Fleet extends Emitter {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
-  /** Whether these flights are on the stage, not one of the past. */
+  /** Whether the stage shows these flights, not a stored one. */
   get shown() {
     return this.tracks.length > 0 && this.tracks.every((track) => this.stage.tracks.includes(track));
   }
 
-  /** The number of the flight that the visitor flies; -1 for none. */
+  /** The index of the visitor's flight, or -1. */
   get human() {
     return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
 
-  /** The flight that has left another one's way; null for none. */
+  /** The fork, or null. */
   get forked() {
     return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
   }
 
-  /** The visitor's own flight while it goes on and is shown; null where there is none. */
+  /** The visitor's flight while it is shown and unfinished, or null. */
   get mine() {
     const track = this.tracks[this.human];
     return track && this.shown && !track.done ? track : null;
   }
 
-  /** Whether what is looked at is the visitor's own flight, where it goes on. */
+  /** Whether the page shows the newest step of the visitor's flight. */
   get atHand() {
     const { track, clock } = this.stage;
     return this.mine !== null && track === this.mine && clock.cursor >= track.steps;
   }
 
-  /** The same once he has flown in it, which is lost where another begins. */
+  /** The visitor's flight once it contains a move that another start would discard, or null. */
   get own() {
     const { mine } = this;
     return mine && mine.steps > (mine === this.forked ? this.setup.fork : 0) ? mine : null;
   }
 
-  /** Whether the visitor's moves are flown: in the flight that is shown, or in one that is on its way. */
+  /** Whether keys fly: in the flight that is shown, or in one that is starting. */
   get byHand() {
-    return this.asked === "start" ? this.how.flown.includes(this.person.id) : this.mine !== null;
+    return this.phase === "starting" ? this.how.flown.includes(this.person.id) : this.mine !== null;
   }
 
-  /** What the address says so that a fork, or the visitor's own flight, goes on where it was left: its moves, and whose they are. */
-  get told() {
+  /** The part of the address from which a fork or the visitor's flight continues: its moves, and their pilot. */
+  get linkParts() {
     if (!this.shown) return {};
     const track = this.forked ?? this.mine;
     if (!track) return { actions: null, of: null };
@@ -99,23 +101,23 @@ export class Fleet extends Emitter {
     return { actions, of: steps || by !== pilot ? by : null };
   }
 
-  /** The pilot who is the visitor. */
+  /** The pilot entry of the visitor. */
   get person() {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
 
-  /** Whether a pilot that flies by itself has not ended. */
+  /** Whether an automatic pilot has not finished. */
   get automatic() {
     return this.tracks.some(({ pilot, done }) => !done && this.pilot(pilot).automatic);
   }
 
-  /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
+  /** @returns {Object} A pilot of `GET /pilots`, or a placeholder for an unknown id. */
   pilot(id) {
     const unknown = { id, name: id, summary: "", automatic: true, tasks: [], colour: "other" };
     return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
   }
 
-  /** How a pilot is called and coloured. */
+  /** The name and the colour of a pilot. */
   look(id) {
     const { name, colour } = this.pilot(id);
     return { name, colour: `--pilot-${colour}` };
@@ -130,69 +132,71 @@ export class Fleet extends Emitter {
     return !task || this.pilot(id).tasks.includes(task.id);
   }
 
-  /** Ids of all who fly a task by themselves, as the server lists them: the visitor's own network first. */
+  /** Ids of the automatic pilots of a task, in the server's order. */
   able(task = this.task()) {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
-  /** What an address asks for, filled up with what is flown now. @param {import("./router.js").Address} address */
-  asks(address) {
-    const { lesson, ...asked } = { ...NOTHING, ...address };
-    const { task, pilots } = asked;
+  /** An address whose missing parts come from the present flights. @param {import("./router.js").Address} address */
+  complete(address) {
+    const { lesson, ...rest } = { ...NOTHING, ...address };
+    const { task, pilots } = rest;
     const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
     const named = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
     return {
-      ...asked,
+      ...rest,
       view: "fly",
-      task: task === null || this.task(task) ? known.short_name : task, // the server says what is wrong with another
+      task: task === null || this.task(task) ? known.short_name : task, // the server rejects an unknown one
       pilots: named.length ? named : this.able(known).slice(0, 1),
     };
   }
 
   /**
-   * Starts other flights: what is named in `change` is new, the rest as it was; forks and moments are not kept.
+   * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
    *
-   * @param {{play?: boolean, beside?: Track[], flown?: string[], after?: () => void}} how Whether to play at once, flights of
-   *   the past to show beside them, those pilots of the setup who are still to be flown, what to do then, and the visitor's
-   *   moves until then.
+   * @param {{play?: boolean, beside?: Track[], flown?: string[], moves?: string[]}} how Whether to play at once, finished flights
+   *   to show beside them, the pilots of the setup that still fly, and the visitor's first moves.
    */
-  start(change = {}, { play = false, beside = [], flown = null, after = null, moves = [] } = {}) {
-    const nothing = { fork: null, actions: null, of: null, step: null, flown: null, episode: null, file: null };
+  start(change = {}, { play = false, beside = [], flown = null, moves = [] } = {}) {
+    const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
-      toast("The server is away: your flight is kept, and another cannot begin before it is back.");
+      toast("The server is away. Your flight is kept; start another one when the server is back.");
       this.emit("setup");
       return;
     }
     this.setup = { ...this.setup, ...nothing, ...change };
-    this.how = { play, beside, flown: flown ?? this.setup.pilots, after, moves };
+    this.how = { play, beside, flown: flown ?? this.setup.pilots, moves: [...moves] };
+    this.phase = "starting";
     this.emit("setup");
-    this.asked = "start";
-    const { task, seed, profile, fork, actions, of, step, flown: newest } = this.setup;
-    const what = { task, seed, reward_profile: profile, pilots: this.how.flown };
-    // The visitor's own flight goes on as a fork of nobody's, in which all moves are his.
-    if (fork !== null || of !== null)
-      what.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
-    else if (newest ?? step) what.step = newest ?? step;
-    // Without a connection it is started as soon as there is one.
-    this.waiting = !live.send({ type: "start", number: ++this.number, ...what });
+    if (live.state === "open") this.send();
   }
 
-  /** Starts what every visitor can fly: where what was asked for cannot be. */
+  /** Sends the present setup to the server. */
+  send() {
+    const { task, seed, profile, fork, actions, of, step } = this.setup;
+    const request = { task, seed, reward_profile: profile, pilots: this.how.flown };
+    // The visitor's own flight continues as a fork in which all moves are the visitor's.
+    if (fork !== null || of !== null)
+      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
+    else if (step) request.step = step;
+    this.context.live.send({ type: "start", number: ++this.number, ...request });
+  }
+
+  /** Starts a flight that every visitor can fly, after a request that the server rejected. */
   another() {
     const task = this.task() ?? this.context.tasks[0];
     this.start({ task: task.short_name, seed: null, profile: null, pilots: this.able(task).slice(0, 1) });
   }
 
-  /** Flies on from a step of a flight, beside it: another move, and what comes of it. */
+  /** Forks a flight at a step: `pilot` flies on beside it, starting with `action`. */
   fork(track, step, { pilot = this.person.id, action = null } = {}) {
     const { world } = this.stage;
-    // A fork of a fork stands beside what the first one had left.
+    // A fork of a fork is shown beside the flights of the first fork.
     const kept = (one) => one !== track && (one.past || one.forkedAt === null);
     const left = track === this.forked ? this.stage.tracks.filter(kept) : [track];
-    // Those that fly by themselves fly the same again, where the link is opened; another must be in the store.
+    // Automatic pilots repeat their flights when the link is opened; any other flight must be stored.
     const again = left.filter((one) => this.pilot(one.pilot).automatic && !one.past && one.forkedAt === null);
-    // They fly on beside the fork unless they have ended.
     const along = again.filter((one) => !one.done);
     const [stored = null] = left.filter((one) => !again.includes(one));
     const idsOf = (tracks) => [...tracks.map((one) => one.pilot), pilot];
@@ -206,10 +210,10 @@ export class Fleet extends Emitter {
       actions: lettersOf(track.actionsTo(step)),
       of: track.by,
     };
-    const after = () => action && this.fly(action);
+    const moves = action ? [action] : [];
     const play = this.pilot(pilot).automatic;
     const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
-    this.start(change, { play, beside, flown: idsOf(along), after });
+    this.start(change, { play, beside, flown: idsOf(along), moves });
   }
 
   play(speed = this.stage.clock.speed) {
@@ -217,16 +221,15 @@ export class Fleet extends Emitter {
   }
 
   pause() {
-    // Nor does it go on by itself once the server is back.
+    // It also stays paused after a reconnect.
     this.how.play = false;
     if (this.playing) this.context.live.send({ type: "pause" });
   }
 
-  /** Something else is to be shown: they are paused, and those who were asked for are not waited for. */
+  /** Pauses the flights because the stage shows something else. */
   rest() {
     this.pause();
-    this.waiting = false;
-    if (this.asked === "start") this.asked = null;
+    if (this.phase === "starting") this.phase = "idle";
   }
 
   step() {
@@ -239,10 +242,10 @@ export class Fleet extends Emitter {
     else this.emit("playing");
   }
 
-  /** One move of the visitor. The others move along unless they fly by themselves. */
+  /** Flies one move of the visitor; paused pilots take one step each. */
   fly(direction) {
     if (!this.byHand) return;
-    if (this.asked === "start") {
+    if (this.phase === "starting") {
       this.how.moves.push(direction);
       return;
     }
@@ -257,19 +260,19 @@ export class Fleet extends Emitter {
     if (this.own) this.context.live.send({ type: "undo", flight: this.human });
   }
 
-  /** The visitor wants to see values while flying, which the record says from then on. */
+  /** Shows values to a visitor who flies; the record notes it. */
   help() {
-    if (this.mine && !this.mine.asked) this.context.live.send({ type: "help", flight: this.human });
+    if (this.mine && !this.mine.showsValues) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {
-    if (this.waiting) {
-      this.start(this.setup, this.how);
+    if (this.phase === "starting") {
+      this.send();
       return;
     }
-    // What has ended needs no session: it stays as it is.
+    // Finished flights need no session.
     if (!this.tracks.length || this.over) return;
-    this.asked = "attach";
+    this.phase = "attaching";
     const sessions = this.tracks.map(({ opening }) => opening.session);
     this.context.live.send({ type: "attach", number: ++this.number, sessions });
   }
@@ -280,39 +283,37 @@ export class Fleet extends Emitter {
   }
 
   begin({ flights, number, playing }) {
-    // The answer to `end`: this page is about to go.
+    // The answer to `end`: the page is closing.
     if (!flights.length) return;
-    const before = this.asked === "attach" ? this.stage.selected : null;
-    const wasShown = this.shown || this.asked === "start";
+    const selected = this.phase === "attaching" ? this.stage.selected : null;
+    const wasShown = this.shown || this.phase === "starting";
     this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
-    // What has been chosen since this was asked for is on its way, and stays chosen.
+    // An answer to an older request does not change the setup.
     const newest = number === this.number;
     const { fork, step } = this.setup;
     if (fork !== null) this.tracks.at(-1).forkedAt = fork;
-    // What stands beside them does not go on.
     for (const track of this.how.beside) track.live = false;
     if (newest) {
-      this.asked = null;
+      this.phase = "idle";
       const { seed, short_name } = flights[0].opening;
       const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.how.flown.length);
       const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
       this.setup = { ...this.setup, seed, task: short_name, pilots };
     }
     this.setPlaying(playing);
-    if (wasShown) this.show(step, before);
+    if (wasShown) this.show(step, selected);
     this.emit("setup");
     this.emit("begun");
     if (!newest) return;
-    // What a fork gives away is what it is flown for.
+    // A fork always shows values.
     if (this.setup.fork !== null) this.help();
-    const { play, after, moves } = this.how;
-    Object.assign(this.how, { play: false, after: null, moves: [] });
+    const { play, moves } = this.how;
+    Object.assign(this.how, { play: false, moves: [] });
     if (play && !playing) this.play();
-    after?.();
     for (const direction of moves) this.fly(direction);
   }
 
-  /** Puts these flights on the stage: from their newest step, unless another moment is wanted. */
+  /** Puts these flights on the stage, at their newest step by default. */
   show(step = null, selected = null) {
     const tracks = [...this.how.beside, ...this.tracks];
     const front = this.forked ?? this.tracks[this.human] ?? tracks[0];
@@ -324,7 +325,6 @@ export class Fleet extends Emitter {
   }
 
   move(frames) {
-    clearTimeout(this.slow);
     for (const { flight, frame } of frames) {
       const track = this.tracks[flight];
       track?.frames.push(frame);
@@ -356,9 +356,6 @@ export class Fleet extends Emitter {
 
   setPlaying(playing) {
     this.playing = this.stage.flying = playing;
-    clearTimeout(this.slow);
-    // The best flight over the largest maps takes seconds to be found, in which nobody moves.
-    if (playing) this.slow = setTimeout(() => toast("A pilot is still working this map out."), PATIENCE);
     this.stage.tell("cursor");
     this.emit("playing");
   }
@@ -372,15 +369,15 @@ export class Fleet extends Emitter {
   }
 
   refused({ code, detail }) {
-    const asked = this.asked;
-    this.asked = null;
-    if (asked !== "start" && code === "session_gone") {
-      toast("The server has ended that flight meanwhile: it starts again.");
-      this.start({ ...this.setup, ...this.told }, { ...this.how, play: this.how.play || this.playing });
+    const { phase } = this;
+    this.phase = "idle";
+    if (phase !== "starting" && code === "session_gone") {
+      toast("The server has ended this flight. It starts again.");
+      this.start({ ...this.setup, ...this.linkParts }, { ...this.how, play: this.how.play || this.playing });
       return;
     }
-    // Keys come faster than what they do: one after the end of a flight, or back beyond its start, is no matter.
-    if (asked === null && code === "wrong_moment") return;
+    // A key may arrive after the end of the flight: ignored.
+    if (phase === "idle" && code === "wrong_moment") return;
     this.emit("refused", detail);
   }
 }

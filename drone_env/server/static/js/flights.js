@@ -1,4 +1,4 @@
-// The newest flights over a task, by all or by one.
+// The newest flights of a task, by all pilots or one.
 import { el } from "./dom.js";
 import { fixed, flightName, moment, outcome, points, who } from "./format.js";
 import { grid } from "./rankings.js";
@@ -10,48 +10,33 @@ export class Flights {
   constructor(context) {
     this.context = context;
     this.task = null;
-    /** Numbers before which the pages up to this one start; the first is that of the newest page. */
+    /** The pages up to this one: each starts before a flight number, the first with the newest flight. */
     this.pages = [null];
     this.next = null;
-    this.seed = null;
-    this.asked = 0;
-    this.agent = el("select", { id: "compare-agent", on: { change: () => this.filter(this.agent.value, null) } });
-    this.map = el("button.button.small", { hidden: true, press: () => this.filter(this.agent.value, null) });
+    this.request = 0;
+    this.agent = el("select", { id: "compare-agent", on: { change: () => this.turn(() => (this.pages = [null])) } });
     this.newer = el("button.button.small", { text: "Newer", press: () => this.turn(() => this.pages.pop()) });
     const older = () => this.pages.push(this.next);
     this.older = el("button.button.small", { text: "Older", press: () => this.turn(older) });
     this.note = el("p.note", { role: "status" });
     this.list = el("div.flight-list");
-    this.heading = el("h2", { text: "Newest flights", tabindex: "-1" });
     const choice = el("label", { for: "compare-agent" }, el("span", { text: "Pilot" }), this.agent);
     this.root = el(
       "section.compare-part",
-      el("div.view-head", this.heading, el("div.filters", choice, this.map)),
+      el("div.view-head", el("h2", { text: "Newest flights" }), el("div.filters", choice)),
       this.list,
       el("div.pager", this.newer, this.older, this.note),
     );
   }
 
-  open({ id }) {
-    this.context.router.go({ view: "fly", episode: id });
-  }
-
-  /** The newest of a task. @param {Object} task @param {Object[]} rows Of its leaderboard: who can be chosen. */
+  /** Shows the newest flights of a task. @param {Object} task @param {Object[]} rows The pilots of its leaderboard. */
   show(task, rows) {
-    if (this.task !== task) [this.task, this.pages, this.seed, this.agent.value] = [task, [null], null, ""];
+    if (this.task !== task) [this.task, this.pages, this.agent.value] = [task, [null], ""];
     const chosen = this.agent.value;
     const known = rows.map(({ agent, name }) => el("option", { value: agent, text: name }));
     this.agent.replaceChildren(el("option", { value: "", text: "All" }), ...known);
     this.agent.value = chosen;
     return this.load();
-  }
-
-  /** Those of one pilot, over one map. @param {string} agent "" for all. @param {number|null} seed Null for all. */
-  filter(agent, seed) {
-    this.agent.value = agent;
-    this.seed = seed;
-    if (seed !== null) this.heading.focus();
-    return this.turn(() => (this.pages = [null]));
   }
 
   turn(page) {
@@ -60,19 +45,15 @@ export class Flights {
   }
 
   async load() {
-    const asked = ++this.asked;
-    const [task, agent, seed] = [this.task.short_name, this.agent.value, this.seed];
-    const query = { task, agent, seed, limit: PAGE, before: this.pages.at(-1) };
+    const request = ++this.request;
+    const [task, agent] = [this.task.short_name, this.agent.value];
+    const query = { task, agent, limit: PAGE, before: this.pages.at(-1) };
     const { episodes, next } = await this.context.api.get("episodes", query);
-    if (asked !== this.asked) return;
+    if (request !== this.request) return;
     this.next = next;
-    this.map.hidden = seed === null;
-    this.map.textContent = `Map ${seed} ×`;
-    this.map.setAttribute("aria-label", `All maps, not only map ${seed}`);
     this.newer.disabled = this.pages.length === 1;
     this.older.disabled = next === null;
-    const none = "No flight yet. Fly one, and it stands here.";
-    this.note.textContent = episodes.length ? `Page ${this.pages.length}` : none;
+    this.note.textContent = episodes.length ? `Page ${this.pages.length}` : "No flights yet.";
     this.draw(episodes);
   }
 
@@ -85,7 +66,7 @@ export class Flights {
         text: "Open",
         data: { key: e.id, episode: e.id },
         "aria-label": `Open ${flightName(this.context, e)}`,
-        press: () => this.open(e),
+        press: () => this.context.router.go({ view: "fly", episode: e.id }),
       });
     const columns = [
       ["Pilot", (e) => who(this.context, e.agent)],

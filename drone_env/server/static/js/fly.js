@@ -1,4 +1,4 @@
-// Fly: a map with flights over it, live or past; puts plan, boards, controls and instruments together.
+// Fly: a map with live or finished flights; assembles plan, map, controls and instruments.
 import { actionsOf } from "./actions.js";
 import { mountBoards } from "./boards.js";
 import { mountCalls } from "./calls.js";
@@ -11,26 +11,29 @@ import { mountHuman, mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
-import { explain, mountFiles, Past } from "./past.js";
+import { explain, mountFiles, mountRecord, Past } from "./past.js";
 import { mountPlan } from "./plan.js";
 import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
-import { mountTelemetry } from "./telemetry.js";
 import { mountThinking } from "./thinking.js";
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
+/**
+ * Fills its element, as every `mountX(root, context, ...)` of this page does.
+ *
+ * @param {HTMLElement} root An empty element. @param {import("./context.js").Context} context
+ */
 export function mountFly(root, context) {
-  const { stage } = context;
+  const { router, stage } = context;
   const fleet = new Fleet(context);
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
-  /** Whether values are kept back: a person flies who has not asked for them. */
-  context.secret = (track) => track.live && !track.done && !track.asked && !fleet.pilot(track.pilot).automatic;
+  /** Whether values are hidden: a visitor flies and has not turned them on. */
+  context.secret = (track) => track.live && !track.done && !track.showsValues && !fleet.pilot(track.pilot).automatic;
 
-  const plan = el("aside.plan", { "aria-label": "What is flown" });
+  const plan = el("aside.plan", { "aria-label": "Flight plan" });
   const middle = el("div.middle");
-  const side = el("aside.side", { "aria-label": "The flight" });
+  const side = el("aside.side", { "aria-label": "Flight data" });
   const below = (name, mount, ...more) => mounted(middle, `div.${name}`, mount, ...more);
   const panel = (name, mount, ...more) => mounted(side, `section.panel.${name}`, mount, ...more);
   function mounted(parent, tag, mount, ...more) {
@@ -41,9 +44,9 @@ export function mountFly(root, context) {
   root.append(plan, middle, side);
 
   mountPlan(plan, context, fleet, acts);
-  mountFiles(plan, past, openFile);
+  mountFiles(plan, past, open);
   const lesson = el("div.lesson-bar", { hidden: true });
-  let teaching = null;
+  let lessons = null;
   middle.append(lesson);
   const problem = below("problems", mountProblem, fleet);
   below("boards-panel", mountBoards);
@@ -57,88 +60,78 @@ export function mountFly(root, context) {
   panel("thinking", mountThinking, fleet, acts);
   panel("calls", mountCalls);
   panel("moves-panel", mountMoves);
-  panel("telemetry-panel", mountTelemetry);
+  panel("record-panel", mountRecord);
   mountKeys(context, fleet, acts, help);
   document.getElementById("help-button").addEventListener("click", help);
   mountMapValues(context);
 
-  /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
-  async function open(flights) {
+  /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
+  async function open(load) {
     fleet.rest();
     problem.clear();
     try {
-      await flights();
+      await load();
       return true;
     } catch (error) {
-      problem.say(error.message);
+      problem.show(error.message);
       return false;
     }
   }
 
-  /** The same of a file. */
-  async function openFile(flights) {
-    if (await open(flights)) context.router.go({ file: past.file });
-  }
-
-  /** The moment that is shown, as the address says it: where one flies is the last of the moves that it has. */
-  function told() {
+  /** The moment and the moves, as the address contains them: the newest step of a flight with moves is its default. */
+  function moment() {
     const { cursor, following } = stage.clock;
-    const moves = fleet.told;
-    const unsaid = moves.actions ? following : cursor === 0;
-    const flown = !fleet.shown || moves.actions || following ? null : stage.clock.newest();
-    return { ...moves, step: unsaid ? null : cursor, flown };
+    const moves = fleet.linkParts;
+    return { ...moves, step: (moves.actions ? following : cursor === 0) ? null : cursor };
   }
 
-  // Who asks for nothing is greeted with a flight that the server has drawn above, whose map waits below to be flown.
+  // The bare address shows a recorded flight above the map, which waits to be flown.
   const greeting = document.getElementById("hello");
-  const greets = () => greeting !== null && context.router.bare;
+  const greets = () => greeting !== null && router.bare;
   function greeted() {
     const { task, seed } = greeting.dataset;
-    return fleet.asks({ task, seed: Number(seed), pilots: fleet.able(fleet.task(task)).slice(0, 1) });
+    return fleet.complete({ task, seed: Number(seed), pilots: fleet.able(fleet.task(task)).slice(0, 1) });
   }
-  /** Whether nobody has touched what waits there. */
+  /** Whether the map below the recorded flight is untouched. */
   const waits = () => says(greeted(), fleet.setup) && stage.clock.end() === 0;
 
-  function sayWhatIsFlown() {
+  function writeAddress() {
     if (!fleet.shown || context.view !== "fly" || (greets() && waits())) return;
-    context.router.flies({ ...fleet.setup, ...told() }, greets());
+    router.flies({ ...fleet.setup, ...moment() }, greets());
     if (greeting) greeting.hidden = true;
   }
   fleet.on("begun", () => {
     if (fleet.shown) problem.clear();
-    sayWhatIsFlown();
+    writeAddress();
   });
-  stage.on("frames", () => greets() && sayWhatIsFlown());
+  stage.on("frames", () => greets() && writeAddress());
   stage.on("load", () => root.classList.remove("empty"));
   root.classList.add("empty");
   fleet.on("ended", (track) => {
     explain(context, track);
-    // The visitor's flight is found in the store from now on.
+    // From now on the address names the stored flight of the visitor.
     const alone = fleet.tracks.length === 1 && fleet.human === 0 && !fleet.forked;
-    if (alone && isThere()) context.router.moment({ episode: (fleet.setup.episode = track.episode.id) });
+    if (alone && isShown()) router.moment({ episode: (fleet.setup.episode = track.episode.id) });
   });
   context.on("view", follow);
 
-  /** Shows what the address says. */
+  /** Shows the flight of the address. */
   async function follow(view) {
-    const { address } = context.router;
-    // A flight that an earlier address asked for is not shown any more.
-    past.asked += 1;
+    const { address } = router;
+    // A stored flight that is still loading for an earlier address is dropped.
+    past.request += 1;
     if (address.lesson)
-      teaching ??= import("./lessons.js").then(
+      lessons ??= import("./lessons.js").then(
         ({ mountLesson }) => mountLesson(lesson, context),
         ({ message }) => {
-          teaching = null;
-          problem.say(`The lesson could not be loaded: ${message}`);
+          lessons = null;
+          problem.show(`The lesson could not be loaded: ${message}`);
         },
       );
     if (greeting) greeting.hidden = !greets();
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
-    } else if (address.file) {
-      if (past.file === address.file) stage.clock.seek(address.step ?? stage.clock.cursor);
-      else await open(() => past.openRecord(0, address.file));
     } else if (address.episode && address.fork === null) {
       if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.cursor);
       else await open(() => past.open(address.episode, address.step ?? 0));
@@ -147,39 +140,38 @@ export function mountFly(root, context) {
 
   async function fly(address) {
     const unknown = address.task && !fleet.task(address.task);
-    if (unknown && !((await open(() => context.meet(address.task))) && context.router.address === address)) return;
-    const asked = greets() ? greeted() : fleet.asks(address);
-    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(asked, fleet.setup));
+    if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
+    const wanted = greets() ? greeted() : fleet.complete(address);
+    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(wanted, fleet.setup));
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) fleet.show(address.step);
-    else if (!address.episode) fleet.start(asked);
+    else if (!address.episode) fleet.start(wanted);
     else {
       await open(async () => {
         const base = await past.stored(address.episode);
-        fleet.start(asked, { beside: [base], flown: asked.pilots.slice(-1) });
+        fleet.start(wanted, { beside: [base], flown: wanted.pilots.slice(-1) });
         explain(context, base);
       });
     }
   }
 
-  /** Whether what the address names is on the stage, and not still on its way. */
-  function isThere() {
-    const { address } = context.router;
+  /** Whether the stage shows the flight of the address. */
+  function isShown() {
+    const { address } = router;
     if (context.view !== "fly") return false;
-    if (fleet.shown) return fleet.asked === null && says(fleet.asks(address), fleet.setup);
-    if (address.file) return past.file === address.file;
+    if (fleet.shown) return fleet.phase === "idle" && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
-  // The address says what the visitor has flown, and which moment is shown, unless it moves by itself.
+  // While a flight moves by itself, the address does not follow each step.
   stage.on("change", () => {
-    if (stage.clock.playing || !isThere()) return;
-    const now = told();
-    if (now.actions || !stage.flying) context.router.moment(now);
+    if (stage.clock.playing || !isShown()) return;
+    const now = moment();
+    if (now.actions || !stage.flying) router.moment(now);
   });
 }
 
-/** What went wrong, above the maps; where nothing is flown, with a way on. */
+/** An error above the map; if nothing is flown, with a button that starts a flight. */
 function mountProblem(root, context, fleet) {
   const text = el("p.problem", { role: "alert", hidden: true });
   root.append(text);
@@ -188,14 +180,14 @@ function mountProblem(root, context, fleet) {
     press: () => fleet.another(),
   });
   const problem = {
-    say(words) {
-      text.replaceChildren(words, " ", ...(context.stage.tracks.length ? [] : [another]));
+    show(message) {
+      text.replaceChildren(message, " ", ...(context.stage.tracks.length ? [] : [another]));
       text.hidden = false;
     },
     clear() {
       text.hidden = true;
     },
   };
-  fleet.on("refused", problem.say);
+  fleet.on("refused", problem.show);
   return problem;
 }

@@ -1,4 +1,4 @@
-// How numbers and names are written, in one place.
+// Formats numbers and names.
 
 const MINUS = "\u2212";
 
@@ -8,13 +8,13 @@ export function fixed(value, digits = 2) {
   return value.toFixed(digits).replace("-", MINUS);
 }
 
-/** With its sign. */
+/** A number with its sign. */
 export function signed(value, digits = 2) {
   if (value === null || value === undefined) return "–";
   return (value >= 0 ? "+" : "") + fixed(value, digits);
 }
 
-/** A score of 0 to 1 as people see it: times 100. */
+/** A score of 0 to 1, times 100. */
 export function points(score, digits = 1) {
   return score === null || score === undefined ? "–" : fixed(score * 100, digits);
 }
@@ -45,20 +45,20 @@ const OUTCOMES = {
 /** A kind of cell in words. */
 export const cellName = (name) => ({ delivery: "Parcel", delivered: "Delivered parcel" })[name] ?? title(name);
 
-/** How a frame or an episode ended, in words. */
+/** The outcome of a frame or an episode in words. */
 export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 
-/** What is less than half a tenth of a point is not worth a word: it would be written as 0.0. */
+/** Whether a loss is visible with one decimal. */
 export const isLost = (regret) => regret > 0.0005;
 
-/** When it was, in the visitor's own time. */
+/** A time in the visitor's time zone. */
 export function moment(iso) {
   return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
 }
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };
 
-/** Who flew, as lists of everybody's flights have it: `human from step 3 of greedy` -> `A person from step 3 of Greedy`. */
+/** The agent of a record in words: `human from step 3 of greedy` -> `A person from step 3 of Greedy`. */
 export function who({ pilots }, agent) {
   const called = ({ name, automatic }) => (automatic ? name : "A person");
   return String(agent).replace(/(^| from step \d+ of )([^ ]+)/g, (whole, before, id) => {
@@ -67,7 +67,7 @@ export function who({ pilots }, agent) {
   });
 }
 
-/** A flight in words: `Hard, map 7, Greedy`. @param {object} record */
+/** A flight in words: `Hard, map 7, Greedy`. */
 export function flightName(context, { task, seed, agent }) {
   const known = context.tasks.find(({ id }) => id === task);
   return `${title(known?.short_name ?? String(task))}, map ${seed}, ${who(context, agent)}`;

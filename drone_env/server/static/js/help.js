@@ -1,30 +1,29 @@
-// The help dialog: what this is, the keys, and where to learn more.
+// The help dialog: a summary and the keys.
 import { el } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
-/** What this is, in a sentence. */
+/** A summary of the page. */
 export const ABOUT =
-  "A drone delivers parcels on a city grid before its battery is empty: fly it yourself, or watch others fly.";
+  "A drone delivers parcels on a city grid before its battery is empty. Fly it yourself, or watch an agent fly.";
 
 const KEYS = [
-  ["↑ ↓ ← → or W A S D", "Fly, when you are the pilot"],
-  ["Space", "Start or pause; wait, when you fly"],
-  ["U", "Take a move of yours back"],
-  ["← → Home End", "Look back and forth in the flight"],
-  [".", "The next step"],
-  ["F", "Try from here: fly on yourself from the moment that is shown"],
-  ["N R", "New map; reset to the start of this one"],
-  ["+ −", "Nearer, farther"],
-  ["Shift ↑ ↓ ← →", "Move a map that is seen from nearby"],
+  ["↑ ↓ ← → or W A S D", "Fly, if you are the pilot"],
+  ["Space", "Start or pause; wait, if you fly"],
+  ["U", "Undo your last move"],
+  ["← → Home End", "Previous, next, first, last step"],
+  [".", "Next step"],
+  ["F", "Fork the flight at this step and fly it yourself"],
+  ["N R", "New map; restart this map"],
+  ["+ −", "Zoom in, zoom out"],
+  ["Shift ↑ ↓ ← →", "Move the map while it is zoomed in"],
   ["< >", "Slower, faster"],
-  ["1 to 9", "Look at another flight"],
+  ["1 to 9", "Select a flight"],
   ...LAYERS.filter(({ key }) => key).map(({ key, name }) => [key.toUpperCase(), name]),
   ["?", "This help"],
 ];
 
 const dialog = document.getElementById("help");
 
-/** Opens it. */
 export function help() {
   if (!dialog.childElementCount) fill();
   dialog.showModal();
@@ -42,6 +41,6 @@ function fill() {
       el("a.button", { href: "?view=learn", text: "Learn to fly", press: close }),
     ),
   );
-  // A click beside it.
+  // A click outside closes it.
   dialog.addEventListener("click", (event) => event.target === dialog && close());
 }

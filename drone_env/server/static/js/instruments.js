@@ -1,14 +1,13 @@
-// The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
+// The instruments of the selected flight.
 import { el, setText } from "./dom.js";
 import { cellName, fixed, isLost, outcome, percent, points, signed } from "./format.js";
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountInstruments(root, context) {
   const { stage } = context;
   const score = el("strong.hero-number", { id: "score" });
   const scoreNote = el("span.hero-note", { id: "score-note" });
-  const possible = row("Still possible", "possible", "The best score that can still be reached from here");
-  const lost = row("Lost", "lost", "What the optimum of this map had more: it cannot be won back");
+  const possible = row("Still possible", "possible", "The best score that is possible from here");
+  const lost = row("Lost", "lost", "Optimum of this map minus the score still possible");
   const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
   const head = el(
     "div.score",
@@ -27,14 +26,14 @@ export function mountInstruments(root, context) {
     el("span.gauge-text"),
   );
   const reward = row("Reward", "reward");
-  const total = row("Total", "reward-total", "The rewards so far");
+  const total = row("Total", "reward-total", "Sum of the rewards");
   const efficiency = row(
     "Efficiency",
     "efficiency",
-    "Parcels delivered, battery and steps left, weighed; not the score",
+    "Weighted sum of parcels delivered, battery left and steps left; not the score",
   );
   const target = row("Target", "target");
-  const below = row("Below the drone", "below");
+  const below = row("Cell below", "below");
   const ground = el("div.wide", ...below.nodes);
   root.append(
     head,
@@ -54,7 +53,6 @@ export function mountInstruments(root, context) {
     setText(possible.value, points(frame.value));
     setText(lost.value, points(frame.regret));
     lost.value.dataset.some = String(isLost(frame.regret));
-    // Both are the server's: the share still reachable, and what has been lost of the optimum.
     reach.style.setProperty("--value", String(frame.value ?? 0));
     reach.style.setProperty("--lost", String(frame.regret ?? 0));
     reach.hidden = frame.value === null;
@@ -65,7 +63,7 @@ export function mountInstruments(root, context) {
     setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
-    setText(target.value, frame.target ? `[${frame.target.join(", ")}], ${frame.distance} away` : "–");
+    setText(target.value, frame.target ? `[${frame.target.join(", ")}], distance ${frame.distance}` : "–");
     setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : cellName(frame.cell_below));
     ground.hidden = !world.task.pads;
   }

@@ -1,4 +1,4 @@
-// How a visitor flies: the keyboard, which does everything in Fly, a pad of buttons, and swipes on the map.
+// Keyboard shortcuts, the pad of buttons, and swipes on the map.
 import { el, icon } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
@@ -14,10 +14,6 @@ const FLY = {
   " ": "WAIT",
 };
 
-/**
- * @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {import("./actions.js").Actions} acts @param {() => void} help
- */
 export function mountKeys(context, fleet, acts, help) {
   const { camera, stage } = context;
   const see = (by) => camera.nearer(by) && context.emit("camera");
@@ -50,7 +46,7 @@ export function mountKeys(context, fleet, acts, help) {
   for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
 
-  // What was chosen by mouse or finger has done its part: the next arrow is for the drone, not for another choice.
+  // After a choice by mouse or finger, the next arrow key is for the drone, not for the form.
   let pointed = false;
   let flown = "";
   document.addEventListener("pointerdown", () => {
@@ -73,8 +69,8 @@ export function mountKeys(context, fleet, acts, help) {
     const moves = event.shiftKey && camera.zoom > 1 && event.key.startsWith("Arrow") ? "Shift" : "";
     const key = event.key.length === 1 ? event.key.toLowerCase() : moves + event.key;
     const direction = fleet.byHand ? FLY[key] : undefined;
-    // Who flies by hand is not done with his key where the flight ends: held on it does not look back, and Space, which
-    // may come once more, plays nothing. Nor does a key that is held start and pause by turns.
+    // At the end of the visitor's flight, a key that is still held does not look back, and one more Space does not
+    // replay. A held Space does not toggle.
     const beyond = !direction && (key === " " ? flown || event.repeat : event.repeat && key === flown);
     flown = direction || beyond ? key : "";
     if (direction) fleet.fly(direction);
@@ -84,7 +80,7 @@ export function mountKeys(context, fleet, acts, help) {
   });
 }
 
-/** Whether the focused element needs the key for itself. */
+/** Whether the focused element handles the key. */
 function taken({ target, key }) {
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
@@ -104,7 +100,7 @@ const ARROW = {
 const WORDS = { UP: "Up", DOWN: "Down", LEFT: "Left", RIGHT: "Right", WAIT: "Wait" };
 const SWIPE = 24;
 
-/** The pad, for touch and mouse. @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+/** The pad, for touch and mouse. */
 export function mountHuman(root, context, fleet) {
   const buttons = Object.entries(ARROW).map(([direction, drawing]) => {
     const press = () => fleet.fly(direction);

@@ -1,9 +1,8 @@
-// What does not move: the ground, its grid and numbers, and what stands on it.
+// The fixed parts of the map: ground, grid, numbers and figures.
 import { colourOf, font } from "./base.js";
 import { drawBlocks, isJoined } from "./blocks.js";
 import { drawFigure } from "./figures.js";
 
-/** @param {CanvasRenderingContext2D} ctx */
 export function drawCity(ctx, view) {
   if (isJoined(view.world)) {
     drawBlocks(ctx, view);
@@ -25,7 +24,7 @@ export function drawCity(ctx, view) {
   if (layout.labels) drawLabels(ctx, world, layout);
 }
 
-/** A number that belongs to a cell: the same city always looks the same. */
+/** A fixed pseudo-random number for a cell. */
 export const variety = (x, y) => Math.imul(x * 977 + y * 331 + 7, 2654435761) >>> 16;
 
 export function drawGrid(ctx, world, { cell, left, top, scale }) {

@@ -1,24 +1,25 @@
-// What moves: trails, parcels, target, the network's values as arrows, the best flight and the drones.
+// The moving parts: trails, parcels, target, network values, best flight and drones.
 import { colourOf, labelColour } from "./base.js";
-import { drawArrow, drawDrone, drawFigure, drawMark, drawTarget } from "./figures.js";
+import { drawArrow, drawDrone, drawFigure, drawTarget } from "./figures.js";
 
 export const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
 const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
-const RECENT = [9, 5, 2];
+/** The number of highlighted steps behind the selected drone. */
+const RECENT = 5;
 const SMALLEST_DRONE = 22;
 const LARGE_DRONE = 56;
 const SMALLEST_PARCEL = 15;
-/** How far aside, in cells, what flies in the same cell is drawn. */
+/** The offset between flights in the same cell, in cells. */
 const ASIDE = 0.09;
 
 /** The middle of a cell in device pixels. */
 const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
 
-/** A little larger than its cell, but neither lost on a small map nor a monster on a large one. */
+/** The size of a drone: about a cell, within limits. */
 const droneSize = ({ cell, scale }) =>
   Math.max(Math.min(cell * 1.2, Math.max(LARGE_DRONE * scale, cell * 0.8)), SMALLEST_DRONE * scale);
 
-/** All flights, the one that is looked at last: it lies above the others. */
+/** All flights; the selected one is drawn last, above the others. */
 const inOrder = ({ tracks, track }) => [...tracks.filter((other) => other !== track), track];
 
 export function drawTrails(ctx, view) {
@@ -31,7 +32,7 @@ export function drawTrails(ctx, view) {
     const here = middle(layout, one.at(clock.position));
     ctx.strokeStyle = colourOf(one.colour);
     ctx.globalAlpha = one === track ? 0.42 : 0.5;
-    // Units are cells: a way is drawn as it was made, wherever the map lies.
+    // The path is in units of cells.
     ctx.setTransform(cell, 0, 0, cell, layout.left + aside * cell, layout.top + aside * cell);
     ctx.lineWidth = Math.max(1.5 / cell, 0.09);
     ctx.stroke(one.wayTo(end));
@@ -41,21 +42,18 @@ export function drawTrails(ctx, view) {
     ctx.moveTo(...middle(layout, position(one, end)));
     ctx.lineTo(...here);
     ctx.stroke();
-    // The last steps, the newest the strongest: strokes of several lengths over one another, without seams.
     ctx.lineWidth = Math.max(2, cell * 0.13);
-    for (const steps of RECENT) {
-      ctx.beginPath();
-      for (let k = Math.max(0, end - steps); k <= end; k++) ctx.lineTo(...middle(layout, position(one, k)));
-      ctx.lineTo(...here);
-      ctx.stroke();
-    }
+    ctx.beginPath();
+    for (let k = Math.max(0, end - RECENT); k <= end; k++) ctx.lineTo(...middle(layout, position(one, k)));
+    ctx.lineTo(...here);
+    ctx.stroke();
   });
   ctx.globalAlpha = 1;
 }
 
 const position = (track, k) => [track.frames[k].x, track.frames[k].y];
 
-/** A best flight over the map, known once the flight is annotated. */
+/** A best flight, once the flight is annotated. */
 export function drawBest(ctx, { track, layout, clock }) {
   const path = track.annotation?.optimal_path;
   if (!path) return;
@@ -78,7 +76,7 @@ export function drawBest(ctx, { track, layout, clock }) {
   ctx.globalAlpha = 1;
 }
 
-/** Parcels as they stand for the flight that is looked at, its target, and where it gave something away. */
+/** The parcels and the target of the selected flight, and its moves that lost something. */
 export function drawParcels(ctx, { world, track, layout, clock, breath }) {
   const { cell, scale } = layout;
   const frame = track.frameAt(Math.round(clock.position));
@@ -98,7 +96,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
   }
 }
 
-/** Arrows as long as an action is good beside the others; the best one stands out. Waiting is a ring. */
+/** The network's values as arrows: the longer, the better. The best one is highlighted; WAIT is a ring. */
 export function drawThoughts(ctx, { track, layout, clock }) {
   const values = track.frameAt(clock.cursor).q_values;
   if (!values) return;
@@ -145,14 +143,9 @@ export function drawDrones(ctx, view) {
     drawDrone(ctx, x + aside, y + aside, wide, one.heading(clock.position), spin, lift, colourOf(one.colour));
   });
   ctx.globalAlpha = 1;
-  const move = track.annotation?.moves[clock.cursor - 1];
-  if (!move?.mark || clock.position !== clock.cursor) return;
-  const [x, y] = middle(layout, track.at(clock.position));
-  const side = Math.max(18 * layout.scale, size * 0.5);
-  drawMark(ctx, x + size * 0.46, y - size * 0.46, side, move.mark, labelColour(move.label));
 }
 
-/** What would have been best from here, where something else was flown. */
+/** The best moves from here, if the flight took another one. */
 function drawBetterMoves(ctx, { track, clock, layout }, x, y, size) {
   const next = track.annotation?.moves[clock.cursor];
   if (!next || next.label === "best" || clock.position !== clock.cursor) return;

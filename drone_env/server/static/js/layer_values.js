@@ -1,4 +1,4 @@
-// What is known of each cell at a moment: what can still be reached from there, what the network would do, the battery's range.
+// Layers per cell: the best moves, the network's mistakes, and the range of the battery.
 import { colourOf, font } from "./base.js";
 import { drawArrow } from "./figures.js";
 import { STEP } from "./layer_flights.js";
@@ -9,7 +9,7 @@ function eachCell(rows, visit) {
   rows?.forEach((row, y) => row.forEach((item, x) => item !== null && visit(item, x, y)));
 }
 
-/** The greener a cell, the more is still possible from it; its arrows are the moves that give nothing away. */
+/** Green shows the possible score from each cell; arrows are the best moves. */
 export function drawValues(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   if (!cells?.values) return;
@@ -28,7 +28,7 @@ export function drawValues(ctx, { stage, layout }) {
   ctx.globalAlpha = 1;
 }
 
-/** The network's move where that gives something away. */
+/** The network's moves that lose something. */
 export function drawNetwork(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   const { cell, left, top, scale } = layout;
@@ -41,7 +41,7 @@ export function drawNetwork(ctx, { stage, layout }) {
   });
 }
 
-/** One move in the middle of a cell; waiting is a dot. */
+/** An arrow in a cell; a dot for WAIT. */
 function drawMove(ctx, { cell, left, top }, action, x, y) {
   const [cx, cy] = [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
   if (action === "WAIT") {
@@ -54,7 +54,7 @@ function drawMove(ctx, { cell, left, top }, action, x, y) {
   drawArrow(ctx, cx + dx * cell * 0.12, cy + dy * cell * 0.12, cx + dx * cell * 0.42, cy + dy * cell * 0.42, cell * 0.11);
 }
 
-/** What lies within the battery's range, with the units left there. */
+/** The cells in reach, with the battery units left there. */
 export function drawRange(ctx, { stage, world, layout }) {
   const range = stage.values?.answer?.range;
   if (!range) return;
@@ -67,32 +67,10 @@ export function drawRange(ctx, { stage, world, layout }) {
     }),
   );
   ctx.globalAlpha = 1;
-  ctx.lineWidth = Math.max(2, 2.5 * scale);
-  ctx.strokeStyle = colourOf("--good");
-  outline(ctx, layout, range);
   if (cell < SMALL * 1.8 * scale) return;
   ctx.fillStyle = colourOf("--ink");
   ctx.font = font(Math.round(cell * 0.26));
   ctx.textAlign = "right";
   ctx.textBaseline = "bottom";
   eachCell(range, (units, x, y) => ctx.fillText(String(units), left + (x + 0.94) * cell, top + (y + 0.98) * cell));
-}
-
-/** The border of the cells that are reached. */
-function outline(ctx, { cell, left, top }, rows) {
-  const reached = (x, y) => rows[y]?.[x] !== undefined && rows[y][x] !== null;
-  ctx.beginPath();
-  eachCell(rows, (_, x, y) => {
-    const [x0, y0, x1, y1] = [left + x * cell, top + y * cell, left + (x + 1) * cell, top + (y + 1) * cell];
-    const side = (dx, dy, ...line) => {
-      if (reached(x + dx, y + dy)) return;
-      ctx.moveTo(line[0], line[1]);
-      ctx.lineTo(line[2], line[3]);
-    };
-    side(-1, 0, x0, y0, x0, y1);
-    side(1, 0, x1, y0, x1, y1);
-    side(0, -1, x0, y0, x1, y0);
-    side(0, 1, x0, y1, x1, y1);
-  });
-  ctx.stroke();
 }

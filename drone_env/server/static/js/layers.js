@@ -1,16 +1,15 @@
-// What can be shown on a map, from the ground up. A layer is added here, and nowhere else.
+// The layers of a map, from the ground up. To add a layer, add an entry here.
 import { drawCity } from "./layer_city.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
 import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
 /**
  * @typedef {Object} Layer
- * @property {string} id @property {"ground"|"cells"|"air"} place "air" is drawn in every animation frame, the others when what they
- *   show has changed.
- * @property {string} [name] What its switch is called; without one it is always shown. @property {string} [key] That flicks it.
- * @property {string} [hint] @property {boolean} [on] Whether it is shown until the visitor says otherwise.
- * @property {boolean} [asks] Whether it shows what `POST /values` says.
- * @property {(stage: import("./stage.js").Stage) => boolean} [when] Whether there is anything to show.
+ * @property {string} id @property {"ground"|"cells"|"air"} place "air" is drawn in every animation frame, the others on change.
+ * @property {string} [name] The label of its switch; a layer without a name is always shown. @property {string} [key]
+ * @property {string} [hint] @property {boolean} [on] Whether it is shown at first.
+ * @property {boolean} [needsValues] Whether it needs `POST /values`.
+ * @property {(stage: import("./stage.js").Stage) => boolean} [when] Whether it has something to show.
  * @property {(ctx: CanvasRenderingContext2D, view: Object) => void} draw
  */
 
@@ -20,28 +19,28 @@ export const LAYERS = [
   {
     id: "values",
     place: "cells",
-    name: "Best from everywhere",
-    hint: "What is best from each cell, with the battery, parcels and steps of this moment; the greener, the more is still possible",
+    name: "Best moves",
+    hint: "The best moves from each cell, with the present battery, parcels and steps. Greener cells allow a higher score",
     key: "v",
-    asks: true,
+    needsValues: true,
     draw: drawValues,
   },
   {
     id: "network",
     place: "cells",
-    name: "Where the network errs",
-    hint: "The network's move at each cell where it gives something away",
+    name: "Network mistakes",
+    hint: "The network's moves that lose points, at each cell",
     key: "e",
-    asks: true,
+    needsValues: true,
     draw: drawNetwork,
   },
   {
     id: "range",
     place: "cells",
-    name: "Range of the battery",
-    hint: "What can be reached with the battery that is left; the numbers are the units left there",
+    name: "Battery range",
+    hint: "The cells in reach of the battery, with the units left there",
     key: "b",
-    asks: true,
+    needsValues: true,
     when: ({ world }) => Boolean(world?.task.pads),
     draw: drawRange,
   },
@@ -49,8 +48,8 @@ export const LAYERS = [
   {
     id: "best",
     place: "air",
-    name: "A best flight",
-    hint: "As a ghost, once the flight that is looked at has ended",
+    name: "Best flight",
+    hint: "A best flight as a ghost, after the end of the selected flight",
     key: "g",
     on: true,
     when: ({ track }) => Boolean(track?.annotation),
@@ -60,8 +59,8 @@ export const LAYERS = [
   {
     id: "thoughts",
     place: "air",
-    name: "What the network thinks",
-    hint: "An arrow for each move, as long as the network values it",
+    name: "Network values",
+    hint: "An arrow for each move: the longer, the higher its value",
     key: "q",
     on: true,
     when: ({ track }) => Boolean(track?.weighed),

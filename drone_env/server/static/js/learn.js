@@ -1,17 +1,20 @@
-// Learn: what this is, the tutorial, and all numbers of the tasks.
+// Learn: a short introduction, the tutorial, and the numbers of the tasks.
 import { el, table } from "./dom.js";
 import { cellName, fixed, title } from "./format.js";
 import { ABOUT } from "./help.js";
+import { drawSign } from "./legend.js";
 import { LESSONS, goalList, isComplete, lessonLink, reached } from "./lessons.js";
 
 const MORE =
-  " The score counts parcels first, then battery and steps left. Every flight stands beside the exact optimum of its " +
-  "map: what a move has lost can never be won back.";
+  " The score counts parcels first, then the battery and the steps left. The page compares every flight with the " +
+  "exact optimum of its map. A move that loses points loses them for good.";
 
-/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const lessons = el("ol.lessons");
-  root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons, ...specifications(context));
+  root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons);
+  root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
+  for (const [family, tasks] of context.families) root.append(specifications(title(family), tasks));
+  root.append(legend(context));
   context.on("view", (view) => {
     if (view !== "learn") return;
     const next = LESSONS.findIndex((_, i) => !isComplete(i + 1));
@@ -21,7 +24,7 @@ export function mount(root, context) {
 
 function card(number, isNext) {
   const { title, text } = LESSONS[number - 1];
-  const way = isComplete(number) ? "Fly again" : reached(number).size ? "Go on" : "Begin";
+  const action = isComplete(number) ? "Fly again" : reached(number).size ? "Continue" : "Begin";
   return el(
     "li.lesson",
     el("h3", { text: `${number}. ${title}` }),
@@ -29,8 +32,8 @@ function card(number, isNext) {
     goalList(number),
     el(isNext ? "a.button.primary" : "a.button", {
       href: lessonLink(number),
-      text: way,
-      "aria-label": `${way}: ${title}`,
+      text: action,
+      "aria-label": `${action}: ${title}`,
     }),
   );
 }
@@ -41,102 +44,56 @@ const drains = (drain) =>
     .map(([kind, units]) => `; ${units} above a ${kind}`)
     .join("");
 
-/** A row each: its name, and what stands in it for a task. Rows of nothing but dashes are left out. */
+/** The rows: a name, and the value of a task. */
 const WORLD = [
+  ["Id", (t) => t.id],
   ["Grid", (t) => `${t.width} × ${t.height}`],
   ["Parcels", (t) => t.deliveries],
   ["Buildings", (t) => t.buildings],
   ["Trees", (t) => t.trees],
   ["Obstacles", (t) => t.obstacles],
-  ["Charging pads", (t) => (t.pads ? `${t.pads}, +${t.charge_rate} units a wait` : NONE)],
-  ["Cannot be entered", (t) => t.impassable.join(", ") || NONE],
-  ["Steps at most", (t) => t.max_steps],
+  ["Charging pads", (t) => (t.pads ? `${t.pads}, +${t.charge_rate} units per wait` : NONE)],
+  ["Blocked cells", (t) => t.impassable.join(", ") || NONE],
+  ["Maximum steps", (t) => t.max_steps],
   ["Battery", (t) => `${t.battery_capacity} units`],
-  ["A step drains", (t) => `1 unit${drains(t.drain)}`],
+  ["Battery use per step", (t) => `1 unit${drains(t.drain)}`],
 ];
-const IDENTITY = [
-  ["Id", (t) => t.id],
-  ["Version", (t) => t.version],
-  ["Grader", (t) => t.grader],
-];
-/** What a reward profile pays on every task, beside its events. */
-const always = ({ shaping, clamp, shaping_gamma, pays_score }) =>
-  [
-    shaping ? `${fixed(shaping)} for each cell closer` : "",
-    clamp ? `${fixed(clamp[0])} to ${fixed(clamp[1])} a step` : "",
-    shaping_gamma === null ? "" : `shaping by potential, discounted by ${fixed(shaping_gamma)}`,
-    pays_score ? "the score at the end" : "",
-  ].filter(Boolean);
-/** What a profile pays for each event: farther from the target, as far, and closer. */
-const paid = (profile, { rewards }) =>
-  Object.keys(rewards[profile]).map((event) => [
+/** The reward profile of the page's flights. */
+const PROFILE = "tiered";
+/** The reward of each event if the step moves away from the target, keeps the distance, or moves closer. */
+const rewardRows = (rewards) =>
+  Object.keys(rewards).map((event) => [
     title(event),
-    (t) => t.rewards[profile]?.[event]?.map((pay) => fixed(pay)).join(" / ") ?? NONE,
+    (t) => t.rewards[PROFILE][event].map((reward) => fixed(reward)).join(" / "),
   ]);
 
-/** The numbers of all tasks side by side as /tasks tells them. @param {import("./context.js").Context} context @returns {HTMLElement[]} */
-function specifications({ families, rewardProfiles, kinds }) {
-  const numbers = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
-  const show = (family) => numbers.replaceChildren(ofTasks(title(family), families.get(family)));
-  const choices = [...families.keys()].map((family, i) =>
-    el(
-      "label.segment",
-      el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
-      el("span", { text: title(family) }),
-    ),
-  );
-  show(families.keys().next().value);
-  return [
-    el(
-      "div.view-head",
-      el("h2", { text: "Technical specifications" }),
-      el("fieldset.segments", el("legend.visually-hidden", { text: "Tasks" }), ...choices),
-    ),
-    numbers,
-    glossary(
-      "Reward profiles",
-      rewardProfiles.map((profile) => [el("dt", { text: profile.id }), profile.summary, always(profile).join("; ")]),
-    ),
-    glossary(
-      "Legend",
-      kinds.map(({ emoji, name, effect }) => [
-        el("dt", el("span.emoji", { "aria-hidden": "true", text: emoji }), cellName(name)),
-        effect,
-      ]),
-    ),
-  ];
-}
-
-function ofTasks(family, tasks) {
-  const profiles = Object.keys(tasks[0].rewards).filter((profile) => Object.keys(tasks[0].rewards[profile]).length);
-  return table(
+/** The numbers of the tasks of a family side by side, from `GET /tasks`. */
+function specifications(family, tasks) {
+  const caption = `Technical specifications of the ${family} tasks`;
+  const numbers = table(
     "table.table.specs-table",
     {},
-    `Technical specifications of the ${family} tasks`,
-    [["Task"], ...tasks.map((task) => [title(task.short_name)])],
+    caption,
+    [[family], ...tasks.map((task) => [title(task.short_name)])],
     group("World", WORLD, tasks),
-    ...profiles.map((profile) =>
-      group(`Rewards by event (${profile}): farther / as far / closer`, paid(profile, tasks[0]), tasks),
-    ),
-    group("Identity", IDENTITY, tasks),
+    group("Reward of a step: farther / same distance / closer", rewardRows(tasks[0].rewards[PROFILE]), tasks),
   );
+  return el("div.scroller", { tabindex: "0", role: "region", "aria-label": caption }, numbers);
 }
 
 function group(name, rows, tasks) {
-  const filled = rows
-    .map(([label, cell]) => [label, tasks.map((task) => String(cell(task)))])
-    .filter(([, values]) => values.some((value) => value !== NONE));
+  const row = ([label, value]) =>
+    el("tr", el("th", { scope: "row", text: label }), ...tasks.map((task) => el("td", { text: String(value(task)) })));
   return el(
     "tbody",
     el("tr.group", el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
-    ...filled.map(([label, values]) =>
-      el("tr", el("th", { scope: "row", text: label }), ...values.map((value) => el("td", { text: value }))),
-    ),
+    ...rows.map(row),
   );
 }
 
-/** A section of terms, each with what is said of it. */
-function glossary(name, entries) {
-  const entry = ([term, ...said]) => el("div", term, ...said.map((text) => el("dd", { text })));
-  return el("section.glossary", { "aria-label": name }, el("h2", { text: name }), el("dl", ...entries.map(entry)));
+/** The kinds of cells, drawn as on the map. */
+function legend({ kinds }) {
+  const entry = ({ name, effect }) => el("div", el("dt", drawSign(name), cellName(name)), el("dd", { text: effect }));
+  const shown = kinds.filter(({ name }) => name !== "unknown");
+  return el("section.glossary", { "aria-label": "Legend" }, el("h2", { text: "Legend" }), el("dl", ...shown.map(entry)));
 }

@@ -1,4 +1,4 @@
-// What the figures on the map are, as the server names them, and whose data the map shows.
+// The legend of the map, and the attribution of its data.
 import { BLOCKS, drawBlocks, isJoined } from "./blocks.js";
 import { el } from "./dom.js";
 import { drawFigure } from "./figures.js";
@@ -8,7 +8,6 @@ const SIDE = 24;
 const LEFT_OUT = new Set(["road", "unknown", "drone"]);
 const OPEN_STREET_MAP = "https://www.openstreetmap.org/copyright";
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountLegend(root, context) {
   const signs = context.kinds
     .filter((kind) => !LEFT_OUT.has(kind.name))
@@ -20,7 +19,7 @@ export function mountLegend(root, context) {
   root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ entry }) => entry)));
   document.querySelector(".boards-field").append(credit);
 
-  /** Only what can be met on the map that is shown, as it is drawn there. */
+  /** Shows only the kinds of cells on the present map, as they are drawn there. */
   function show() {
     const { world } = context.stage;
     if (!world) return;
@@ -31,7 +30,6 @@ export function mountLegend(root, context) {
     }
     const { attribution } = world.task;
     credit.hidden = !attribution;
-    // Only OpenStreetMap has a page about its licence that we know of.
     const about = attribution.includes("OpenStreetMap");
     credit.replaceChildren(about ? el("a", { href: OPEN_STREET_MAP, rel: "external", text: attribution }) : attribution);
   }
@@ -39,7 +37,7 @@ export function mountLegend(root, context) {
   context.on("theme", show);
 }
 
-/** The figure of a kind of cell on a canvas of 24 by 24; as a block, if it is drawn so. */
+/** The figure of a kind of cell, or its block, on a canvas of 24 by 24. */
 export function drawSign(name, asBlock = false) {
   const scale = window.devicePixelRatio || 1;
   const side = SIDE * scale;

@@ -1,4 +1,4 @@
-// The tutorial: three flights over fixed maps, the goals that the visitor has reached, and the bar while a lesson is flown.
+// The tutorial: three flights over fixed maps, their goals, and the bar of the present lesson.
 import { recall, remember } from "./base.js";
 import { el, icon } from "./dom.js";
 import { isLost } from "./format.js";
@@ -6,32 +6,32 @@ import { linkOf } from "./router.js";
 
 const last = (track) => track.frames.at(-1);
 const by = (pilot, { tracks }) => tracks.filter((track) => track.pilot === pilot && track.frames.length);
-/** A goal that any flight of the visitor's can reach. */
+/** A goal for any flight of the visitor. */
 const mine = (test) => (stage) => by("human", stage).some(test);
 
 const delivers = (track) => last(track).outcome === "delivered";
-/** Has ended and lost no more than that, in score: what it lost is told at its end. */
+/** Whether a flight has ended and lost at most this score. */
 const losesAtMost = (most) => (track) => track.done && last(track).regret !== null && last(track).regret <= most;
 const charges = ({ frames }) =>
   frames.some(({ action, battery_units }, i) => action === "WAIT" && battery_units > frames[i - 1].battery_units);
 
-/** The step that lost most, 0 where none lost anything. */
+/** The step with the largest loss, or 0. */
 function worstStep({ frames }) {
   const lost = (i) => (i ? frames[i].regret - frames[i - 1].regret : 0);
   return frames.reduce((worst, _, i) => (isLost(lost(i)) && lost(i) > lost(worst) ? i : worst), 0);
 }
 
-/** Whether the flight on show, by this pilot, rests at the move that lost most or before it. */
+/** Whether the page shows the worst move of this pilot, or the step before, and does not play. */
 function atWorst({ track, clock }, pilot) {
   const worst = track?.done && track.pilot === pilot ? worstStep(track) : 0;
   return worst > 0 && !clock.playing && (clock.cursor === worst || clock.cursor === worst - 1);
 }
 
 /**
- * @typedef {Object} Lesson What its text says of its map is exact.
+ * @typedef {Object} Lesson The numbers in its text are exact.
  * @property {string} title
  * @property {string} text
- * @property {Partial<import("./router.js").Address>} address Where it is flown.
+ * @property {Partial<import("./router.js").Address>} address Its map and pilot.
  * @property {{text: string, done: (stage: Object) => boolean}[]} goals At most ten.
  */
 
@@ -40,7 +40,7 @@ export const LESSONS = [
   {
     title: "Fly yourself",
     text:
-      "You are the pilot: the arrow keys, W A S D or a swipe over the map move the drone by one cell. Fly it " +
+      "You are the pilot. The arrow keys, W A S D or a swipe on the map move the drone by one cell. Fly it " +
       "to the parcel. Each move takes a step and a unit of battery, so a detour loses points. The optimum of this " +
       "map takes 8 moves.",
     address: { view: "fly", task: "easy", seed: 18, pilots: ["human"] },
@@ -53,15 +53,15 @@ export const LESSONS = [
   {
     title: "See what a move loses",
     text:
-      "Greedy flies to the nearest parcel and looks no further. The optimum of this map is 96.8; Greedy scores 53.3, " +
+      "Greedy always flies to the nearest parcel. The optimum of this map is 96.8; Greedy scores 53.3, " +
       "and loses the difference in a single move. Let it fly, then find that move in the graph below the " +
-      "map: a pad lies below the drone, where waiting charges the battery. Try from here.",
+      "map. The drone is above a pad there, and waiting charges the battery. Press Try from here.",
     address: { view: "fly", task: "skyline_easy", seed: 88, pilots: ["greedy"] },
     goals: [
-      { text: "Let Greedy fly to its end", done: (stage) => by("greedy", stage).some((track) => track.done) },
+      { text: "Let Greedy finish", done: (stage) => by("greedy", stage).some((track) => track.done) },
       { text: "Go to its blunder in the graph", done: (stage) => atWorst(stage, "greedy") },
       {
-        text: "Try from here, and deliver all parcels",
+        text: "Fork the flight and deliver all parcels",
         done: mine((track) => track.by.includes(" from step ") && delivers(track)),
       },
     ],
@@ -69,9 +69,9 @@ export const LESSONS = [
   {
     title: "Plan the battery",
     text:
-      "In Skyline the battery does not last for the tour. It holds 11 units here; a step takes 1, above a tree 2, " +
-      "above a building 3, and obstacles block the way. Range of the battery (B) shows how far it reaches from here, " +
-      "or from a pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the " +
+      "In Skyline one battery is not enough for the tour. It holds 11 units here. A step takes 1 unit, 2 above a tree " +
+      "and 3 above a building; obstacles block the way. Battery range (B) shows the cells in reach. " +
+      "On a pad, each wait (Space) charges 4 units. Without charging, you cannot deliver more than two of the " +
       "three parcels.",
     address: { view: "fly", task: "skyline_easy", seed: 84, pilots: ["human"] },
     goals: [
@@ -82,16 +82,16 @@ export const LESSONS = [
   },
 ];
 
-const kept = new Map();
+const cached = new Map();
 const key = (number) => `drone-env-lesson-${number}`;
 
-/** Goals of a lesson that were reached, counted from 0. @param {number} number From 1. @returns {Set<number>} */
+/** The indices of the goals that were reached. @param {number} number From 1. @returns {Set<number>} */
 export function reached(number) {
-  if (!kept.has(number)) kept.set(number, new Set([...(recall(key(number)) ?? "")].map(Number)));
-  return kept.get(number);
+  if (!cached.has(number)) cached.set(number, new Set([...(recall(key(number)) ?? "")].map(Number)));
+  return cached.get(number);
 }
 
-/** Notes that a goal has been reached. */
+/** Stores that a goal was reached. */
 export function reach(number, goal) {
   reached(number).add(goal);
   remember(key(number), [...reached(number)].join(""));
@@ -99,10 +99,10 @@ export function reach(number, goal) {
 
 export const isComplete = (number) => LESSONS[number - 1].goals.every((_, goal) => reached(number).has(goal));
 
-/** The link to where a lesson is flown. @param {number} number From 1. */
+/** The link to a lesson. @param {number} number From 1. */
 export const lessonLink = (number) => linkOf({ ...LESSONS[number - 1].address, lesson: number }).search;
 
-/** The goals of a lesson, those that were reached ticked. */
+/** The goals of a lesson as a list of check marks. */
 export const goalList = (number) =>
   el("ul.goals", ...LESSONS[number - 1].goals.map((_, goal) => goalItem(number, goal)));
 
@@ -119,10 +119,6 @@ function goalItem(number, goal) {
 
 const isOver = ({ task, seed }, { address }) => task.short_name === address.task && seed === address.seed;
 
-/**
- * @param {HTMLElement} root Empty; hidden while no lesson is flown.
- * @param {import("./context.js").Context} context
- */
 export function mountLesson(root, { router, stage }) {
   root.setAttribute("aria-label", "Lesson");
   root.setAttribute("role", "region");

@@ -1,12 +1,10 @@
-// The socket to the server: messages both ways, and a connection that comes back by itself.
+// The WebSocket to the server, which reconnects by itself.
 import { address } from "./api.js";
 import { Emitter } from "./base.js";
 
 const WAITS = [500, 1000, 2000, 4000, 8000];
 const NOT_ALLOWED = 1008;
 const TRY_LATER = 1013;
-/** A connection that lasts so long, in milliseconds, is a good one. */
-const STEADY = 10_000;
 
 /**
  * @typedef {"connecting"|"open"|"away"|"full"|"refused"} LinkState
@@ -15,7 +13,7 @@ const STEADY = 10_000;
  * {state: LinkState, wait: milliseconds until the next try, reason}.
  */
 export class Live extends Emitter {
-  /** @param {() => string[]} protocols What the socket offers so that it is let in. */
+  /** @param {() => string[]} protocols Subprotocols, with the token if there is one. */
   constructor(protocols) {
     super();
     this.protocols = protocols;
@@ -23,14 +21,12 @@ export class Live extends Emitter {
     this.state = "connecting";
     this.failures = 0;
     this.timer = 0;
-    this.steady = 0;
     this.socket = null;
   }
 
-  /** Connects, or connects again at once. */
+  /** Connects, or reconnects at once. */
   connect() {
     clearTimeout(this.timer);
-    clearTimeout(this.steady);
     if (this.socket) this.socket.onclose = this.socket.onmessage = this.socket.onopen = null;
     this.socket?.close();
     const url = address("live");
@@ -38,7 +34,7 @@ export class Live extends Emitter {
     url.search = url.hash = "";
     const socket = new WebSocket(url, this.protocols());
     this.socket = socket;
-    // A server that is full says so only now: one that has answered has room. Nothing flies on a new connection.
+    // A full server accepts the connection and then closes it: only an answer proves that there is room.
     socket.onopen = () => this.send({ type: "pause" });
     socket.onmessage = (event) => {
       if (this.state !== "open") this.opened();
@@ -48,23 +44,19 @@ export class Live extends Emitter {
     socket.onclose = (event) => this.closed(event);
   }
 
-  /** Sends a message; false where there is no connection. */
+  /** Sends a message if there is a connection. */
   send(message) {
-    if (this.socket?.readyState !== WebSocket.OPEN) return false;
-    this.socket.send(JSON.stringify(message));
-    return true;
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
-  /** Asks for these topics alone, of "requests", "training" and "episodes", now and whenever it connects anew. */
+  /** Subscribes to these topics only, also after a reconnect: "requests", "training", "episodes". */
   subscribe(topics) {
     this.topics = topics;
     this.send({ type: "subscribe", topics });
   }
 
   opened() {
-    this.steady = setTimeout(() => {
-      this.failures = 0;
-    }, STEADY);
+    this.failures = 0;
     this.change("open", 0, "");
     if (this.topics.length) this.subscribe(this.topics);
   }
@@ -74,7 +66,6 @@ export class Live extends Emitter {
       this.change("refused", 0, event.reason);
       return;
     }
-    clearTimeout(this.steady);
     const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
     this.failures += 1;
     this.timer = setTimeout(() => this.connect(), wait);

@@ -1,4 +1,4 @@
-// Boots the page: asks the server what there is, then mounts the parts.
+// Boots the page: loads the catalogue from the server, then mounts the views.
 import { createApi } from "./api.js";
 import { forgetColours, recall, remember } from "./base.js";
 import { createContext } from "./context.js";
@@ -8,30 +8,30 @@ import { mountFly } from "./fly.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 
-/** Views that are loaded when they are first shown: most visits never come to them. */
+/** Views that are loaded on their first visit. */
 const LATER = { compare: "compare", learn: "learn", api: "api_view", draw: "editor" };
 
 async function boot() {
   const api = createApi();
   const figures = loadFigures();
-  const [{ tasks, reward_profiles }, { pilots, most }, { kinds }] = await firstAnswers(api);
+  const [{ tasks }, { pilots, most }, { kinds }] = await firstAnswers(api);
   await figures;
   const live = new Live(api.protocols);
   const router = new Router();
-  const context = createContext({ router, api, live, tasks, rewardProfiles: reward_profiles, pilots, most, kinds });
+  const context = createContext({ router, api, live, tasks, pilots, most, kinds });
 
   mountTheme(context);
   mountConnection(context);
   mountFly(document.getElementById("view-fly"), context);
   const load = () => LATER[context.view] && mountLater(context.view, context);
   context.on("view", load);
-  // What could not be loaded while the server was away.
+  // Retries a view that failed to load while the server was away.
   live.on("state", ({ state }) => state === "open" && load());
   mountViews(context);
   live.connect();
 }
 
-/** Loads a view, which then hears that it is shown. */
+/** Loads a view and shows it. */
 async function mountLater(name, context) {
   const file = LATER[name];
   const root = document.getElementById(`view-${name}`);
@@ -50,7 +50,7 @@ async function mountLater(name, context) {
   }
 }
 
-/** The tasks are asked for first and alone: it is there that a token may be asked for. */
+/** Loads the tasks first and alone, because this request may ask for the token. */
 async function firstAnswers(api) {
   const tasks = await api.get("tasks");
   return Promise.all([tasks, api.get("pilots"), api.get("kinds")]);
@@ -58,7 +58,7 @@ async function firstAnswers(api) {
 
 const THEME = "drone-env-theme";
 
-/** Dark and light: the choice of the system until the visitor makes one; first_theme.js has set it. @param {import("./context.js").Context} context Told by "theme" when the colours have changed. */
+/** Switches between dark and light; first_theme.js has set the first theme. Emits "theme". */
 function mountTheme(context) {
   const button = document.getElementById("theme-button");
   const system = matchMedia("(prefers-color-scheme: light)");
@@ -83,7 +83,7 @@ const other = (theme) => (theme === "dark" ? "light" : "dark");
 
 const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", full: "Server full", refused: "Refused" };
 
-/** Shows how the connection is: a dot in the top bar, and a banner while the server is away. @param {import("./context.js").Context} context */
+/** Shows the state of the connection: a dot in the top bar, and a banner while the server is away. */
 function mountConnection({ live, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
@@ -107,22 +107,22 @@ function mountConnection({ live, stage }) {
       away: `The server is away${why}.${kept}`,
     };
     setText(text, words[state]);
-    setText(again, state === "refused" ? "" : `Trying again in ${Math.ceil(wait / 1000)} s …`);
+    setText(again, state === "refused" ? "" : `Next try in ${Math.ceil(wait / 1000)} s …`);
     banner.hidden = false;
   });
 }
 
 const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs", draw: "Draw a map" };
 
-/** Shows the view that the address names. @param {import("./context.js").Context} context */
+/** Shows the view of the address. */
 function mountViews(context) {
   const { router, live } = context;
   const links = [...document.querySelectorAll(".views a")];
 
   function show({ view, unread }) {
-    if (unread.length) toast(`Not understood in the address: ${unread.join(", ")}. The rest of it is shown.`);
+    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     const first = !document.body.dataset.view;
-    // What another view wants to hear, it asks for itself.
+    // Each view subscribes to its own topics.
     if (context.view !== view) live.subscribe([]);
     context.view = view;
     document.body.dataset.view = view;
@@ -138,21 +138,10 @@ function mountViews(context) {
     context.emit("view", view);
   }
 
-  // The greeting goes with the first half of a double click on it: what lies there then is not meant by the second.
-  let greeted = null;
-  const onGreeting = (event) => {
-    if (event.detail < 2) greeted = event.target.closest("#hello");
-    else if (greeted?.hidden) {
-      event.preventDefault();
-      event.stopPropagation();
-    }
-  };
-  for (const type of ["mousedown", "click"]) document.addEventListener(type, onGreeting, true);
-
-  // All links to addresses of this page, wherever they stand: no need to load it anew.
+  // Links within the page do not reload it.
   document.addEventListener("click", (event) => {
     const link = event.target.closest?.("a[data-view], a[href^='?']");
-    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return; // a tab of its own
+    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
     event.preventDefault();
     if (link.dataset.view) router.open(link.dataset.view);
     else router.follow(link.href);

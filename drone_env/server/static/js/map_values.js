@@ -1,23 +1,23 @@
-// The layers that lie on the map: their switches, and what `POST /values` says of the moment that is shown.
+// The layers of the map: their switches, and the answers of `POST /values` for the present moment.
 import { ApiError } from "./api.js";
 import { el, toast } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
 const KEPT = 60;
-/** Milliseconds until it is asked about the moment that is looked at then. */
+/** Milliseconds between a new moment and its request. */
 const LOOK = 120;
 
-/** Asks for the values if a layer shows them or the flight is a fork. @param {import("./context.js").Context} context */
+/** Requests the values if a layer shows them or the flight is a fork. */
 export function mountMapValues(context) {
   const { stage, api } = context;
-  const kept = new Map();
+  const cached = new Map();
   let timer = 0;
   let asking = false;
 
   function wanted() {
     const { track } = stage;
     if (!track || context.secret(track)) return false;
-    return track.asked || track.forkedAt !== null || LAYERS.some(({ id, asks }) => asks && context.shows(id));
+    return track.showsValues || track.forkedAt !== null || LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
   }
 
   function look() {
@@ -27,19 +27,19 @@ export function mountMapValues(context) {
     }
     const key = stage.moment;
     if (key === stage.values?.key) return;
-    if (kept.has(key)) show({ key, answer: kept.get(key) });
+    if (cached.has(key)) show({ key, answer: cached.get(key) });
     else if (!asking) timer ||= setTimeout(ask, LOOK);
   }
 
-  // One question at a time, and after it the newest: on large maps a flight would leave all answers behind.
+  // One request at a time, then one for the newest moment: large maps are slow.
   async function ask() {
     timer = 0;
-    if (!wanted() || kept.has(stage.moment)) {
+    if (!wanted() || cached.has(stage.moment)) {
       look();
       return;
     }
-    const { world, track, clock, moment: key } = stage;
-    const flight = { task: world.task.id, seed: world.seed, actions: track.actionsTo(clock.cursor) };
+    const { world, track, actions, moment: key } = stage;
+    const flight = { task: world.task.id, seed: world.seed, actions };
     asking = true;
     let answer = null;
     try {
@@ -50,9 +50,9 @@ export function mountMapValues(context) {
     } finally {
       asking = false;
     }
-    // What was refused is not asked again.
-    if (kept.size === KEPT) kept.delete(kept.keys().next().value);
-    kept.set(key, answer);
+    // A rejected request is not repeated.
+    if (cached.size === KEPT) cached.delete(cached.keys().next().value);
+    cached.set(key, answer);
     if (answer && wanted() && stage.track === track && !stage.answer) show({ key, answer });
     look();
   }
@@ -68,7 +68,7 @@ export function mountMapValues(context) {
   context.on("layers", look);
 }
 
-/** The switches of the layers. @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./actions.js").Actions} acts */
+/** The switches of the layers. */
 export function mountSwitches(root, context, acts) {
   const { stage } = context;
   const rows = LAYERS.filter(({ name }) => name).map((layer) => {

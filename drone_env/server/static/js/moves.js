@@ -1,13 +1,11 @@
-// What happened, step by step: in the server's words, and once a flight is annotated its moves with their marks, as beside
-// a game of chess.
+// The list of moves, with marks as in chess once the flight is annotated.
 import { announce, el, setText } from "./dom.js";
 import { ARROWS, percent, points, signed } from "./format.js";
 
-/** From best to worst, with what several of them are called. */
+/** From best to worst, with their plurals. */
 const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake: "mistakes", blunder: "blunders" };
 const QUIET = new Set(["step", "wait", null]);
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountMoves(root, context) {
   const { stage } = context;
   const summary = el("div.accuracy");
@@ -17,7 +15,7 @@ export function mountMoves(root, context) {
   let shown = null;
   let annotation = null;
   let marked = null;
-  let heard = 0;
+  let announced = 0;
 
   function draw() {
     const { track, clock } = stage;
@@ -26,15 +24,15 @@ export function mountMoves(root, context) {
       annotation = track?.annotation ?? null;
       list.replaceChildren();
       summary.replaceChildren(...(annotation ? counts(annotation) : []));
-      heard = track?.steps ?? 0;
+      announced = track?.steps ?? 0;
     }
     if (!track) return;
     const fresh = track.frames.slice(list.childElementCount + 1);
     list.append(...fresh.map((frame) => moveButton(frame, annotation?.moves[frame.step - 1])));
-    // How it has ended is said below the map.
-    const told = track.live && !track.done && track.steps > heard;
-    if (told && !QUIET.has(track.last.event)) announce(track.last.message);
-    heard = track.steps;
+    // The strip announces the end of the flight.
+    const isNew = track.live && !track.done && track.steps > announced;
+    if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
+    announced = track.steps;
     const step = Math.min(clock.cursor, track.steps);
     mark(list.children[step - 1]?.firstElementChild ?? null);
     setText(detail, describe(track, step));
@@ -44,31 +42,21 @@ export function mountMoves(root, context) {
     if (button === marked) return;
     marked?.removeAttribute("aria-current");
     marked = button;
-    sight.disconnect();
     if (!button) return;
     button.setAttribute("aria-current", "step");
-    sight.observe(button);
+    // Scrolls the list, not the page.
+    list.scrollTop = button.offsetTop - list.offsetTop - list.clientHeight / 2;
   }
 
-  // Asked for while a frame is made, the place of a button would cost a layout of the page.
-  const sight = new IntersectionObserver(
-    ([{ target, intersectionRatio }]) => {
-      sight.disconnect();
-      // Scrolls the list alone, never the page.
-      if (intersectionRatio < 0.9) list.scrollTop = target.offsetTop - list.offsetTop - list.clientHeight / 2;
-    },
-    { root: list },
-  );
-
   function moveButton(frame, move) {
-    const said = `Step ${frame.step}, ${frame.action}${move ? `, ${move.label}` : ""}`;
+    const label = `Step ${frame.step}, ${frame.action}${move ? `, ${move.label}` : ""}`;
     return el(
       "li",
       el(
         "button.move",
         {
           data: { label: move?.label ?? "", event: frame.event },
-          "aria-label": said,
+          "aria-label": label,
           title: frame.message,
           press: () => stage.clock.goTo(frame.step),
         },
@@ -97,15 +85,15 @@ function counts(annotation) {
   ];
 }
 
-/** The step that is shown, in words: what happened, and what it gave away. */
+/** The present step in words, with its loss. */
 function describe(track, step) {
   const frame = track.frameAt(step);
   const reward = frame.step ? ` Reward ${signed(frame.reward, 3)}.` : "";
   const move = track.annotation?.moves[step - 1];
   if (!move) return `${frame.message}${reward}`;
-  const gave =
+  const loss =
     move.label === "best"
-      ? "Nothing lost."
-      : `Lost ${points(move.regret, 2)}: best was ${move.best_actions.join(" or ")}.`;
-  return `${frame.message} ${gave}${reward}`;
+      ? "Best move."
+      : `Lost ${points(move.regret, 2)}. Best move: ${move.best_actions.join(" or ")}.`;
+  return `${frame.message} ${loss}${reward}`;
 }

@@ -1,6 +1,6 @@
-// Flights of the past: a stored one, or those in a file, flown again by the server and annotated move by move.
+// Finished flights from the store or from a file: the server replays and annotates them.
 import { ApiError } from "./api.js";
-import { el, toast } from "./dom.js";
+import { download, el, toast } from "./dom.js";
 import { flightName } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
@@ -10,26 +10,22 @@ export class Past {
   constructor(context, fleet) {
     this.context = context;
     this.fleet = fleet;
-    /** Id of the stored flight that is shown; null for none, or a file. */
+    /** Id of the stored flight that is shown, or null. */
     this.episode = null;
-    /** The records of a file, of which one is shown, and its name. */
+    /** The records of the opened file, one of which is shown. */
     this.records = [];
-    this.file = null;
-    /** All files that were opened here: name to records. No address leads to them from elsewhere. */
-    this.files = new Map();
-    this.asked = 0;
+    this.request = 0;
     this.track = null;
     const { stage } = context;
     stage.on("load", () => (stage.tracks.length === 1 && stage.track === this.track) || this.leave());
   }
 
-  /** Shows a stored flight. @throws {ApiError} Where there is none. */
+  /** Shows a stored flight. @throws {ApiError} */
   async open(id, step) {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const track = await this.stored(id);
-    if (asked !== this.asked) return;
+    if (request !== this.request) return;
     this.episode = id;
-    this.file = null;
     this.records = [];
     this.show(track, step);
   }
@@ -43,31 +39,27 @@ export class Past {
     return track;
   }
 
-  /** Shows the flights of a file, one of them at a time. */
+  /** Opens a file and shows its first flight. */
   async openFile(file) {
-    const asked = ++this.asked;
+    const request = ++this.request;
     const records = await readFlights(file);
-    this.files.set(file.name, records);
-    if (asked === this.asked) await this.openRecord(0, file.name);
+    if (request === this.request) await this.openRecord(0, records);
   }
 
-  /** Shows a flight of a file that was opened before. */
-  async openRecord(index, file = this.file) {
-    const records = this.files.get(file);
-    if (!records) throw new Error(`The file ${file} is on this page no more: open it again.`);
-    const asked = ++this.asked;
+  /** Shows a flight of the file. */
+  async openRecord(index, records = this.records) {
+    const request = ++this.request;
     const track = await this.flown(records[index]);
-    if (asked !== this.asked) return;
+    if (request !== this.request) return;
     this.episode = null;
-    this.file = file;
     this.records = records;
     this.show(track, 0);
   }
 
-  /** Nothing of this is shown any more. */
+  /** The stage shows something else. */
   leave() {
-    this.asked += 1;
-    this.episode = this.file = this.track = null;
+    this.request += 1;
+    this.episode = this.track = null;
     this.records = [];
   }
 
@@ -87,7 +79,7 @@ export class Past {
     this.askForCalls(track);
   }
 
-  /** What a language model was asked and has answered, where one flew. */
+  /** Loads the prompts and answers of a language model. */
   async askForCalls(track) {
     if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
     try {
@@ -104,13 +96,13 @@ export class Past {
   }
 }
 
-/** The record of a flight that was opened, or that the server has stored. */
+/** The record of a finished flight. */
 export async function recordOf({ api }, track) {
   track.record ??= await api.get(`episodes/${encodeURIComponent(track.episode.id)}`);
   return track.record;
 }
 
-/** Annotates a flight that has ended: what each of its moves gave away. Says so where that cannot be. */
+/** Annotates a finished flight: the loss of each move. */
 export async function explain(context, track) {
   if (track.annotation || !track.done) return;
   try {
@@ -129,10 +121,10 @@ const lost = (value, { optimal_score: optimum }) => ({ value, regret: Math.max(0
 
 const ENDINGS = [".json", ".jsonl"];
 
-/** The records in a file: one as JSON, or one per line. The server checks them. @param {File} file @returns {Promise<object[]>} */
+/** The records of a file: one JSON document, or one per line. The server checks them. @param {File} file @returns {Promise<object[]>} */
 async function readFlights(file) {
   if (!ENDINGS.some((ending) => file.name.toLowerCase().endsWith(ending))) {
-    throw new Error(`${file.name} is not a file of flights: its name must end in ${ENDINGS.join(" or ")}.`);
+    throw new Error(`${file.name} is not a flight file: its name must end in ${ENDINGS.join(" or ")}.`);
   }
   const text = await file.text();
   try {
@@ -155,7 +147,27 @@ function parsed(text, where) {
   }
 }
 
-/** @param {HTMLElement} root @param {import("./past.js").Past} past @param {(flights: () => Promise<void>) => void} open */
+/** The button that saves the record of a finished flight. */
+export function mountRecord(root, context) {
+  const { stage } = context;
+  const save = el("button.button.quiet.small", { id: "save-record", text: "Save record", press: () => saveRecord(context) });
+  root.append(save);
+  stage.on("change", () => (save.disabled = !stage.track?.record && !stage.track?.episode));
+}
+
+async function saveRecord(context) {
+  const { task, seed } = context.stage.world;
+  const { track } = context.stage;
+  const name = `${task.short_name}-${seed}-${track.by}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
+  try {
+    const text = `${JSON.stringify(await recordOf(context, track), null, 2)}\n`;
+    download(`${name}.json`, new Blob([text], { type: "application/json" }));
+  } catch (error) {
+    toast(`The record could not be saved: ${error.message}`);
+  }
+}
+
+/** The file field, and the choice of a flight if the file contains several. */
 export function mountFiles(root, past, open) {
   const input = el("input.visually-hidden", {
     type: "file",

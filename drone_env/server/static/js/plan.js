@@ -1,25 +1,15 @@
-// What is flown: which task, which map, who flies, what the steps pay.
-import { el, setText, toast } from "./dom.js";
+// The flight plan: task, map and pilots.
+import { el, setText } from "./dom.js";
 import { title } from "./format.js";
 
-/**
- * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {import("./actions.js").Actions} acts
- */
 export function mountPlan(root, context, fleet, acts) {
   const { stage } = context;
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed, edit, typing } = mapForm(context, fleet, acts, () => update());
-  // Who flies on instead sees again what he flies.
-  const change = () => acts.start({ profile: profile.value }).finally(update);
-  const profile = el("select", { id: "profile", on: { change } });
-  for (const { id, summary } of context.rewardProfiles)
-    profile.append(el("option", { value: id, text: title(id), title: summary }));
-  const rewards = el("div.field", el("label.eyebrow", { for: "profile", text: "Rewards" }), profile);
+  const { form, seed, edit, copy, typing } = mapForm(context, fleet, acts, () => update());
   const narrow = matchMedia("(max-width: 1099px)");
-  const choices = el("div.plan-choices", tasks, pilots, form, rewards);
+  const choices = el("div.plan-choices", tasks, pilots, form);
   const details = el("details.plan-details", { open: !narrow.matches }, heading, choices);
   narrow.addEventListener("change", () => {
     details.open = !narrow.matches;
@@ -50,7 +40,7 @@ export function mountPlan(root, context, fleet, acts) {
     return el("label.task-option", input, el("span", { text: title(task.short_name).replace(`${family} `, "") }));
   }
 
-  /** A click on the name has the pilot fly alone, the box has it fly along. */
+  /** The name flies this pilot alone; the box adds it to the others. */
   function pilotRow(pilot) {
     const name = el("button.pilot-name", {
       text: pilot.name,
@@ -61,8 +51,8 @@ export function mountPlan(root, context, fleet, acts) {
       type: "checkbox",
       name: "pilot",
       value: pilot.id,
-      "aria-label": `${pilot.name} flies along`,
-      title: "Flies along",
+      "aria-label": `Add ${pilot.name}`,
+      title: "Add to the flight",
       on: { change: () => choosePilots(withOrWithout(chosen(), pilot.id)) },
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
@@ -73,22 +63,19 @@ export function mountPlan(root, context, fleet, acts) {
   const chosen = () => (isPast() ? [] : fleet.setup.pilots);
 
   function choosePilots(ids) {
-    // The next arrow is to fly, not to choose another pilot.
+    // The next arrow key is for the drone, not for this button.
     if (ids.includes(fleet.person.id)) document.activeElement.blur();
     acts.start({ pilots: ids }).finally(update);
   }
 
-  /** Pilots that cannot fly the task give way, and the page says so. */
+  /** Drops pilots that cannot fly the task; their rows state why. */
   function chooseTask(task) {
     const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
-    const left = fleet.setup.pilots.filter((id) => !able.includes(id)).map((id) => fleet.pilot(id).name);
-    if (left.length) toast(`${left.join(" and ")} cannot fly ${title(task.short_name)}.`);
     const pilots = able.length ? able : fleet.able(task).slice(0, 1);
     acts.start({ task: task.short_name, seed: null, pilots }).finally(update);
   }
 
   function update() {
-    // A flight of the past is flown by whoever flew it: what is chosen here is what a click would change.
     const { setup } = fleet;
     const past = isPast();
     const task = past ? stage.world.task : fleet.task();
@@ -98,6 +85,7 @@ export function mountPlan(root, context, fleet, acts) {
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
     setText(note, task ? taskNote(task) : "");
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
+    copy.disabled = past && !stage.track.episode;
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const row of pilots.querySelectorAll(".pilot")) {
       const [name, box, about] = row.children;
@@ -108,10 +96,9 @@ export function mountPlan(root, context, fleet, acts) {
       name.setAttribute("aria-pressed", String(box.checked));
       box.disabled = !able || last || (!box.checked && setup.pilots.length >= context.most);
       row.classList.toggle("unable", !able);
-      setText(about, able ? fleet.pilot(box.value).summary : "has no network here");
+      setText(about, able ? fleet.pilot(box.value).summary : "no network for this task");
     }
     if (!typing()) seed.value = map;
-    profile.value = (past ? stage.world.profile : setup.profile) ?? stage.world?.profile ?? profile.value;
   }
 
   fleet.on("setup", update);
@@ -154,8 +141,8 @@ function mapForm({ router, stage }, fleet, acts, update) {
     press: () => router.copy(),
   });
   const edit = el("a.button.small", { id: "edit-map", text: "Edit this map" });
-  // Enter changes the number first, which opens the map.
+  // Enter triggers the change event of the number, which opens the map.
   const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
-  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy, edit)), seed, edit, typing: () => typed };
+  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy, edit)), seed, edit, copy, typing: () => typed };
 }

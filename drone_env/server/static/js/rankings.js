@@ -1,17 +1,12 @@
-// Tables of who flies how well: the leaderboard, its rows down to maps, and runs over the same maps.
+// Tables of Compare: the leaderboard, the maps of a pilot, runs over the same maps, and pairs.
 import { el, fact, table } from "./dom.js";
 import { fixed, percent, points, signed } from "./format.js";
 
-/** So many maps are shown at first: those where most was lost. */
-const FIRST = 10;
-
 /**
- * A table that scrolls sideways where it has no room.
+ * A table that scrolls if it is larger than its place.
  *
- * @param {string} caption
- * @param {[string, (row: any) => Node|string, boolean?][]} columns Name, what stands there, whether it is a number.
- * @param {any[]} rows
- * @param {(row: any) => Node|null} [below] What a row has opened.
+ * @param {[string, (row: any) => Node|string, boolean?][]} columns Name, content, whether it is a number.
+ * @param {(row: any) => Node|null} [below] Details that a row has opened.
  */
 export function grid(caption, columns, rows, below = () => null) {
   const lines = (row) => {
@@ -29,7 +24,7 @@ export function grid(caption, columns, rows, below = () => null) {
   );
 }
 
-/** Where a score lies from 0 to 1, as a bar with its interval as whiskers, beside the number. */
+/** A score with a bar, and its interval as whiskers. */
 function scoreBar(score, ci, colour) {
   const [low, high] = ci ?? [score, score];
   const style = { "--at": score, "--low": low, "--high": high, "--colour": colour };
@@ -37,10 +32,10 @@ function scoreBar(score, ci, colour) {
   return el("div.score-bar", { style }, within(score, ci, points), bar);
 }
 
-/** A figure and half of its interval; both ends where the range of the figure cuts one of them off. */
+/** A value with ± half its interval, or with both ends if the interval is not symmetric. */
 function within(value, ci, write) {
   const cut = ci && Math.abs(ci[0] + ci[1] - 2 * value) > 1e-9;
-  const margin = cut ? ` [${ci.map(write).join(", ")}]` : ci ? ` ± ${write(ci[1] - value)}` : "";
+  const margin = cut ? ` [${ci.map((end) => write(end)).join(", ")}]` : ci ? ` ± ${write(ci[1] - value)}` : "";
   return el("span.within", write(value), el("span.margin", { text: margin }));
 }
 
@@ -49,25 +44,23 @@ const lost = (row) => {
   return el("span", within(row.regret, row.regret_ci95, points), some);
 };
 
-/** The colour of a pilot; others have none of their own. */
+/** The colour of a pilot, or grey. */
 export const colourOf = ({ pilots }, agent) => {
   const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
   return pilot?.colour ? `var(--pilot-${pilot.colour})` : "var(--ink-3)";
 };
 
-/** A button that opens what is below its row. */
+/** A button that opens the details of its row. */
 const opener = (open, key, ...contents) =>
   el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
 
 /**
- * @param {import("./context.js").Context} context
- * @param {Object} board As `/leaderboard` answers.
- * @param {string[]} chosen Whose maps are open, or who are paired.
- * @param {Node|null} maps What is open below the row of the one that is chosen.
- * @param {(agents: string[]) => void} choose
+ * @param {Object} board From `GET /leaderboard/{task_name}`.
+ * @param {string[]} chosen One pilot has its maps open; two are compared.
+ * @param {Node|null} maps The maps of the chosen pilot.
  */
 export function leaderboard(context, board, chosen, maps, choose) {
-  if (!board.rows.length) return el("p.note", { text: "Nobody has flown this task yet. Fly it, and it stands here." });
+  if (!board.rows.length) return el("p.note", { text: "No flights of this task yet. Fly it to add one." });
   const isOpen = ({ agent }) => chosen.length === 1 && chosen[0] === agent;
   const pick = ({ agent, name }) => {
     const others = chosen.filter((one) => one !== agent);
@@ -76,7 +69,7 @@ export function leaderboard(context, board, chosen, maps, choose) {
       checked: chosen.includes(agent),
       "aria-label": `Compare ${name}`,
       data: { key: `pick ${agent}` },
-      // Of three the first one goes.
+      // A third choice replaces the first.
       on: { change: ({ target }) => choose(target.checked ? [...others, agent].slice(-2) : others) },
     });
   };
@@ -101,37 +94,31 @@ export function leaderboard(context, board, chosen, maps, choose) {
     ["Flights", (row) => String(row.flights), true],
     ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
   ];
-  const how = "A name opens its maps; two that are ticked are compared over the maps that both flew.";
-  const forks = board.forks ? ` Flights that fork from another one are left out: ${board.forks}.` : "";
+  const how = "Click a name to open its maps. Tick two pilots to compare them over their common maps.";
+  const forks = board.forks ? ` Forks are not counted: ${board.forks}.` : "";
   return el(
     "div",
-    grid("Leaderboard, who lost least first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
+    grid("Leaderboard, smallest loss first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
     el("p.note.below", {
-      text: `Scores times 100, means over the maps that each flew, ± 95 %. Ranked is what was lost of the optimum of each map, since maps differ. ${how}${forks}`,
+      text: `Means over the maps of each pilot, times 100, ± 95 %. Ranked by the points lost against the optimum of each map. ${how}${forks}`,
     }),
   );
 }
 
 /**
- * The maps that somebody flew, the worst first; each opens its flight, or lists its flights.
+ * The maps of a pilot, largest loss first, with a button that opens the flight.
  *
- * @param {import("./context.js").Context} context
- * @param {string} name Who flew, in words.
- * @param {Object[]} maps As `/leaderboard/{task}/maps` answers.
- * @param {import("./flights.js").Flights} flights Where several over one map are listed.
- * @param {string} agent
+ * @param {Object[]} maps From `GET /leaderboard/{task_name}/maps`.
  */
-export function mapsOf(context, name, maps, flights, agent) {
+export function mapsOf(context, name, maps) {
   const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
   const sorted = [...maps].sort((x, y) => (regret(y) ?? -1) - (regret(x) ?? -1) || x.seed - y.seed);
-  const open = ({ id, seed, flights: count }) => [
+  const open = ({ id, seed }) =>
     el("button.button.small", {
       text: "Open",
       "aria-label": `Open the flight of ${name} over map ${seed}`,
       press: () => context.router.go({ view: "fly", episode: id }),
-    }),
-    count > 1 ? el("button.button.small", { text: `${count} flights`, press: () => flights.filter(agent, seed) }) : "",
-  ];
+    });
   const columns = [
     ["Map", ({ seed }) => String(seed), true],
     ["Lost", (map) => points(regret(map)), true],
@@ -139,39 +126,27 @@ export function mapsOf(context, name, maps, flights, agent) {
     ["Optimum", ({ optimum }) => points(optimum), true],
     ["Success", ({ success }) => percent(success), true],
     ["Steps", ({ steps }) => fixed(steps, steps % 1 ? 1 : 0), true],
-    // Flights that were flown in another server are not kept here.
-    ["", (map) => (map.id ? el("span.buttons", ...open(map)) : "")],
+    // A flight from another server is not in this store.
+    ["", (map) => (map.id ? open(map) : "")],
   ];
-  return shortened(sorted, FIRST, (shown) => grid(`Maps that ${name} flew, the worst first`, columns, shown));
-}
-
-/** The first of many maps, and a button for all of them. */
-export function shortened(all, first, draw) {
-  if (all.length <= first) return draw(all);
-  const more = el("button.button.small.more", { text: `All ${all.length} maps` });
-  const part = el("div", draw(all.slice(0, first)), more);
-  more.addEventListener("click", () => {
-    part.replaceChildren(draw(all));
-    part.firstElementChild.focus();
-  });
-  return part;
+  return grid(`Maps of ${name}, largest loss first`, columns, sorted);
 }
 
 const figure = (count) => (count === null ? "" : count.toLocaleString());
 
-/** The share of unusable answers, marked if it is above 5 %. */
+/** The share of unusable answers; `!` marks more than 5 %. */
 const unusable = ({ unusable_share: share, marked }) =>
   share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
 
-/** What only language models have: columns of no board where none flew. */
+/** Columns of boards with language models. */
 const OF_MODELS = [
   ["Errored", (row) => figure(row.errored), true],
   ["Unusable answers", unusable, true],
   ["Tokens", (row) => figure(row.tokens), true],
 ];
 
-/** Agents and language models, on the board of the maps that they flew, each with its maps below. */
-export function runsOf(context, { boards, unranked }, flights) {
+/** Runs of agents and language models, one board per set of maps. */
+export function runsOf(context, { boards, unranked }) {
   const columns = [
     ["Pilot", (row) => el("span", row.agent, el("span.margin", { text: row.prompt ? ` by ${row.prompt}` : "" }))],
     ["Run", (row) => row.run],
@@ -185,11 +160,11 @@ export function runsOf(context, { boards, unranked }, flights) {
   const shown = (rows) => (rows.some(({ kind }) => kind === "model") ? [...columns, ...OF_MODELS] : columns);
   const maps = (row) => [
     el("summary", { text: `Maps of ${[...new Set([row.agent, row.run])].join(", ")}` }),
-    mapsOf(context, row.agent, row.maps, flights, row.agent),
+    mapsOf(context, row.agent, row.maps),
   ];
   const draw = ({ maps: which, rows }) => [
     el("h3", { text: which }),
-    grid(`Runs over ${which}, the best first`, shown(rows), rows),
+    grid(`Runs over ${which}, best first`, shown(rows), rows),
     ...rows.map((row) => el("details", ...maps(row))),
   ];
   const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
@@ -197,29 +172,23 @@ export function runsOf(context, { boards, unranked }, flights) {
   return [
     el("h2", { text: "Over the same maps" }),
     ...boards.flatMap(draw),
-    marked ? el("p.note", { text: "! More than 5 % of the answers were unusable; the drone waited instead." }) : "",
+    marked ? el("p.note", { text: "! More than 5 % of the answers were unusable. The drone waited at these steps." }) : "",
     unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
   ];
 }
 
-const MOST_PAIRS = 12;
 const gap = (difference) => signed(difference === null ? null : difference * 100, 1);
 
 /**
- * Two pilots over the maps that both flew.
+ * Two pilots over their common maps.
  *
- * @param {import("./context.js").Context} context
- * @param {Object} task
- * @param {Object} answer As `/paired` answers.
- * @param {[string, string]} pilots
- * @param {(agent: string) => string} name
- * @param {Object[]} rows Of the leaderboard.
+ * @param {Object} answer From `GET /paired/{task_name}`.
  */
 export function paired(context, task, answer, pilots, name, rows) {
   const [a, b] = pilots.map(name);
   const head = el("h2", { text: `${a} against ${b}` });
-  if (!answer.maps) return [head, el("p.note", { text: "They have flown no map in common yet." })];
-  const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "one map has no interval";
+  if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
+  const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
   const ours = pilots.every((pilot) => rows.some(({ agent, kind }) => agent === pilot && kind === "pilot"));
   const go = (address) => () => context.router.go({ view: "fly", ...address });
   const button = (text, label, address) => el("button.button.small", { text, "aria-label": label, press: go(address) });
@@ -249,11 +218,11 @@ export function paired(context, task, answer, pilots, name, rows) {
     el(
       "dl.paired",
       fact("Difference of scores", `${gap(answer.difference)} (${interval})`),
-      fact("Maps that both flew", String(answer.maps)),
-      fact(`${a} scores more`, String(answer.wins)),
+      fact("Common maps", String(answer.maps)),
+      fact(`${a} scores higher`, String(answer.wins)),
       fact("Equal", String(answer.ties)),
-      fact(`${b} scores more`, String(answer.losses)),
+      fact(`${b} scores higher`, String(answer.losses)),
     ),
-    shortened(sorted, MOST_PAIRS, (shown) => grid(`${a} against ${b}, the greatest difference first`, columns, shown)),
+    grid(`${a} against ${b}, largest difference first`, columns, sorted),
   ];
 }

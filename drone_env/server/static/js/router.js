@@ -1,43 +1,40 @@
-// The address of the page is its state: which view is shown, which flight stands in it, and which moment of it. Back,
-// forward and reload show what the address says.
+// The address is the state of the page: the view, the flight and its moment. Back, Forward and Reload restore it.
 import { Emitter } from "./base.js";
-import { copyText, toast } from "./dom.js";
+import { copyText } from "./dom.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 
-/** Milliseconds between two changes of an entry: browsers allow few. */
+/** Milliseconds between two changes of a history entry: browsers limit their rate. */
 const PAUSE = 200;
 
 /**
- * @typedef {Object} Address Null and an empty list stand for what it does not say.
+ * @typedef {Object} Address Missing parts are null or an empty list.
  * @property {string} view One of `VIEWS`.
  * @property {string|null} task Short name, id or grader.
- * @property {number|string|null} seed What is no number of a map goes to the server as it is: its answer says what is allowed.
+ * @property {number|string|null} seed The server rejects anything but a map number.
  * @property {string|null} profile
- * @property {string[]} pilots In Compare, too, those who are compared.
+ * @property {string[]} pilots Also the compared pilots in Compare.
  * @property {string|null} episode A stored flight.
- * @property {string|null} file Name of a file that was opened on this page, which no link leads to.
- * @property {number|null} step The moment that is shown; the start of a stored flight, and what is flown last of another.
- * @property {number|null} flown How far was flown, where an earlier moment is shown.
- * @property {number|null} fork The step from which the last pilot has gone another way than `of`.
- * @property {string|null} actions All that this pilot has flown, a letter for each; without a fork, the visitor.
- * @property {string|null} of Who flew up to the fork; without one, the visitor, as records say it.
+ * @property {number|null} step The moment; by default the start of a stored flight and the newest step of a live one.
+ * @property {number|null} fork The step at which the last pilot leaves the flight of `of`.
+ * @property {string|null} actions All actions of the fork, or of the visitor's flight: one letter each.
+ * @property {string|null} of The pilot before the fork; without a fork, the visitor as the record names him.
  * @property {number|null} lesson From 1.
- * @property {string[]} unread What of it was not understood.
+ * @property {string[]} unread Parts with invalid values.
  *
- * Events: "address" (address) another one is shown.
+ * Events: "address" (address) the page shows another address.
  */
 export class Router extends Emitter {
   constructor() {
     super();
     this.address = read(location);
-    /** The last one of Fly: what the other views come back to. */
+    /** The last address of Fly, to which the navigation returns. */
     this.flight = this.address.view === "fly" ? this.address : NOTHING;
     this.timer = 0;
     window.addEventListener("popstate", () => this.show(read(location)));
   }
 
-  /** Goes to another address, from which Back comes here. @param {Partial<Address>} address */
+  /** Goes to another address with a new history entry. @param {Partial<Address>} address */
   go(address) {
     const next = { ...NOTHING, ...address };
     this.write();
@@ -45,25 +42,25 @@ export class Router extends Emitter {
     this.show(next);
   }
 
-  /** Goes to another view, to what stood there last. */
+  /** Opens a view; Fly shows its last flight. */
   open(view) {
     this.go(view === "fly" ? this.flight : { view });
   }
 
-  /** Goes where a link of this page leads. */
+  /** Follows a link of this page. */
   follow(href) {
     this.go(read(new URL(href)));
   }
 
-  /** Whether the address asks for nothing. */
+  /** Whether the address has no parameters. */
   get bare() {
     return linkOf(this.address).search === "";
   }
 
   /**
-   * Says what is flown: a new entry for Back, unless the present address left open just this.
+   * Writes the flights that were started: a new history entry, unless they only complete the present address.
    *
-   * @param {Partial<Address>} flown @param {boolean} entry Whether it is a new one even then.
+   * @param {Partial<Address>} flown @param {boolean} entry Forces a new entry.
    */
   flies(flown, entry = false) {
     const { lesson } = this.address;
@@ -74,14 +71,14 @@ export class Router extends Emitter {
     this.address = this.flight = next;
   }
 
-  /** Says which moment is shown, or what has been flown since: the same flight, so no new entry. @param {Partial<Address>} now */
+  /** Updates the moment and the moves of the same flight, without a new entry. @param {Partial<Address>} now */
   moment(now) {
     if (Object.keys(now).every((name) => this.address[name] === now[name])) return;
     this.address = this.flight = { ...this.address, ...now };
     this.timer ||= setTimeout(() => this.write(), PAUSE);
   }
 
-  /** Writes what was said of the present entry. */
+  /** Writes a pending update of the present entry. */
   write() {
     if (!this.timer) return;
     clearTimeout(this.timer);
@@ -89,14 +86,13 @@ export class Router extends Emitter {
     history.replaceState(null, "", linkOf(this.address));
   }
 
-  /** Copies the link to what is shown. */
+  /** Copies the link to this moment. */
   copy() {
-    if (this.address.file) toast("No link leads to a file: send the file itself.");
-    else copyText(linkOf(this.address).href, "Link copied.");
+    copyText(linkOf(this.address).href, "Link copied.");
   }
 
   show(address) {
-    // What was said of an entry that Back has left is too late.
+    // A pending update of the entry that Back has left is dropped.
     clearTimeout(this.timer);
     this.timer = 0;
     this.address = address;
@@ -105,7 +101,7 @@ export class Router extends Emitter {
   }
 }
 
-/** What an address says that says nothing. */
+/** The address without parameters. */
 export const NOTHING = {
   view: "fly",
   task: null,
@@ -113,9 +109,7 @@ export const NOTHING = {
   profile: null,
   pilots: [],
   episode: null,
-  file: null,
   step: null,
-  flown: null,
   fork: null,
   actions: null,
   of: null,
@@ -123,14 +117,14 @@ export const NOTHING = {
   unread: [],
 };
 
-/** Whether an address says that this is flown, or leaves it open; rewards that it does not name are the server's. */
+/** Whether these flights match an address, whose missing parts match everything. */
 export function says(address, flown) {
   const open = (name) => address[name] === null || address[name].length === 0;
   const same = (name) => String(address[name]) === String(flown[name]);
   return (
     address.view === flown.view &&
     ["task", "seed", "pilots"].every((name) => open(name) || same(name)) &&
-    ["profile", "episode", "file", "fork"].every(same)
+    ["profile", "episode", "fork"].every(same)
   );
 }
 
@@ -157,12 +151,10 @@ function read({ search }) {
     task: text("task"),
     seed: number("seed"),
     profile: text("profile"),
-    // Split before it is decoded: agents from elsewhere may have commas in their names.
+    // Split before decoding: names may contain commas.
     pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
     episode: text("episode"),
-    file: text("file"),
     step: count("step"),
-    flown: count("flown"),
     fork: count("fork"),
     actions: text("actions"),
     of: text("of"),
@@ -181,11 +173,10 @@ export function linkOf(address) {
     if (rest[name] !== null && rest[name] !== "") parts.push(`${name}=${encodeURIComponent(rest[name])}`);
   };
   say("episode");
-  say("file");
   say("task");
   say("seed");
   if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
-  for (const name of ["profile", "fork", "of", "actions", "step", "flown", "lesson"]) say(name);
+  for (const name of ["profile", "fork", "of", "actions", "step", "lesson"]) say(name);
   const url = new URL(document.baseURI);
   url.search = parts.join("&");
   url.hash = "";

@@ -1,9 +1,9 @@
-// What is shown in Fly: a map, the flights over it, the moment on a clock for all of them, and which is looked at.
+// The state of Fly: a map, its flights, a common clock and the selected flight.
 import { Emitter, nextFrame } from "./base.js";
 
 /**
  * @typedef {Object} World The map.
- * @property {Object} task As `GET /tasks` tells it. @property {number} seed @property {string} profile
+ * @property {Object} task From `GET /tasks`. @property {number} seed @property {string} profile
  * @property {number} width @property {number} height @property {number} maxSteps @property {number} capacity Of the battery.
  * @property {number[][]} cells Kinds of the cells at the start, [y][x]. @property {number[][]} parcels [x, y] of each.
  */
@@ -25,24 +25,23 @@ export function worldOf(opening, tasks) {
 
 /** Steps a second that can be chosen. */
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
-/** So far behind, in steps, the picture jumps instead of gliding. */
+/** If the picture is more steps behind, it jumps instead of gliding. */
 const LEAP = 4;
 
 /** `cursor` is the step that is shown; `position` follows it smoothly and is what is drawn between two steps. */
 export class Clock {
   /**
-   * @param {() => number} end The last step there is. @param {() => number} newest The one that was flown last: a flight that
-   *   goes on may lie beside one that is longer. @param {() => void} moved Called when another step is shown, or it is played
-   *   or stopped.
+   * @param {() => number} end The last step of all flights. @param {() => number} newest The newest step of the live flights.
+   * @param {() => void} moved Called when the step changes, and when a replay starts or stops.
    */
   constructor(end, newest, moved) {
     this.end = end;
     this.newest = newest;
     this.moved = moved;
     this.cursor = this.position = 0;
-    /** Whether new steps are shown as they come. */
+    /** Whether the page shows new steps as they arrive. */
     this.following = true;
-    /** Whether what has been flown is played by itself. */
+    /** Whether a replay runs. */
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
@@ -55,25 +54,25 @@ export class Clock {
     this.following = this.cursor === this.newest();
   }
 
-  /** Goes to a step. Live flights are followed again from the newest one on. */
+  /** Goes to a step; at the newest one, the clock follows live flights again. */
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
     this.following = this.cursor === this.newest();
     this.moved();
   }
 
-  /** Goes to a step, and stays there. */
+  /** Stops a replay and goes to a step. */
   goTo(step) {
     this.stop();
     this.seek(step);
   }
 
-  /** Shows the newest step, unless somebody looks back. */
+  /** Shows the newest step, unless the visitor looks back. */
   follow() {
     if (this.following) this.seek(this.newest());
   }
 
-  /** Plays what there is, from the start if we are at the end. */
+  /** Replays the flights, at their end from the start. */
   play() {
     if (this.playing || this.end() === 0) return;
     if (this.cursor === this.end()) this.seek(0);
@@ -97,7 +96,7 @@ export class Clock {
     this.moved();
   }
 
-  /** Moves `position` towards the cursor for a drawing; true while there is more to come. */
+  /** Moves `position` towards the cursor. @returns {boolean} Whether it has not arrived. */
   advance(milliseconds) {
     const gap = this.cursor - this.position;
     if (gap === 0) return false;
@@ -110,8 +109,8 @@ export class Clock {
 }
 
 /**
- * Events, each followed by "change", at most once a frame: "load" other flights, "frames" more of one, or of what is known of
- * it, "cursor" another moment is shown or it is played or stopped, "selected" another flight is looked at.
+ * Events, each followed by "change", at most once per animation frame: "load" other flights, "frames" new frames or
+ * values, "cursor" another moment, or a replay starts or stops, "selected" another flight.
  */
 export class Stage extends Emitter {
   constructor() {
@@ -120,7 +119,7 @@ export class Stage extends Emitter {
     this.world = null;
     /** @type {import("./track.js").Track[]} */
     this.tracks = [];
-    /** Those of them whose newest step is shown as it comes. @type {import("./track.js").Track[]} */
+    /** The live flights. @type {import("./track.js").Track[]} */
     this.followed = [];
     this.selected = 0;
     this.clock = new Clock(
@@ -128,29 +127,35 @@ export class Stage extends Emitter {
       () => last(this.followed),
       () => this.tell("cursor"),
     );
-    /** What `POST /values` says of the moment and the flight that are looked at; null where nobody asked. */
+    /** The newest answer of `POST /values` for this flight, with its moment; null without one. */
     this.values = null;
-    /** Whether a live flight is flying by itself just now. */
+    /** Whether automatic pilots fly now. */
     this.flying = false;
   }
 
-  /** The flight that is looked at. */
+  /** The selected flight. */
   get track() {
     return this.tracks[this.selected] ?? null;
   }
 
-  /** Its frame at the moment that is shown. */
+  /** Its frame at the present step. */
   get frame() {
     return this.track?.frameAt(this.clock.cursor) ?? null;
   }
 
-  /** The moment that is looked at, in words that no other has: a map, and what was flown over it. */
-  get moment() {
-    const { track, world, clock } = this;
-    return `${world.task.id} ${world.seed} ${track.actionsTo(clock.cursor).join("")}`;
+  /** The actions before the present step; at the end of a flight, where no move is left, those before its last step. */
+  get actions() {
+    const { track, clock } = this;
+    return track.actionsTo(Math.min(clock.cursor, track.done ? track.steps - 1 : track.steps));
   }
 
-  /** What the server says of this very moment; null until it has, while `values` are of the one before. */
+  /** A key of the present moment: the map and the actions. */
+  get moment() {
+    const { world } = this;
+    return `${world.task.id} ${world.seed} ${this.actions.join("")}`;
+  }
+
+  /** The answer of `POST /values` for this moment, or null; `values` may still belong to the moment before. */
   get answer() {
     return this.values && this.values.key === this.moment ? this.values.answer : null;
   }
@@ -160,7 +165,7 @@ export class Stage extends Emitter {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
-  /** Shows a map with flights over it. @param {number} step The moment. */
+  /** Shows a map with flights. */
   show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {
     this.world = world;
     this.tracks = tracks;
@@ -171,7 +176,7 @@ export class Stage extends Emitter {
     this.tell("load");
   }
 
-  /** Looks at another flight. */
+  /** Selects another flight. */
   select(i) {
     if (i === this.selected || !this.tracks[i]) return;
     this.selected = i;
@@ -179,7 +184,7 @@ export class Stage extends Emitter {
     this.tell("selected");
   }
 
-  /** A flight has changed: it has more frames, or more is known of them. */
+  /** Redraws a flight with new frames or values. */
   changed(track) {
     if (!this.tracks.includes(track)) return;
     this.tell("frames");

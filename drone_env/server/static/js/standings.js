@@ -1,10 +1,9 @@
-// The flights over the map, ranked while they fly; a click looks at one of them.
+// The ranking of the flights over the map.
 import { el, setText, table } from "./dom.js";
 import { outcome, points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Possible", true], ["Lost", true]];
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountStandings(root, { stage }) {
   const body = el("tbody");
   const note = el("p.note", { id: "standings-note" });
@@ -38,7 +37,7 @@ export function mountStandings(root, { stage }) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", track === stage.track);
     }
-    // Who has flown nothing can still win all: that is kept back from nobody.
+    // Before the first step everything is possible; this is not a secret.
     const all = Math.max(...rows.map(({ track }) => track.valueAt(0) ?? track.frames[0].score));
     const rank = ({ track }) => possible(track.frameAt(cursor), all);
     const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
@@ -47,11 +46,11 @@ export function mountStandings(root, { stage }) {
       body.replaceChildren(...ranked.map(({ node }) => node));
       if (body.contains(focused)) focused.focus();
     }
-    setText(note, words(ranked));
+    setText(note, describe(ranked));
   }
 
-  function words([first, second]) {
-    if (!stage.over) return "Ranked by the score that is still possible.";
+  function describe([first, second]) {
+    if (!stage.over) return "Ranked by the score still possible.";
     const best = first.track.last.score;
     if (second.track.last.score === best) return `A tie with ${points(best)}.`;
     return `${first.track.name} wins with ${points(best)}: ${outcome(first.track.last).toLowerCase()}.`;
@@ -61,7 +60,7 @@ export function mountStandings(root, { stage }) {
   stage.on("change", draw);
 }
 
-/** What can still be won; where that is not known, what has been. @param {number} all What it is at the start. */
+/** The score still possible, or the present score if it is hidden. @param {number} all The score possible at the start. */
 function possible(frame, all) {
   if (frame.done) return frame.score;
   return frame.value ?? (frame.step ? frame.score : all);

@@ -1,17 +1,13 @@
-// Under the map once the flight that is looked at has ended: how it went, its worst move, and what comes next.
+// The mission results of a finished flight: outcome, worst move, efficiency, statistics and the next task.
 import { announce, el, setText } from "./dom.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 
-/**
- * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {import("./actions.js").Actions} acts
- */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
   let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("span.note");
-  const see = el("button.link", { id: "worst", title: "Look at it", press: () => stage.clock.goTo(worst.step) });
+  const see = el("button.link", { id: "worst", title: "Show this move", press: () => stage.clock.goTo(worst.step) });
   const tryIt = el("button.button.small", {
     id: "try-worst",
     press: () => {
@@ -25,7 +21,7 @@ export function mountStrip(root, context, fleet, acts) {
   const analysis = el("p.note.strip-analysis");
   root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next), efficiency, analysis);
   root.hidden = true;
-  let said = null;
+  let announced = null;
 
   function draw() {
     const { track } = stage;
@@ -45,35 +41,35 @@ export function mountStrip(root, context, fleet, acts) {
     }
     const after = nextTask(context.families, stage.world.task);
     setText(next, `Next: ${title(after.short_name)}`);
-    if (said === track) return;
-    said = track;
+    if (announced === track) return;
+    announced = track;
     analysis.hidden = Boolean(track.past);
     if (!track.past) analyse(stage.world.task);
     if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
-  /** Shows the statistics of all flights of the task, this one included. */
+  /** Shows the statistics of all flights of the task. */
   async function analyse(task) {
-    setText(analysis, "Counting the flights of this task …");
+    setText(analysis, "Loading the statistics of this task …");
     try {
       const figures = await context.api.get(`analyse/${encodeURIComponent(task.id)}`);
       if (stage.world.task === task) setText(analysis, inWords(figures, task));
     } catch (error) {
-      setText(analysis, `The flights of this task could not be counted: ${error.message}`);
+      setText(analysis, `The statistics of this task could not be loaded: ${error.message}`);
     }
   }
 
   stage.on("change", draw);
 }
 
-/** The efficiency in its parts: `Efficiency 87.5 of 100: parcels 100 % (weight 75), ...`. */
+/** The efficiency with its parts: `Efficiency 87.5 of 100: parcels 100 % (weight 75), ...`. */
 function efficiencyOf({ efficiency, efficiency_parts: parts }) {
   const words = parts.map(({ name, weight, share }) => `${title(name).toLowerCase()} ${percent(share)} (weight ${weight})`);
   return `Efficiency ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
 }
 
 function summary({ world }, { last, annotation, steps, done }) {
-  if (!done) return "This flight did not end: what its moves gave away is not known.";
+  if (!done) return "This flight is not finished, so its moves have no marks.";
   const optimum = annotation?.optimal_score ?? null;
   const parts = [`score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
@@ -96,7 +92,7 @@ function inWords(figures, task) {
   return `${flights} of ${title(task.short_name)} here, on average: ${[...means, ...shares].join(", ")}.`;
 }
 
-/** Easy, Medium, Hard, Easy; every family goes round. */
+/** The next task of the family: Easy, Medium, Hard, Easy. */
 function nextTask(families, task) {
   const group = families.get(task.family);
   return group[(group.indexOf(task) + 1) % group.length];
@@ -108,7 +104,7 @@ function goOn(context, fleet, acts) {
   const able = [...new Set(flown)].filter((id) => fleet.flies(id, next));
   const pilots = able.length ? able : fleet.able(next).slice(0, 1);
   acts.start({ task: next.short_name, seed: null, pilots });
-  // The strip goes, and what comes next is to start; but the keys of whoever flies himself are for the drone.
+  // The focus moves to Start; if the visitor flies, the keys are for the drone.
   if (pilots.includes(fleet.person.id)) document.activeElement.blur();
   else document.getElementById("start").focus();
 }

@@ -1,14 +1,10 @@
-// Each move from here: what the network thinks of it, and what would still be possible after it.
+// Each move from here: its value for the network, and the score that stays possible.
 import { el, setText, table } from "./dom.js";
 import { ARROWS, fixed, isLost, points } from "./format.js";
 
-const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loses", true]];
+const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loss", true]];
 const ACTIONS = ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"];
 
-/**
- * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {import("./actions.js").Actions} acts
- */
 export function mountThinking(root, context, fleet, acts) {
   const { stage } = context;
   const rows = ACTIONS.map((action) => {
@@ -22,13 +18,13 @@ export function mountThinking(root, context, fleet, acts) {
   const lead = el("p.note", { id: "confidence" });
   const ask = el("button.button.small", {
     id: "ask-values",
-    text: "Show what is possible",
-    title: "The record then says that you flew with values",
+    text: "Show values",
+    title: "The record then notes that you flew with values",
     press: () => fleet.help(),
   });
   root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown, lead);
 
-  /** Flies a move: the visitor's own flight goes on, any other is left by a fork. */
+  /** Plays a move: continues the visitor's own flight, or forks another one. */
   function play(action) {
     if (fleet.atHand) fleet.fly(action);
     else acts.fork({ action });
@@ -40,7 +36,7 @@ export function mountThinking(root, context, fleet, acts) {
     if (!track) return;
     const network = frame.q_values;
     shown.classList.toggle("unweighed", !track.weighed);
-    const exact = answer?.q_values ?? null;
+    const exact = frame.done ? null : (answer?.q_values ?? null);
     const best = exact && Math.max(...Object.values(exact));
     const first = network && Math.max(...Object.values(network));
     for (const { action, cells, name, node } of rows) {
@@ -52,13 +48,13 @@ export function mountThinking(root, context, fleet, acts) {
       name.disabled = frame.done;
     }
     ask.hidden = !context.secret(track);
-    setText(lead, frame.done ? "" : said(network));
+    setText(lead, frame.done ? "" : describe(network));
   }
 
-  /** How far the network's first choice lies ahead of its second. */
-  function said(network) {
-    if (!ask.hidden) return "What the moves are worth is kept back from who flies.";
-    if (!network) return "No network values single moves here: Tournet weighs whole ways. Where the network errs (E) has those that lose something.";
+  /** The gap between the network's first and second choice. */
+  function describe(network) {
+    if (!ask.hidden) return "Values are hidden while you fly.";
+    if (!network) return "No network values single moves here: Tournet values whole tours. Network mistakes (E) marks its moves that lose points.";
     const [a, b] = ACTIONS.filter((action) => action in network).sort((x, y) => network[y] - network[x]);
     return `The network's ${a} leads ${b} by ${fixed(network[a] - network[b], 3)}.`;
   }

@@ -1,16 +1,15 @@
-// The flights as an evaluation graph: by step, the score that was still possible, a line for each; a slider lies over it.
+// The graph of the possible score by step, one line per flight, under a slider.
 import { colourOf, fit, font, labelColour, nextFrame } from "./base.js";
 import { el } from "./dom.js";
 import { points } from "./format.js";
 
 const MARKED = { inaccuracy: 2.5, mistake: 4, blunder: 5.5 };
 const ROOM = { top: 15, bottom: 14, side: 2 };
-/** Lines that lie on one another stay visible side by side, so many pixels apart. */
+/** The offset between overlapping lines, in pixels. */
 const ASIDE = 1.5;
-/** Of the fewest steps that the graph is wide. */
+/** The minimum width of the graph in steps. */
 const SHORTEST = 10;
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountTimeline(root, context) {
   const { stage } = context;
   const canvas = el("canvas.timeline-graph", { "aria-hidden": "true" });
@@ -21,7 +20,7 @@ export function mountTimeline(root, context) {
     max: "0",
     step: "1",
     value: "0",
-    "aria-label": "Step of the flight that is shown",
+    "aria-label": "Step of the flight",
     on: { input: () => stage.clock.goTo(Number(slider.value)) },
   });
   root.classList.add("timeline");
@@ -46,7 +45,7 @@ export function mountTimeline(root, context) {
     drawScale(ctx, y, [low, high], known ? "still possible" : "so far", width);
   }
 
-  /** Steps from left to right: what has been flown, and while it is flown some more. */
+  /** The width of the graph in steps; a live flight has some free steps on the right. */
   const wide = () => Math.max(SHORTEST, stage.clock.end(), stage.over ? 0 : Math.min(stage.world.maxSteps, stage.clock.end() + 5));
 
   function refresh() {
@@ -66,14 +65,14 @@ export function mountTimeline(root, context) {
   stage.on("change", refresh);
 }
 
-/** From the least to the most that was possible, in tens. */
+/** The range of the y axis, in tens. */
 function range(tracks) {
   const all = tracks.flatMap(({ frames }) => frames.map(({ value, score }) => value ?? score));
   const high = Math.min(1, Math.ceil(Math.max(...all) * 10) / 10);
   return [Math.max(0, Math.min(high - 0.2, Math.floor(Math.min(...all) * 10) / 10)), high];
 }
 
-/** A step in words: what happened, what was still possible. */
+/** A step in words, for screen readers. */
 function tip(track, step) {
   const frame = track?.frames[step];
   if (!frame) return `Step ${step}`;
@@ -107,7 +106,7 @@ function drawScale(ctx, y, [low, high], what, width) {
   write(`${points(high, 0)} ${what}`, y(high) - 2);
 }
 
-/** Deliveries and charges of the flight that is looked at, below the graph. */
+/** The deliveries and charges of the selected flight. */
 function drawEvents(ctx, { frames }, x, height) {
   frames.forEach((frame, step) => {
     const before = frames[step - 1];
@@ -123,7 +122,7 @@ function drawEvents(ctx, { frames }, x, height) {
   });
 }
 
-/** The score that was still possible; where that is not known, the score so far, dashed. */
+/** The possible score; if it is hidden, the present score as a dashed line. */
 function drawLine(ctx, { frames, colour }, x, y, aside, front) {
   const known = frames.some(({ value }) => value !== null);
   ctx.strokeStyle = colourOf(colour);
@@ -136,7 +135,7 @@ function drawLine(ctx, { frames, colour }, x, y, aside, front) {
   frames.forEach(({ value, score }, step) => {
     const now = known ? value : score;
     if (now === null) return;
-    // What a move gives away is gone at once.
+    // A move loses its points at once.
     if (before !== null) ctx.lineTo(x(step), y(before) + aside);
     ctx.lineTo(x(step), y(now) + aside);
     before = now;
@@ -146,7 +145,7 @@ function drawLine(ctx, { frames, colour }, x, y, aside, front) {
   ctx.globalAlpha = 1;
 }
 
-/** Where the flight that is looked at gave something away, the larger the worse. */
+/** The moves of the selected flight that lost something; a larger dot is worse. */
 function drawMarks(ctx, track, x, y) {
   for (const { step, label } of track.annotation?.moves ?? []) {
     const size = MARKED[label];

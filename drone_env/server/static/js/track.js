@@ -1,46 +1,46 @@
-// One drone's flight over the map that is shown.
+// The flight of one drone.
 
 /**
- * @typedef {Object} Flown What a track is made of.
- * @property {Object} opening Who flies which map, as the server tells it.
+ * @typedef {Object} Flown A flight from the server.
+ * @property {Object} opening Its pilot and map.
  * @property {Object[]} frames Frame 0 is the start; then one per step.
  */
 export class Track {
-  /** @param {Flown} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may still go on. */
+  /** @param {Flown} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
   constructor({ opening, frames }, { name, colour }, live = false) {
     this.opening = opening;
     this.pilot = opening.pilot;
-    /** Who flew, as the record says it: a pilot, or several of them one after another. */
+    /** The agent of the record: one pilot, or several in sequence. */
     this.by = opening.by;
     this.called = name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
-    /** Whether it is one of the past, not one that the server has flown for this page. */
+    /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
-    /** What each move gave away, as `POST /annotate` tells it; null while that is not known. */
+    /** The answer of `POST /annotate`, or null. */
     this.annotation = null;
-    /** The summary of the stored flight; null while it is not stored. */
+    /** The summary of the stored flight, or null. */
     this.episode = null;
-    /** The calls of a language model by step, several where an answer could not be used; null where none flew. */
+    /** The calls of a language model by step, or null; a retry is one more call. */
     this.calls = null;
-    /** The step from which it goes another way than the flight that it left; null where it is nobody's fork. */
+    /** The step of the fork, or null. */
     this.forkedAt = opening.forked_at;
     this.way = null;
   }
 
-  /** The pilot's name; of a fork, where it begins, too: others flew the steps before. */
+  /** The pilot's name, and the step of a fork. */
   get name() {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
   }
 
-  /** Whether a person asked for values while flying, which are kept back from others. */
-  get asked() {
+  /** Whether the visitor turned the values on while flying. */
+  get showsValues() {
     return this.by.split(" from step ")[0].includes(" with values");
   }
 
-  /** Whether a network says what it thinks of the moves. */
+  /** Whether the flight contains network values. */
   get weighed() {
     return this.frames.some((frame) => frame.q_values);
   }
@@ -54,12 +54,11 @@ export class Track {
     return this.last.done;
   }
 
-  /** Steps flown. */
   get steps() {
     return this.frames.length - 1;
   }
 
-  /** The frame at a step; its last one where it has not come so far. */
+  /** The frame at a step, or the last frame. */
   frameAt(step) {
     return this.frames[Math.min(step, this.steps)];
   }
@@ -78,7 +77,7 @@ export class Track {
     return [a.x + (b.x - a.x) * t, a.y + (b.y - a.y) * t];
   }
 
-  /** Where the nose points at a position: along the step that is flown, or the last one that moved. Radians, 0 is up. */
+  /** The heading at a position, in radians; 0 is up. */
   heading(position) {
     for (let k = Math.min(Math.ceil(position), this.steps); k > 0; k--) {
       const dx = this.frames[k].x - this.frames[k - 1].x;
@@ -88,7 +87,7 @@ export class Track {
     return 0;
   }
 
-  /** Its way up to a step, in cells: it grows with the flight instead of being made anew. @returns {Path2D} */
+  /** Its path up to a step, in cells; cached and extended. @returns {Path2D} */
   wayTo(step) {
     const end = Math.min(step, this.steps);
     if (!this.way || this.way.end > end) this.way = { path: new Path2D(), end: -1 };
@@ -99,7 +98,7 @@ export class Track {
     return this.way.path;
   }
 
-  /** The best score that could still be reached at a step; null where that is not known. */
+  /** The possible score at a step, or null. */
   valueAt(step) {
     return this.frames[step]?.value ?? null;
   }

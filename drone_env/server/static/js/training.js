@@ -1,12 +1,11 @@
-// The curves of the newest training, as it goes.
+// The curves of the newest training.
 import { el } from "./dom.js";
 import { fixed, percent, points, title } from "./format.js";
 
-/** The figures that are drawn if the training reports them, and how they are written; the reward comes last. */
+/** The charts of a training, each with its title and number format. */
 const DRAWN = {
   validation: ["Score on the validation maps", points],
   success: ["Success", percent],
-  regret: ["Lost by a choice", points],
   loss: ["Loss", (v) => fixed(v, 4)],
   reward: ["Reward", fixed],
 };
@@ -19,7 +18,7 @@ export class Training {
     root.append(this.root);
   }
 
-  /** @param {Object<string, (number|null)[]>} curve As `/live` sends it; its first figure counts. */
+  /** @param {Object<string, (number|null)[]>} curve From `/live`; its first series is the x axis. */
   show(curve) {
     const [count] = Object.keys(curve);
     this.root.hidden = count === undefined;
@@ -39,7 +38,7 @@ function chart(name, curve, count) {
   const up = (value) => 100 - (100 * (value - low)) / (high - low || 1);
   const [last, newest] = known.at(-1);
   const optimum = name === "validation" && curve.optimum?.at(-1);
-  const best = optimum ? ` The optimum of these maps: ${write(optimum)}.` : "";
+  const best = optimum ? ` Optimum of these maps: ${write(optimum)}.` : "";
   const line = known.map(([x, value]) => `${across(x)} ${up(value)}`).join("L");
   const label = (place, text) => el(`span.chart-${place}`, { text });
   return el(
