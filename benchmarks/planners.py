@@ -20,7 +20,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS
 from drone_env.errors import TooLargeError
 from drone_env.planning.bounds import bounds
-from drone_env.planning.elsewhere import places_of
+from drone_env.planning.cell_states import states_at_cells
 from drone_env.planning.legs import Legs, LegSolver, begin_row, mark_delivered, raise_by_paths, row_of
 from drone_env.planning.optimal import solve_episode
 from drone_env.planning.paths import ParetoPaths, Workspace, find_paths
@@ -121,7 +121,7 @@ def row_of_city(file: str, parcels: int, pads: int, battery: int | None, maps: i
     except TooLargeError as error:
         print(f"{parcels} parcels, {pads} pads: {error}")
         return [str(parcels), str(pads), *"-----", *bounded]
-    places = places_of(episodes[0])
+    places = states_at_cells(episodes[0])
     one = milliseconds(solver.q_values, episodes[:1] * 20)
     whole = cpu_seconds(solver.q_values_of, places.grids, places.states)
     size = solver.nbytes / 1e6

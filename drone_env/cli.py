@@ -10,7 +10,7 @@ from typing import Any
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
-from drone_env.commands.arguments import own_profiles_forgotten, parsed, with_names
+from drone_env.commands.arguments import parsed, register_files, temporary_reward_profiles
 from drone_env.commands.printing import print_error
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
@@ -42,7 +42,7 @@ def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
         overview.cli(prog="drone-env", description=DESCRIPTION, args=["--help"])
     if not arguments or arguments[0].startswith("-"):
         raise InvalidValueError("name a command, such as fly, evaluate or train; drone-env --help lists all")
-    name, *rest = with_names(arguments)
+    name, *rest = register_files(arguments)
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
     command = _module(name).train_command(rest) if name == "train" else command_named(name)
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if arguments[:1] != ["doctor"]:  # it reports broken plugins itself
             load_plugins()
-        with own_profiles_forgotten():
+        with temporary_reward_profiles():
             status = _call(arguments)()
         sys.stdout.flush()
         return int(status or 0)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drone_env.agents.base import Agent, BatchAgent
-from drone_env.agents.named import agent_named, sb3_elsewhere, sb3_file
+from drone_env.agents.named import agent_named, moved_sb3_name, sb3_file
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.planned import OptimalAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
@@ -73,7 +73,7 @@ def file_of(name: str) -> Path | None:
 def elsewhere(name: str, file: Path) -> str:
     """The name of an agent after its file, if it has one, is moved."""
     network = network_file(name)
-    return sb3_elsewhere(name, file) if network is None else f"{network[0]}:{file}"
+    return moved_sb3_name(name, file) if network is None else f"{network[0]}:{file}"
 
 
 def make_agent(name: str, task: str | TaskConfig) -> Agent:

@@ -48,7 +48,7 @@ def sb3_file(name: str) -> Path | None:
     return None if match is None else Path(match["file"])
 
 
-def sb3_elsewhere(name: str, file: Path) -> str:
+def moved_sb3_name(name: str, file: Path) -> str:
     """The name of an agent after its Stable-Baselines3 file is moved."""
     match = SB3_FILE.fullmatch(name)
     return name if match is None else f"{file}{name[match.end('file') :]}"

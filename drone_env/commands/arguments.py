@@ -46,7 +46,7 @@ REGISTERED: dict[str, Callable[[str], Any]] = {
 """Functions that register a TOML file, by the options that take a name or such a file."""
 
 
-def with_names(arguments: Sequence[str]) -> list[str]:
+def register_files(arguments: Sequence[str]) -> list[str]:
     """Register the files of cities and reward profiles, and replace them by their names.
 
     Raises:
@@ -66,7 +66,7 @@ def with_names(arguments: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def own_profiles_forgotten() -> Generator[None, None, None]:
+def temporary_reward_profiles() -> Generator[None, None, None]:
     """Forget at the end of the block the reward profiles that a command has registered."""
     before = dict(REWARD_PROFILES)
     try:
@@ -76,7 +76,7 @@ def own_profiles_forgotten() -> Generator[None, None, None]:
         REWARD_PROFILES.update(before)
 
 
-def say_trusted(agents: Iterable[str]) -> None:
+def warn_about_pickles(agents: Iterable[str]) -> None:
     """Warn on standard error that files of Stable-Baselines3 are unpickled."""
     for file in dict.fromkeys(filter(None, map(sb3_file, agents))):
         print(f"{file}: reading it runs code that it contains; name only files that you trust", file=sys.stderr)
@@ -97,7 +97,7 @@ def parse_seeds(text: str) -> range:
     return seeds
 
 
-def chosen_maps(seeds: str | None, split: str | None, episodes: int | None, default: int) -> tuple[str, range]:
+def select_maps(seeds: str | None, split: str | None, episodes: int | None, default: int) -> tuple[str, range]:
     """Return split and seeds of `--seeds`, `--split` and `--episodes`; the split of `--seeds` is `custom`.
 
     Args:

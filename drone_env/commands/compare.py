@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import tyro
 
 from drone_env import __version__
-from drone_env.commands.arguments import AGENT, SeedRange, SplitName, chosen_maps
+from drone_env.commands.arguments import AGENT, SeedRange, SplitName, select_maps
 from drone_env.commands.evaluate import JsonFile, TaskNames, fly_grid, json_file, write_report
 from drone_env.commands.leaderboard import required_entries
 from drone_env.core.tasks import TaskConfig, get_task
@@ -60,7 +60,7 @@ def compare(
             raise InvalidValueError("folders name task and maps themselves: leave --task, --split and so on out")
         task, chosen_split, maps = _same_maps([(name, entry.results.key) for name, entry in entries])
     else:
-        chosen_split, maps = chosen_maps(seeds, split, episodes, 200)
+        chosen_split, maps = select_maps(seeds, split, episodes, 200)
     json_file(json)
     flown = fly_grid(task, names, maps, chosen_split, repeats) if names else {}
     rows: dict[TaskConfig, dict[str, Results]] = {}

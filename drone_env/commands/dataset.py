@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName, say_trusted
+from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName, warn_about_pickles
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
@@ -52,7 +52,7 @@ def dataset(
 
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
-    say_trusted(agents)
+    warn_about_pickles(agents)
     config = DatasetConfig(get_task(task), split_seeds(split, maps, offset), split, agents, epsilon, reward_profile)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
         rows = build_dataset(config, out, formats, on_map=advance)

@@ -14,8 +14,8 @@ from drone_env.commands.arguments import (
     ClusterAddress,
     SeedRange,
     SplitName,
-    chosen_maps,
-    say_trusted,
+    select_maps,
+    warn_about_pickles,
 )
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
@@ -74,7 +74,7 @@ def evaluate(
         address: The cluster: local starts one on this machine (the default), auto joins the one that runs here,
             HOST:PORT joins another.
     """
-    chosen_split, maps = chosen_maps(seeds, split, episodes, 1000)
+    chosen_split, maps = select_maps(seeds, split, episodes, 1000)
     if checkpoint is not None:
         if not set(agents) & set(NETWORK_AGENTS):
             raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
@@ -135,7 +135,7 @@ def fly_grid(
         raise InvalidValueError("--task and --agents take one name or more")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    say_trusted(agents)
+    warn_about_pickles(agents)
     chosen = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
     grid = {t: {a: _cell(t, a, maps, split, repeats) for a in agents} for t in dict.fromkeys(chosen)}
     # At least one agent must support a task, and so must every agent of a file.

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
+from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, select_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
@@ -110,7 +110,7 @@ def infer(
         from drone_env.llm.prompt import get_prompt
     from pydantic import ValidationError
 
-    chosen_split, maps = chosen_maps(seeds, split, episodes, 1)
+    chosen_split, maps = select_maps(seeds, split, episodes, 1)
     settings = load_settings(base_url)
     task = settings.drone_task if task is None else task
     config_task = register_city(task) if task.endswith(".toml") else get_task(task)

@@ -8,7 +8,7 @@ import tyro
 
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
-from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, boards_of, evaluation_entries
+from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
 from drone_env.results.statistics import with_interval
 from drone_env.results.tables import Table, number, percent, print_table
 
@@ -38,7 +38,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
             if path.resolve() not in found:
                 found[path.resolve()] = _entries(path)
     entries = [entry for of_folder in found.values() for entry in of_folder]
-    boards = boards_of(entry for entry in entries if isinstance(entry, LeaderboardEntry))
+    boards = group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
     refused = [entry for entry in entries if isinstance(entry, NotRanked)]
     if json:
         rows = [

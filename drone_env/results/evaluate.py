@@ -267,7 +267,7 @@ def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
 
 
 def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> Flown:
-    from drone_env.agents.together import fly_together  # compiles
+    from drone_env.agents.batch_rollout import rollout_batch  # compiles
 
     agent_seeds, step = _agent_seeds(seeds, repeat), 0
     if isinstance(agent, BatchAgent):
@@ -279,7 +279,7 @@ def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64]
 
         with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {step}"):
             agent.reset_batch(agent_seeds)
-            return fly_together(task, seeds, act_batch, getattr(agent, "stateless", False))
+            return rollout_batch(task, seeds, act_batch, getattr(agent, "stateless", False))
     flown: list[tuple[float, int, int]] = []
     for seed, agent_seed in zip(seeds.tolist(), agent_seeds.tolist(), strict=True):
         episode = Episode(task, seed=seed)

@@ -112,7 +112,7 @@ def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
     }
 
 
-def boards_of(entries: Iterable[LeaderboardEntry]) -> list[Leaderboard]:
+def group_by_maps(entries: Iterable[LeaderboardEntry]) -> list[Leaderboard]:
     """Return one leaderboard for each set of maps."""
     boards: dict[tuple[str, str], list[LeaderboardEntry]] = defaultdict(list)
     for entry in entries:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from drone_env.agents.together import ActBatch, fly_together
+from drone_env.agents.batch_rollout import ActBatch, rollout_batch
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError
@@ -47,7 +47,7 @@ class Validator:
 
     def validate(self, act: ActBatch) -> Validation:
         """Fly each map once; `act` is stateless."""
-        ends = fly_together(self._task, self._seeds, act, stateless=True)
+        ends = rollout_batch(self._task, self._seeds, act, stateless=True)
         success = ends.deliveries_done == self._task.deliveries
         return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))
 

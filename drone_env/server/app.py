@@ -25,17 +25,17 @@ with needs("server", __name__):
     from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins, register_reward_file
+from drone_env.server.exceptions import error_responses, install
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.logs import LogRequests
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
-from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs, values
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
-from drone_env.server.state import Shared, SharedParts
+from drone_env.server.state import AppState, AppStateDep
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     settings = settings or load_settings()
     for file in settings.reward_profiles:
         register_reward_file(file)
-    shared = Shared(settings, clock)
+    shared = AppState(settings, clock)
     live = LiveSocket(shared)
     socket = OpenEnvSocket(shared, clock or time.monotonic)
 
@@ -84,7 +84,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         version=__version__,
         description=DESCRIPTION,
         lifespan=lifespan,
-        responses=answers(401, 403),
+        responses=error_responses(401, 403),
         generate_unique_id_function=lambda route: route.name,
         # FastAPI's own pages load scripts from a CDN.
         docs_url=None,
@@ -117,7 +117,7 @@ def _add_page(app: FastAPI) -> None:
 
     # A worker process computes it once: FastAPI's own route blocks the event loop for 0.3 s.
     @app.get("/openapi.json", include_in_schema=False)
-    async def description(request: Request, shared: SharedParts) -> Response:
+    async def description(request: Request, shared: AppStateDep) -> Response:
         async with lock:
             if not cached:
                 settings = shared.settings.model_copy(update={"token": None, "reward_profiles": ()})
@@ -132,7 +132,7 @@ def _describe(settings: Settings) -> bytes:
     return to_json(create_app(settings).openapi())
 
 
-async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
+async def _sweep(shared: AppState, socket: OpenEnvSocket, live: LiveSocket) -> None:
     """End idle sessions and sockets periodically."""
     interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
     while True:

@@ -14,7 +14,7 @@ from drone_env.city.city_file import MAX_FILE, City, parse_city, task_of
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError, StoreError
 from drone_env.files import read_file, write_text
-from drone_env.server.problems import RequestError
+from drone_env.server.exceptions import RequestError
 
 log = logging.getLogger(__name__)
 NAME = re.compile("(?:drone_env.graders:grade_)?(drawn_[0-9a-f]{12})")

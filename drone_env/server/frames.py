@@ -24,7 +24,7 @@ from drone_env.models import (
     Score,
 )
 from drone_env.results.record import fly_directions
-from drone_env.server.jobs import bench
+from drone_env.server.jobs import job_context
 from drone_env.server.pilots import HUMAN, Provenance, agent_of, all_pilots
 
 
@@ -197,7 +197,7 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check
         CheckpointError: if the network file cannot be used.
         TooLargeError: if the map is too large for the pilot.
     """
-    agent = agent_of(pilot, episode.task, bench().networks)
+    agent = agent_of(pilot, episode.task, job_context().networks)
     assert agent is not None
     agent.reset(episode.seed)
     for step, action in enumerate(actions, 1):
@@ -221,7 +221,7 @@ def values_along(episode: Episode, actions: Sequence[int]) -> list[float]:
     Raises:
         TooLargeError: if the map is too large to be solved.
     """
-    solver = bench().solver_of(episode.task, episode.seed)
+    solver = job_context().solver_of(episode.task, episode.seed)
     values = [solver.value(episode)]
     for action in actions:
         episode.step(action)
@@ -241,7 +241,7 @@ def frames_json(episode: Episode, by: str, directions: Sequence[Direction]) -> s
         InvalidValueError: if there are actions after the end.
     """
     provenance = Provenance.parse(by)
-    network = bench().networks.beside(provenance.pilot, episode.task)
+    network = job_context().networks.shown_network(provenance.pilot, episode.task)
 
     def frame() -> Frame:
         return frame_of(episode, network if shows_values(provenance, episode) else None)

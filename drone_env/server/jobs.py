@@ -19,9 +19,9 @@ from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.files import MAPS
 from drone_env.server.drawn_maps import DrawnMaps
+from drone_env.server.exceptions import FAILED, RequestError
 from drone_env.server.model_runs import StoredRuns
 from drone_env.server.predict import Networks
-from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class FullError(BaseException):
     """Memory ran out in a process that has run other jobs. The job runs again in a new process."""
 
 
-class Bench:
+class JobContext:
     """State that the jobs of a process share: networks, runs, and the maps solved last.
 
     Args:
@@ -85,10 +85,10 @@ class Bench:
             raise FullError
 
 
-_contexts: list[Bench] = []
+_contexts: list[JobContext] = []
 
 
-def bench() -> Bench:
+def job_context() -> JobContext:
     """The state that the jobs of this process share."""
     return _contexts[0]
 
@@ -115,7 +115,7 @@ def serve(
     TASKS.update(registered[0])
     REWARD_PROFILES.update(registered[1])
     FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
-    context = Bench(settings)
+    context = JobContext(settings)
     _contexts.append(context)
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))

@@ -12,7 +12,7 @@ from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.models import Seed
 from drone_env.planning.optimal import best_of
 from drone_env.results.record import EpisodeRecord, replay_steps
-from drone_env.server.jobs import bench
+from drone_env.server.jobs import job_context
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.pilots import HUMAN, agent_of, all_pilots, display_name
 from drone_env.server.state import LONGEST_ID
@@ -101,7 +101,7 @@ def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:
         name = display_name(record.agent)
     else:
         episode, pilot = link.start(), link.first_pilot
-        agent = agent_of(pilot, episode.task, bench().networks) if pilot else None
+        agent = agent_of(pilot, episode.task, job_context().networks) if pilot else None
         if agent is not None:
             agent.reset(episode.seed)
             episode.fly(islice(choices(episode, agent.act), link.step))

@@ -22,12 +22,12 @@ from drone_env.core.episode import NOT_STARTED
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
 from drone_env.models import DroneState
 from drone_env.results.sessions import Session, advance, flight_of
-from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
+from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import start_episode
 from drone_env.server.observation_json import openenv_json
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.sessions import ANONYMOUS
-from drone_env.server.state import Shared
+from drone_env.server.state import AppState
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class Connection:
         shared: The parts of the server.
     """
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: AppState) -> None:
         self._shared = shared
         self._session: Session | None = None
         self._episode_id = ""
@@ -130,7 +130,7 @@ class OpenEnvSocket:
         clock: Returns the time in seconds.
     """
 
-    def __init__(self, shared: Shared, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, shared: AppState, clock: Callable[[], float] = time.monotonic) -> None:
         self.shared = shared
         self._clock = clock
         self.touched: dict[WebSocket, float] = {}

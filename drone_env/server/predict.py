@@ -19,7 +19,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.files import stamp
 from drone_env.models import DIRECTIONS, NAMES, DroneObservation
-from drone_env.server.problems import RequestError
+from drone_env.server.exceptions import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
 
 NETWORK, TRAINED = "pathqnet", "trained"
@@ -83,7 +83,7 @@ class Networks:
             model=ModelInfo(file=self.file(source, task).name, digest=str(agent.config["network"])),
         )
 
-    def beside(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
+    def shown_network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
         """Return the PathQNet whose values the page shows for a flight: the pilot's own, or else the preferred one.
 
         None if there is none, or its file is invalid.
@@ -92,7 +92,7 @@ class Networks:
         found = None if source is None else self._at(source, task)
         return found if isinstance(found, PathQNetAgent) else None
 
-    def asked(self, task: TaskConfig) -> str | None:
+    def map_network(self, task: TaskConfig) -> str | None:
         """Return the pilot that computes the actions for a whole map, or None."""
         return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
 

@@ -17,7 +17,7 @@ from drone_env import __version__
 from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 from drone_env.results.store import Store
-from drone_env.server.incoming import LARGE
+from drone_env.server.json_routes import LARGE
 from drone_env.server.settings import load_settings
 
 if sys.platform != "win32":

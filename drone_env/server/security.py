@@ -10,8 +10,8 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.page_files import is_file
-from drone_env.server.problems import RequestError, answer_to
 from drone_env.server.settings import Settings
 
 OPEN_PATHS = {"/health", "/"}

@@ -13,10 +13,10 @@ from drone_env.core.tasks import FINDERS
 from drone_env.files import MAPS
 from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
+from drone_env.server.exceptions import WHAT_TO_DO, RequestError, error_responses
 from drone_env.server.logs import RequestLog
 from drone_env.server.model_runs import StoredRuns
 from drone_env.server.predict import Networks
-from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
 from drone_env.server.security import shared_address
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
@@ -27,11 +27,11 @@ HEADER = "X-Session-Id"
 NEW = "new"
 """As `X-Session-Id` of a reset, this opens a private session."""
 LONGEST_ID = 200
-SESSION_ERRORS = answers(409, 410, 422, 503)
+SESSION_ERRORS = error_responses(409, 410, 422, 503)
 Result = TypeVar("Result")
 
 
-class Shared:
+class AppState:
     """The parts of a server. Store, workers and sessions exist while the application runs.
 
     Args:
@@ -117,7 +117,7 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
-async def get_app_state(request: Request) -> Shared:
+async def get_app_state(request: Request) -> AppState:
     """The parts of the server that handles a request."""
     return request.app.state.shared
 
@@ -136,7 +136,7 @@ class Caller(NamedTuple):
             return cls(None if named in ("", NEW) else named, None)
         return cls(None, shared_address(request.scope))
 
-    def session(self, shared: Shared, answer: Response | None = None) -> str:
+    def session(self, shared: AppState, answer: Response | None = None) -> str:
         """Return the session id. The header of `answer` contains the id of a shared session.
 
         Raises:
@@ -167,5 +167,5 @@ async def get_caller(
     return Caller.of(request)
 
 
-SharedParts = Annotated[Shared, Depends(get_app_state)]
-CallerOf = Annotated[Caller, Depends(get_caller)]
+AppStateDep = Annotated[AppState, Depends(get_app_state)]
+CallerDep = Annotated[Caller, Depends(get_caller)]

@@ -15,7 +15,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
 from drone_env.planning import legs, solver
-from drone_env.planning.elsewhere import battery_range, places_of, range_kernel
+from drone_env.planning.cell_states import battery_range, range_kernel, states_at_cells
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.paths import cheapest_kernel
 
@@ -34,7 +34,7 @@ if is_compiled(*SOLVERS):
         values = solver_of(episode)
         values.value(episode)
         values.best_actions()
-        places_of(episode)
+        states_at_cells(episode)
         battery_range(episode, episode.cell, 1)
 if is_compiled(*TOURNET):
     for task in TASKS:

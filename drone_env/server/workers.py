@@ -23,9 +23,9 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import Scores, solve_maps
+from drone_env.server.exceptions import FAILED, RequestError
 from drone_env.server.jobs import AGAIN, NEXT, serve, too_long, too_much
 from drone_env.server.map_choice import DEFAULT_TASK, is_registered
-from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
 
 log = logging.getLogger(__name__)

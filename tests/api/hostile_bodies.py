@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from pydantic import TypeAdapter
 from starlette.types import Message
 
-from drone_env.server.incoming import LARGE, LIMIT, SMALL
+from drone_env.server.json_routes import LARGE, LIMIT, SMALL
 from drone_env.server.live.commands import Command
 from drone_env.server.openenv import ALLOWED_TYPES
 from drone_env.server.schemas import ResetOptions, WireAction

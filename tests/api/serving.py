@@ -28,7 +28,7 @@ class Server:
 
     def __init__(self, command: list[str], data: Path, port: int, settings: dict[str, str]) -> None:
         self.url = f"http://127.0.0.1:{port}"
-        # Shared, because each client reads the system's certificates, which is slow. It keeps no connection open.
+        # AppState, because each client reads the system's certificates, which is slow. It keeps no connection open.
         self.client = httpx.Client(base_url=self.url, timeout=60, limits=httpx.Limits(max_keepalive_connections=0))
         variables = {f"DRONE_ENV_{name}": value for name, value in settings.items()}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRONE_ENV_DATA": str(data), **variables}

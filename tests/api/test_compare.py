@@ -17,7 +17,7 @@ from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown
-from tests.llm.kept_run import put_run
+from tests.llm.stored_run import put_run
 
 TASK = "easy_delivery"
 FORK = "human from step 2 of greedy"

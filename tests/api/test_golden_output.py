@@ -22,7 +22,7 @@ from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown, put_evaluation
-from tests.llm.kept_run import put_run
+from tests.llm.stored_run import put_run
 
 GOLDEN = Path(__file__).with_name("golden_output.json")
 MAPS = range(14, 18)

@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from drone_env.server.app import create_app
-from drone_env.server.incoming import SMALL
+from drone_env.server.json_routes import SMALL
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.settings import Settings

@@ -16,7 +16,7 @@ from drone_env.cli import main
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import put_evaluation
-from tests.llm.kept_run import put_run
+from tests.llm.stored_run import put_run
 
 MAPS = range(14, 18)
 

@@ -7,7 +7,6 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient, ServerError
-from drone_env.planning.optimal import solve
 from drone_env.server.state import COOKIE
 
 Header = dict[str, str]

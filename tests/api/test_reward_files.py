@@ -8,14 +8,14 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.commands.arguments import own_profiles_forgotten
+from drone_env.commands.arguments import temporary_reward_profiles
 
 
 @pytest.fixture
 def settings(tmp_path: Path) -> Iterator[dict[str, Any]]:
     mine = tmp_path / "mine.toml"
     mine.write_text('id = "mine"\nsummary = "waiting pays"\n[events]\nwait = 0.25\n')
-    with own_profiles_forgotten():
+    with temporary_reward_profiles():
         yield {"data": tmp_path / "data", "reward_profiles": str(mine)}
 
 

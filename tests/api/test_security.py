@@ -11,8 +11,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
-from drone_env.server.incoming import LIMIT, SMALL, JsonRequest, parse_json
-from drone_env.server.problems import RequestError
+from drone_env.server.exceptions import RequestError
+from drone_env.server.json_routes import LIMIT, SMALL, JsonRequest, parse_json
 from drone_env.server.settings import Settings, load_settings
 
 JSON = {"Content-Type": "application/json"}

@@ -17,7 +17,7 @@ from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
-from drone_env.server.incoming import SMALL
+from drone_env.server.json_routes import SMALL
 from drone_env.server.observation_json import openenv_json
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock

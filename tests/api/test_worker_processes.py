@@ -15,9 +15,9 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError, TooLargeError
 from drone_env.planning.optimal import solve
 from drone_env.server import jobs, workers
-from drone_env.server.problems import RequestError
+from drone_env.server.exceptions import RequestError
 from drone_env.server.settings import Settings
-from drone_env.server.state import Shared
+from drone_env.server.state import AppState
 from drone_env.server.workers import Job, Workers
 from tests.toy import TOY
 
@@ -199,7 +199,7 @@ def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
 
 
 def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    context, task = jobs.Bench(Settings(data=tmp_path)), get_task("easy")
+    context, task = jobs.JobContext(Settings(data=tmp_path)), get_task("easy")
     first = context.solver_of(task, 1)
     monkeypatch.setattr(jobs, "CACHED_SOLVERS", 2 * first.nbytes)
     second = context.solver_of(task, 2)
@@ -212,7 +212,7 @@ def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypa
 def test_a_job_is_dropped_when_its_caller_leaves(
     tmp_path: Path, gate: Path, eventually: Callable[[Callable[[], bool]], None]
 ) -> None:
-    shared, gone = Shared(Settings(data=tmp_path / "data")), asyncio.Event()
+    shared, gone = AppState(Settings(data=tmp_path / "data")), asyncio.Event()
 
     async def receive() -> dict[str, Any]:
         await gone.wait()

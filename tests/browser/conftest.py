@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown, put_evaluation
 from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
-from tests.llm.kept_run import put_run
+from tests.llm.stored_run import put_run
 from tests.tools import missing_tool
 
 expect.set_options(timeout=PATIENCE_MS)

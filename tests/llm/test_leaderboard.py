@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drone_env.cli import main
-from tests.llm.kept_run import put_run
+from tests.llm.stored_run import put_run
 
 MAPS = ("--task", "easy", "--seeds", "14:18")
 

@@ -20,7 +20,7 @@ from drone_env.results.store import Store
 from drone_env.rl.common import require_same
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.tour_config import TourConfig
-from tests.llm.kept_run import run_config
+from tests.llm.stored_run import run_config
 
 GRID = np.array([[0, 0, 1, 0], [0, 2, 3, 0], [0, 0, 0, 8], [0, 0, 0, 0]], np.uint8)
 

@@ -10,7 +10,7 @@ import pytest
 from drone_env import errors
 from drone_env.errors import DroneEnvError, UnknownNameError
 
-ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.problems")
+ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.exceptions")
 VALUES: dict[str, object] = {
     "status": 418,
     "retried": True,

@@ -8,7 +8,7 @@ from typing_extensions import Self
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
-from drone_env.server.incoming import SMALL, parse_json
+from drone_env.server.json_routes import SMALL, parse_json
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 

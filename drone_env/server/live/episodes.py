@@ -35,7 +35,7 @@ from drone_env.server.map_choice import start_episode
 from drone_env.server.observation_json import flat_json
 from drone_env.server.pilots import HUMAN, Provenance, all_pilots, require_pilot
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.state import Shared
+from drone_env.server.state import AppState
 
 Result = TypeVar("Result")
 
@@ -56,7 +56,7 @@ class LiveEpisode:
         EpisodeError: if the agent of the session is not a pilot of the page.
     """
 
-    def __init__(self, row: Session, shared: Shared, caller: str) -> None:
+    def __init__(self, row: Session, shared: AppState, caller: str) -> None:
         self._see(row)
         self.pilot = self.provenance.pilot
         if self.pilot not in all_pilots():
@@ -70,7 +70,7 @@ class LiveEpisode:
         self._plan: list[int] | None = None
         self._planning: asyncio.Future[list[int]] | None = None
         self._jobs: set[asyncio.Future[Any]] = set()
-        self._network = shared.networks.beside(self.pilot, self.start.task)
+        self._network = shared.networks.shown_network(self.pilot, self.start.task)
 
     @property
     def episode(self) -> Episode:
@@ -254,7 +254,7 @@ Opened = list[tuple[LiveEpisode, str]]
 """Episodes, and the JSON of the `EpisodeView` of each."""
 
 
-async def open_flights(command: Start, shared: Shared, caller: str, last: Episode | None) -> Opened:
+async def open_flights(command: Start, shared: AppState, caller: str, last: Episode | None) -> Opened:
     """Open the sessions of all flights; of none if one fails.
 
     Args:
@@ -286,7 +286,7 @@ async def open_flights(command: Start, shared: Shared, caller: str, last: Episod
     return await run_in_threadpool(_open, shared, caller, start, agents, beginnings)
 
 
-async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode, str]:
+async def attach(session: str, shared: AppState, caller: str) -> tuple[LiveEpisode, str]:
     """The episode of a session, and the JSON of its `EpisodeView`.
 
     Raises:
@@ -301,7 +301,7 @@ async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode
     return live, await run_in_threadpool(live.view_json, frames)
 
 
-def end_all(episodes: Sequence[LiveEpisode], shared: Shared) -> None:
+def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
     """End the sessions of these episodes.
 
     Raises:
@@ -312,12 +312,12 @@ def end_all(episodes: Sequence[LiveEpisode], shared: Shared) -> None:
             shared.sessions.end(live.row.id)
 
 
-def _attached(session: str, shared: Shared, caller: str) -> LiveEpisode:
+def _attached(session: str, shared: AppState, caller: str) -> LiveEpisode:
     with shared.sessions.reading(session) as row:
         return LiveEpisode(row, shared, caller)
 
 
-def _choose(command: Start, shared: Shared, last: Episode | None) -> tuple[Episode, list[str], int | None]:
+def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Episode, list[str], int | None]:
     """The episode at its start, the agents, and the index of the one that flies the fork."""
     task, fork, agents = get_task(command.task), command.fork, list(command.pilots)
     for pilot in agents:
@@ -336,7 +336,7 @@ def _choose(command: Start, shared: Shared, last: Episode | None) -> tuple[Episo
 
 
 def _open(
-    shared: Shared, caller: str, start: Episode, agents: Sequence[str], beginnings: Sequence[Beginning | None]
+    shared: AppState, caller: str, start: Episode, agents: Sequence[str], beginnings: Sequence[Beginning | None]
 ) -> Opened:
     task, profile = start.task.id, start.reward_profile.id
     opened: list[LiveEpisode] = []

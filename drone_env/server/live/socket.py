@@ -18,13 +18,13 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.errors import TooLargeError, UnknownNameError
+from drone_env.server.exceptions import FAILED, status_of
 from drone_env.server.frames import Frame
-from drone_env.server.incoming import LARGE, TRY_LATER, received
+from drone_env.server.json_routes import LARGE, TRY_LATER, received
 from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, Topic, parse_command
 from drone_env.server.live.episodes import LeftError, LiveEpisode, Opened, attach, end_all, open_flights
 from drone_env.server.logs import TrainLog
-from drone_env.server.problems import FAILED, status_of
-from drone_env.server.state import Shared, caller_address
+from drone_env.server.state import AppState, caller_address
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class LiveSocket:
         shared: The parts of the server.
     """
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: AppState) -> None:
         self.shared = shared
         self.pages: set[Page] = set()
 
@@ -78,7 +78,7 @@ class LiveSocket:
 class Page:
     """One open page and its episodes."""
 
-    def __init__(self, socket: WebSocket, shared: Shared) -> None:
+    def __init__(self, socket: WebSocket, shared: AppState) -> None:
         self.episodes: list[LiveEpisode] = []
         self.playing = False
         self.speed = SPEED
@@ -301,7 +301,7 @@ class Subscription:
         topics: The topics.
     """
 
-    def __init__(self, shared: Shared, topics: list[Topic]) -> None:
+    def __init__(self, shared: AppState, topics: list[Topic]) -> None:
         self.topics = topics
         self._shared = shared
         self._request: int | None = None

@@ -7,10 +7,10 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
+from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.pilots import COLOURS, HUMAN, all_pilots, can_fly
 from drone_env.server.predict import SOURCES
-from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
     GraderInfo,
     GraderList,
@@ -24,7 +24,7 @@ from drone_env.server.schemas import (
     TaskInfo,
     TaskList,
 )
-from drone_env.server.state import Shared, SharedParts
+from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["catalogue"])
 PUBLISHED = ("easy_delivery", "medium_delivery", "hard_delivery")
@@ -40,13 +40,13 @@ async def tasks() -> TaskList:
     )
 
 
-@router.get("/tasks/{task_name}", responses=answers(404, 422))
-def one_task(shared: SharedParts, task_name: str) -> OneTask:
+@router.get("/tasks/{task_name}", responses=error_responses(404, 422))
+def one_task(shared: AppStateDep, task_name: str) -> OneTask:
     """One task with all its numbers, and its pilots. Stored drawings are found by name; `/tasks` does not list them."""
     return describe(get_task(task_name), shared)
 
 
-def describe(task: TaskConfig, shared: Shared) -> OneTask:
+def describe(task: TaskConfig, shared: AppState) -> OneTask:
     """A task and its pilots."""
     flying = [name for name in all_pilots() if can_fly(name, task, shared.networks)]
     return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
@@ -66,7 +66,7 @@ async def kinds() -> KindList:
 
 
 @router.get("/pilots")
-def pilots(shared: SharedParts) -> PilotList:
+def pilots(shared: AppStateDep) -> PilotList:
     """The pilots of the page and their tasks; networks that you trained are included."""
     pilots: list[PilotInfo] = []
     for colour, (name, pilot) in enumerate(all_pilots().items(), 1):
@@ -78,8 +78,8 @@ def pilots(shared: SharedParts) -> PilotList:
 
 
 @router.head("/health", include_in_schema=False)
-@router.get("/health", responses=answers(503))
-async def health(shared: SharedParts) -> Health:
+@router.get("/health", responses=error_responses(503))
+async def health(shared: AppStateDep) -> Health:
     """Whether the server works and its files are in place; requires no token."""
     try:
         shared.store.check()

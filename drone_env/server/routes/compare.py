@@ -11,9 +11,9 @@ from drone_env.errors import UnknownNameError
 from drone_env.models import Count, Message, Seed
 from drone_env.results.result import Result, Results
 from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, Summary, ci95, mean_of, ranked
+from drone_env.server.exceptions import error_responses
 from drone_env.server.pilots import HUMAN, Provenance, all_pilots, display_name
-from drone_env.server.problems import answers
-from drone_env.server.state import Shared, SharedParts
+from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["compare"])
 AgentQuery = Annotated[str, Query(max_length=200, description="The agent as in the records.")]
@@ -101,8 +101,8 @@ class Pairing(Message):
     pairs: list[PairedMap] = Field(description="One entry per map, by number.")
 
 
-@router.get("/leaderboard/{task_name}", responses=answers(404, 422, 503))
-def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
+@router.get("/leaderboard/{task_name}", responses=error_responses(404, 422, 503))
+def leaderboard(shared: AppStateDep, task_name: str) -> Leaderboard:
     """The agents of a task over all finished flights; flights of an agent over the same map count as their mean."""
     flown = shared.store.by_map(task_name)
     forks = [Summary.of(flown.pop(agent)) for agent in list(flown) if Provenance.parse(agent).of is not None]
@@ -123,15 +123,15 @@ def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
     )
 
 
-@router.get("/leaderboard/{task_name}/maps", responses=answers(404, 422, 503))
-def agent_maps(shared: SharedParts, task_name: str, agent: AgentQuery) -> AgentMaps:
+@router.get("/leaderboard/{task_name}/maps", responses=error_responses(404, 422, 503))
+def agent_maps(shared: AppStateDep, task_name: str, agent: AgentQuery) -> AgentMaps:
     """The maps of a task that an agent flew, with its results."""
     (flown,) = _flown_by(shared, task_name, agent)
     return AgentMaps(task=get_task(task_name).id, agent=agent, maps=[AgentMap.of(row) for row in flown.rows()])
 
 
-@router.get("/paired/{task_name}", responses=answers(404, 422, 503))
-def pair(shared: SharedParts, task_name: str, a: AgentQuery, b: AgentQuery) -> Pairing:
+@router.get("/paired/{task_name}", responses=error_responses(404, 422, 503))
+def pair(shared: AppStateDep, task_name: str, a: AgentQuery, b: AgentQuery) -> Pairing:
     """Two agents over the maps of a task that both flew, map by map."""
     paired = PairedComparison.of(*_flown_by(shared, task_name, a, b))
     wins, ties, losses = paired.outcomes
@@ -150,7 +150,7 @@ def pair(shared: SharedParts, task_name: str, a: AgentQuery, b: AgentQuery) -> P
     )
 
 
-def _flown_by(shared: Shared, task_name: str, *agents: str) -> list[Results]:
+def _flown_by(shared: AppState, task_name: str, *agents: str) -> list[Results]:
     """The results of agents over a task, one row per map."""
     flown = shared.store.by_map(task_name)
     for agent in agents:

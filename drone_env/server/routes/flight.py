@@ -13,10 +13,10 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneObservation, DroneState
-from drone_env.server.incoming import LARGE_BODY, JsonRequest, JsonRoute
+from drone_env.server.exceptions import RequestError, error_responses
+from drone_env.server.json_routes import LARGE_BODY, JsonRequest, JsonRoute
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
-from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import (
     RESETS,
@@ -38,10 +38,10 @@ from drone_env.server.state import (
     HEADER,
     LONGEST_ID,
     SESSION_ERRORS,
+    AppState,
+    AppStateDep,
     Caller,
-    CallerOf,
-    Shared,
-    SharedParts,
+    CallerDep,
 )
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
@@ -58,12 +58,14 @@ OPENED: dict[str, Any] = {
 
 
 @router.post(
-    "/reset", response_model=FlatReset | ResetResult, responses={200: OPENED, **answers(400, 413, 415, 422, 503)}
+    "/reset",
+    response_model=FlatReset | ResetResult,
+    responses={200: OPENED, **error_responses(400, 413, 415, 422, 503)},
 )
 def reset(
     request: Request,
-    shared: SharedParts,
-    caller: CallerOf,
+    shared: AppStateDep,
+    caller: CallerDep,
     options: Annotated[ResetOptions | None, Body(openapi_examples=examples(RESETS))] = None,
 ) -> Response:
     """Start an episode: in the session that the request names, or in a new one.
@@ -86,21 +88,21 @@ def reset(
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
-def end_session(shared: SharedParts, caller: CallerOf, response: Response) -> None:
+def end_session(shared: AppStateDep, caller: CallerDep, response: Response) -> None:
     """End the session and free its place. An unfinished episode is dropped."""
     shared.sessions.end(caller.session(shared, response))
     response.delete_cookie(COOKIE)
 
 
 @router.get("/state", responses=SESSION_ERRORS)
-def state(shared: SharedParts, caller: CallerOf, answer: Response) -> DroneState:
+def state(shared: AppStateDep, caller: CallerDep, answer: Response) -> DroneState:
     """The full state of the session's episode."""
     with shared.sessions.reading(caller.session(shared, answer)) as session:
         return DroneState.of(session.fly()).model_copy(update={"episode_id": session.episode_id})
 
 
-@router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404))
-def grade(shared: SharedParts, caller: CallerOf, answer: Response, task_name: str) -> Grade:
+@router.get("/grade/{task_name}", responses=SESSION_ERRORS | error_responses(404))
+def grade(shared: AppStateDep, caller: CallerDep, answer: Response, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
     task = get_task(task_name)
     with shared.sessions.reading(caller.session(shared, answer)) as session:
@@ -112,7 +114,7 @@ def grade(shared: SharedParts, caller: CallerOf, answer: Response, task_name: st
 
 
 @router.get("/path_history", responses=SESSION_ERRORS)
-def path_history(shared: SharedParts, caller: CallerOf, answer: Response) -> PathHistory:
+def path_history(shared: AppStateDep, caller: CallerDep, answer: Response) -> PathHistory:
     """The flight of the session's episode so far."""
     with shared.sessions.reading(caller.session(shared, answer)) as session:
         flown = DroneState.of(session.fly())
@@ -121,7 +123,7 @@ def path_history(shared: SharedParts, caller: CallerOf, answer: Response) -> Pat
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-async def solution(request: Request, shared: SharedParts, caller: CallerOf, answer: Response) -> SolutionAnswer:
+async def solution(request: Request, shared: AppStateDep, caller: CallerDep, answer: Response) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
 
     def flown() -> Episode:
@@ -145,8 +147,8 @@ async def solution(request: Request, shared: SharedParts, caller: CallerOf, answ
     )
 
 
-@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415), openapi_extra=LARGE_BODY)
-def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: PredictRequest | None = None) -> Prediction:
+@router.post("/predict", responses=SESSION_ERRORS | error_responses(400, 413, 415), openapi_extra=LARGE_BODY)
+def predict(shared: AppStateDep, caller: CallerDep, answer: Response, body: PredictRequest | None = None) -> Prediction:
     """The action of the trained network for the observation in the body, or without one for the session's."""
     if body is not None:
         if body.done:
@@ -178,11 +180,11 @@ class StepRoute(JsonRoute):
             after = STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
         except ValidationError:
             return await validated(request)
-        shared: Shared = request.app.state.shared
+        shared: AppState = request.app.state.shared
         return await asyncio.get_running_loop().run_in_executor(shared.steps, _advance, shared, caller, body, after)
 
 
-def _advance(shared: Shared, caller: Caller, body: StepRequest, after: int | None) -> Response:
+def _advance(shared: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
     session, show = caller.session(shared), flat_json if body.action is None else openenv_json
     _, stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
     response = Response(stepped, media_type="application/json")
@@ -195,10 +197,12 @@ stepping = APIRouter(tags=["flight"], route_class=StepRoute)
 """Matched first, because most requests are steps."""
 
 
-@stepping.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
+@stepping.post(
+    "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | error_responses(400, 413, 415)
+)
 def step(
-    shared: SharedParts,
-    caller: CallerOf,
+    shared: AppStateDep,
+    caller: CallerDep,
     body: Annotated[StepRequest, Body(openapi_examples=examples(STEPS))],
     after: Annotated[
         int | None,

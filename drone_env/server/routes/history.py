@@ -11,10 +11,10 @@ from starlette.types import Receive, Scope, Send
 from drone_env.core.tasks import get_task
 from drone_env.models import MAX_SEED, Message
 from drone_env.results.record import EpisodeRecord
+from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
-from drone_env.server.problems import RequestError, answer_to, answers
 from drone_env.server.schemas import AnalysisAnswer, EpisodePage, EpisodeSummaries, History, LogLines
-from drone_env.server.state import SharedParts
+from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
@@ -29,22 +29,22 @@ class Requests(Message):
     requests: Annotated[list[LoggedRequest], Field(description="At most 200.")]
 
 
-@router.get("/analyse/{task_name}", responses=answers(404, 422, 503))
-def analyse(shared: SharedParts, task_name: str) -> AnalysisAnswer:
+@router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
+def analyse(shared: AppStateDep, task_name: str) -> AnalysisAnswer:
     """Statistics of the finished episodes of a task."""
     analysis = shared.store.analysis(task_name)
     return AnalysisAnswer(**dict(analysis), status="Success" if analysis.episodes else "No data")
 
 
-@router.get("/memory_logs", responses=answers(503))
-def memory_logs(shared: SharedParts) -> EpisodeSummaries:
+@router.get("/memory_logs", responses=error_responses(503))
+def memory_logs(shared: AppStateDep) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
     return EpisodeSummaries(episodes=shared.store.listed(SUMMARIES))
 
 
-@router.get("/episodes", responses=answers(404, 422, 503))
+@router.get("/episodes", responses=error_responses(404, 422, 503))
 def episodes(
-    shared: SharedParts,
+    shared: AppStateDep,
     task: Annotated[str | None, Query(max_length=100, description="Id or short name of a task.")] = None,
     agent: Annotated[str | None, Query(max_length=200, description="The agent as in the records.")] = None,
     seed: Annotated[int | None, Query(ge=0, le=MAX_SEED, description="Number of the map.")] = None,
@@ -57,14 +57,14 @@ def episodes(
     return EpisodePage(episodes=page, next=page[-1].number if len(found) > limit else None)
 
 
-@router.get("/episodes/{episode_id}", responses=answers(404, 422, 503), response_model_exclude_none=True)
-def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
+@router.get("/episodes/{episode_id}", responses=error_responses(404, 422, 503), response_model_exclude_none=True)
+def episode(shared: AppStateDep, episode_id: str) -> EpisodeRecord:
     """The record of a finished episode, as `drone-env replay` reads it."""
     return shared.store.episode(episode_id).record
 
 
-@router.get("/history/{task_name}", responses=answers(404, 422, 503))
-def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
+@router.get("/history/{task_name}", responses=error_responses(404, 422, 503))
+def history(shared: AppStateDep, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
     """The last finished episodes of a task, for charts."""
     found = shared.store.listed(last, task_name)[::-1]
     wins = [episode.success for episode in found]
@@ -75,8 +75,8 @@ def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1
     )
 
 
-@router.get("/logs", responses=answers(503))
-def logs(shared: SharedParts) -> LogLines:
+@router.get("/logs", responses=error_responses(503))
+def logs(shared: AppStateDep) -> LogLines:
     """The last 50 lines of the training log, `train.log` in the data folder."""
     return LogLines(file=FILE_NAME, lines=TrainLog(shared.settings.data).tail(LINES))
 
@@ -84,9 +84,9 @@ def logs(shared: SharedParts) -> LogLines:
 @router.get(
     "/terminal_logs",
     response_model=Requests,
-    responses=answers(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
+    responses=error_responses(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
-async def terminal_logs(request: Request, shared: SharedParts) -> Response:
+async def terminal_logs(request: Request, shared: AppStateDep) -> Response:
     """The requests to this process: as JSON, or live with `Accept: text/event-stream`."""
     if "text/event-stream" in request.headers.get("accept", ""):
         return _LiveRequests(shared.requests)

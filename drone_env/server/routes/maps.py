@@ -17,17 +17,17 @@ from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.server.drawn_maps import drawn_task, name_of
-from drone_env.server.incoming import LARGE_BODY, JsonRoute
-from drone_env.server.jobs import bench
-from drone_env.server.problems import answers
+from drone_env.server.exceptions import error_responses
+from drone_env.server.jobs import job_context
+from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import OneTask
 from drone_env.server.security import stranger_address
-from drone_env.server.state import SharedParts
+from drone_env.server.state import AppStateDep
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
-REFUSALS = answers(400, 413, 415, 422, 503)
+REFUSALS = error_responses(400, 413, 415, 422, 503)
 Number = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
 """A `Position` as a list, because API test tools do not support tuples in requests."""
@@ -124,28 +124,28 @@ class CityFile(Message):
     toml: str = Field(description="Its text.")
 
 
-@router.get("/{task_name}/{seed}", response_model=DrawnMap, responses=answers(404, 422, 503))
+@router.get("/{task_name}/{seed}", response_model=DrawnMap, responses=error_responses(404, 422, 503))
 async def drawn_map(
-    request: Request, shared: SharedParts, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
+    request: Request, shared: AppStateDep, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
 ) -> Response:
     """A map as a drawing. The rules of drawings are those of `skyline`."""
     return await shared.json(request, _drawing, task_name, seed, task=task_name)
 
 
 @router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def file_as_map(request: Request, shared: SharedParts, file: Annotated[CityFile, Body()]) -> Response:
+async def file_as_map(request: Request, shared: AppStateDep, file: Annotated[CityFile, Body()]) -> Response:
     """The file of a city as a drawing; its map 0 if the city generates maps."""
     return await shared.json(request, _file_as_map, file.toml)
 
 
 @router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def worth(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> Response:
+async def worth(request: Request, shared: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> Response:
     """The optimum of a drawing, and the text of its file."""
     return await shared.json(request, _worth, drawn)
 
 
 @router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def keep_map(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
+async def keep_map(request: Request, shared: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
     Callers find it by its name; no list contains it. If the server is full, it deletes the least recently used map.
@@ -187,7 +187,7 @@ def _worth(drawn: DrawnMap) -> str:
         try:
             between = bounds(episode)
         except MemoryError:
-            bench().require_new()
+            job_context().require_new()
     name, numbers = name_of(text.encode()), _numbers(episode)
     return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum, bounds=between).model_dump_json()
 

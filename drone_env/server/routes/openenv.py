@@ -7,15 +7,15 @@ from pydantic import Field
 
 from drone_env import __version__
 from drone_env.models import DroneState, Message
-from drone_env.server.incoming import JsonRoute
+from drone_env.server.exceptions import RequestError, error_responses
+from drone_env.server.json_routes import JsonRoute
 from drone_env.server.map_choice import SplitInfo, TaskApi, TaskSpec
 from drone_env.server.openenv import mcp_answer
-from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, WireAction, WireObservation
 
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
 named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
-BODY_ERRORS = answers(400, 413, 415, 422)
+BODY_ERRORS = error_responses(400, 413, 415, 422)
 api = TaskApi()
 
 
@@ -100,7 +100,7 @@ async def schema() -> Schemas:
     )
 
 
-@router.post("/mcp", responses=answers(400, 413, 415, 422))
+@router.post("/mcp", responses=error_responses(400, 413, 415, 422))
 async def mcp(body: Annotated[Any, Body()] = None) -> dict[str, Any]:
     """MCP over JSON-RPC 2.0. The environment has no tools; use `/step` or `/ws`."""
     return mcp_answer(body)

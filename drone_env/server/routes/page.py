@@ -9,10 +9,10 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from drone_env.errors import DroneEnvError
+from drone_env.server.exceptions import error_responses
 from drone_env.server.links import FIRST_PAINT, Link, draw_preview
 from drone_env.server.page_files import PAGE, edition
-from drone_env.server.problems import answers
-from drone_env.server.state import Shared, SharedParts
+from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["page"])
 PICTURE = {200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}}
@@ -22,7 +22,7 @@ ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a netwo
 
 
 @router.get("/", include_in_schema=False)
-def page(request: Request, shared: SharedParts) -> Response:
+def page(request: Request, shared: AppStateDep) -> Response:
     """The page; without a query it contains a flight that moves before its scripts run."""
     shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
@@ -33,8 +33,8 @@ def page(request: Request, shared: SharedParts) -> Response:
     return HTMLResponse(html)
 
 
-@router.get("/preview.png", response_class=Response, responses=PICTURE | answers(404, 422, 503))
-async def preview(request: Request, shared: SharedParts, link: Annotated[Link, Query()]) -> Response:
+@router.get("/preview.png", response_class=Response, responses=PICTURE | error_responses(404, 422, 503))
+async def preview(request: Request, shared: AppStateDep, link: Annotated[Link, Query()]) -> Response:
     """The picture of a link: its map with the flight of its first pilot, or a stored episode, up to its step."""
     record = (await run_in_threadpool(shared.store.episode, link.episode)).record if link.episode else None
     task = link.task if record is None else record.task
@@ -42,7 +42,7 @@ async def preview(request: Request, shared: SharedParts, link: Annotated[Link, Q
     return Response(picture, media_type="image/png", headers={"Cache-Control": "max-age=3600"})
 
 
-def _head(request: Request, shared: Shared) -> str:
+def _head(request: Request, shared: AppState) -> str:
     """The `meta` elements for link previews.
 
     If the server requires a token they are the same for every address, since stored flights are not public.
@@ -60,7 +60,7 @@ def _head(request: Request, shared: Shared) -> str:
     return "\n".join(lines)
 
 
-def _title(request: Request, shared: Shared) -> tuple[str | None, Link]:
+def _title(request: Request, shared: AppState) -> tuple[str | None, Link]:
     """The title and the link of the address; no title and the first flight of the page if the address has no flight."""
     try:
         link = Link.model_validate(dict(request.query_params))

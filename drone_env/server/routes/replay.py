@@ -14,14 +14,14 @@ from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, P
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.results.analysis import Label, analyse_flight
 from drone_env.results.record import EpisodeRecord, record_of, replay_steps
+from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
-from drone_env.server.incoming import LARGE_BODY, JsonRoute
-from drone_env.server.jobs import bench
-from drone_env.server.problems import RequestError, answers
-from drone_env.server.state import SharedParts
+from drone_env.server.jobs import job_context
+from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
-RECORD_ERRORS = answers(400, 413, 415, 422, 503)
+RECORD_ERRORS = error_responses(400, 413, 415, 422, 503)
 RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]), "me")
 
 
@@ -58,7 +58,7 @@ class AnalysedFlight(Message):
 
 
 @router.post("/replay", response_model=EpisodeView, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
-async def replay_record(request: Request, shared: SharedParts, record: Record) -> Response:
+async def replay_record(request: Request, shared: AppStateDep, record: Record) -> Response:
     """Replay a record, check its rewards and score, and return its frames."""
     return await shared.json(request, _replayed, record, task=record.task)
 
@@ -67,15 +67,15 @@ def _replayed(record: EpisodeRecord) -> str:
     steps = replay_steps(record)
     start = next(steps)
     header = FlightHeader.of(start, record.agent)
-    network = bench().networks.beside(header.pilot, start.task)
+    network = job_context().networks.shown_network(header.pilot, start.task)
     frames = [frame_of(episode, network) for episode in chain([start], steps)]
     return EpisodeView(opening=header, frames=frames).model_dump_json()
 
 
 @router.post(
-    "/annotate", response_model=AnalysedFlight, responses=RECORD_ERRORS | answers(409), openapi_extra=LARGE_BODY
+    "/annotate", response_model=AnalysedFlight, responses=RECORD_ERRORS | error_responses(409), openapi_extra=LARGE_BODY
 )
-async def annotate(request: Request, shared: SharedParts, record: Record) -> Response:
+async def annotate(request: Request, shared: AppStateDep, record: Record) -> Response:
     """The regret of each move of a finished flight, and a best flight over its map. Large maps take seconds."""
     if not record.ended:
         raise RequestError(409, "in_flight", "only a finished flight can be annotated")
@@ -83,7 +83,7 @@ async def annotate(request: Request, shared: SharedParts, record: Record) -> Res
 
 
 def _annotated(record: EpisodeRecord) -> str:
-    analysis = analyse_flight(record, lambda start: bench().solver_of(start.task, start.seed))
+    analysis = analyse_flight(record, lambda start: job_context().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
         **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts")},
@@ -104,5 +104,5 @@ def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
     """
     start = Episode(task, seed=seed)
     # If every step costs the same, the shortest tour needs no solver.
-    best = solve_episode(start, None if task.uniform else bench().solver_of(task, seed))
+    best = solve_episode(start, None if task.uniform else job_context().solver_of(task, seed))
     return best, [start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)]

@@ -8,18 +8,18 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from drone_env.agents.named import sb3_elsewhere, sb3_file
+from drone_env.agents.named import moved_sb3_name, sb3_file
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
-from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, boards_of
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, group_by_maps
 from drone_env.results.statistics import Bounds
-from drone_env.server.jobs import bench
-from drone_env.server.problems import RequestError, answers
+from drone_env.server.exceptions import RequestError, error_responses
+from drone_env.server.jobs import job_context
 from drone_env.server.routes.compare import AgentMap
-from drone_env.server.state import SharedParts
+from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["compare"])
 LISTED = 1000
@@ -96,8 +96,8 @@ class ModelCalls(Message):
     calls: list[ModelCall]
 
 
-@router.get("/leaderboard/{task_name}/runs", response_model=RunBoards, responses=answers(404, 422, 503))
-async def run_boards(request: Request, shared: SharedParts, task_name: str) -> Response:
+@router.get("/leaderboard/{task_name}/runs", response_model=RunBoards, responses=error_responses(404, 422, 503))
+async def run_boards(request: Request, shared: AppStateDep, task_name: str) -> Response:
     """Evaluations and language models side by side, over the same maps of a task.
 
     The data folder contains evaluations (`drone-env evaluate --out`) in `evaluations`, and runs of `drone-env infer` in
@@ -113,14 +113,14 @@ async def run_boards(request: Request, shared: SharedParts, task_name: str) -> R
 
 
 def _folders(task: str) -> list[Path]:
-    return bench().runs.folders(task)
+    return job_context().runs.folders(task)
 
 
 def _load(path: Path, task: str) -> list[str]:
     """Compute the entries of a folder; the ids that its flights may have in the store."""
-    entries = bench().runs.entries(path, task)
+    entries = job_context().runs.entries(path, task)
     has_flights = all(isinstance(entry, LeaderboardEntry) and not _is_agent(entry) for entry in entries)
-    return [id_ for id_, _ in bench().runs.flights(path)] if entries and has_flights else []
+    return [id_ for id_, _ in job_context().runs.flights(path)] if entries and has_flights else []
 
 
 def _is_agent(entry: LeaderboardEntry) -> bool:
@@ -128,12 +128,12 @@ def _is_agent(entry: LeaderboardEntry) -> bool:
 
 
 def _boards(task: str, stored: set[str]) -> str:
-    entries = [entry for path in _folders(task) for entry in bench().runs.entries(path, task)]
+    entries = [entry for path in _folders(task) for entry in job_context().runs.entries(path, task)]
     boards = RunBoards(
         task=task,
         boards=[
             RunBoard(maps=board.maps, rows=[_row(entry, stored) for entry in board.rows])
-            for board in boards_of(entry for entry in entries if isinstance(entry, LeaderboardEntry))
+            for board in group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
         ],
         unranked=[
             UnrankedRun(run=entry.path.name, reason=_without_folder(entry.reason, entry.path))
@@ -147,7 +147,7 @@ def _boards(task: str, stored: set[str]) -> str:
 def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
     report, results, is_agent = entry.report, entry.results, _is_agent(entry)
     # The newest flight over each map that the store has.
-    ids = {} if is_agent else {seed: id_ for id_, seed in bench().runs.flights(entry.path) if id_ in stored}
+    ids = {} if is_agent else {seed: id_ for id_, seed in job_context().runs.flights(entry.path) if id_ in stored}
     rows = results.rows()
     return Run(
         **{name: report[name] for name in ("score", "score_ci95", "regret", "normalised", "success_rate")},
@@ -166,8 +166,8 @@ def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
     )
 
 
-@router.get("/episodes/{episode_id}/calls", response_model=ModelCalls, responses=answers(404, 422, 503))
-async def calls(request: Request, shared: SharedParts, episode_id: str) -> Response:
+@router.get("/episodes/{episode_id}/calls", response_model=ModelCalls, responses=error_responses(404, 422, 503))
+async def calls(request: Request, shared: AppStateDep, episode_id: str) -> Response:
     """The requests to a language model at each step of a flight, and its responses."""
     found = await shared.work(request, _calls, episode_id)
     if found is None:
@@ -178,7 +178,7 @@ async def calls(request: Request, shared: SharedParts, episode_id: str) -> Respo
 
 def _calls(episode_id: str) -> str | None:
     try:
-        found = bench().runs.calls(episode_id)
+        found = job_context().runs.calls(episode_id)
     except InvalidValueError:
         # The error itself would reveal the folder.
         raise RequestError(404, "damaged_run", "the run of this flight is damaged: see drone-env leaderboard") from None
@@ -210,4 +210,4 @@ def _without_folder(reason: str, path: Path) -> str:
 def _without_place(agent: str) -> str:
     """Hide the path of a policy's file."""
     file = sb3_file(agent)
-    return agent if file is None or not file.is_absolute() else sb3_elsewhere(agent, Path(file.name))
+    return agent if file is None or not file.is_absolute() else moved_sb3_name(agent, Path(file.name))

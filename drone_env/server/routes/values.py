@@ -14,10 +14,10 @@ from drone_env.core.tasks import MAX_UNITS, get_task
 from drone_env.errors import TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Position, Score, Seed
 from drone_env.results.record import fly_directions
-from drone_env.server.incoming import LARGE_BODY, JsonRoute
-from drone_env.server.jobs import bench
-from drone_env.server.problems import answers
-from drone_env.server.state import SharedParts
+from drone_env.server.exceptions import error_responses
+from drone_env.server.jobs import job_context
+from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.state import AppStateDep
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -121,7 +121,7 @@ def values_json(flight: FlightSoFar) -> str:
     episode = flight.episode()
     solver = unsolved = optimum = value = None
     try:
-        solver = bench().solver_of(episode.task, episode.seed)
+        solver = job_context().solver_of(episode.task, episode.seed)
     except TooLargeError as error:
         unsolved = str(error)
     if solver is not None:
@@ -146,10 +146,10 @@ def values_json(flight: FlightSoFar) -> str:
 
 def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.elsewhere import battery_range, charging_pads
+    from drone_env.planning.cell_states import battery_range, charging_pads
 
-    task, networks = episode.task, bench().networks
-    pilot, agent, network = networks.asked(task), None, None
+    task, networks = episode.task, job_context().networks
+    pilot, agent, network = networks.map_network(task), None, None
     if pilot is not None:
         agent = networks.agent(pilot, task)
         assert isinstance(agent, BatchAgent)
@@ -180,12 +180,12 @@ def _cell_values(
     episode: Episode, solver: "Solver | None", agent: BatchAgent | None
 ) -> tuple[CellValues, dict[Direction, float] | None]:
     """The values at each cell, and the best score still possible after each action at the drone's."""
-    from drone_env.planning.elsewhere import places_in_parts
+    from drone_env.planning.cell_states import states_in_chunks
 
     task, q_here = episode.task, None
     shape = (task.height, task.width)
     values, best_actions, network_actions, disagree = np.full((4, task.height * task.width), None, object)
-    for places in places_in_parts(episode):
+    for places in states_in_chunks(episode):
         is_flying, best = places.flying, None
         flying, over, grids = places.cells[is_flying], places.cells[~is_flying], places.grids[is_flying]
         if solver is not None:
@@ -214,9 +214,9 @@ def _cell_values(
 
 
 @router.post(
-    "/values", response_model=ValuesAnswer, responses=answers(400, 413, 415, 422, 503), openapi_extra=LARGE_BODY
+    "/values", response_model=ValuesAnswer, responses=error_responses(400, 413, 415, 422, 503), openapi_extra=LARGE_BODY
 )
-async def values(request: Request, shared: SharedParts, flight: Annotated[FlightSoFar, Body()]) -> Response:
+async def values(request: Request, shared: AppStateDep, flight: Annotated[FlightSoFar, Body()]) -> Response:
     """The best score still possible after a step of a flight, for each action and from every cell of the map.
 
     The response also contains the network's action at every cell and the range of the battery. It requires no session.

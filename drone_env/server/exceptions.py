@@ -81,7 +81,7 @@ STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
 """The first class that matches decides."""
 
 
-def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def error_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the `responses` of a route for these errors."""
     return {status: {"model": Problem, "description": HTTPStatus(status).phrase} for status in statuses}
 

@@ -16,7 +16,7 @@ from starlette.requests import ClientDisconnect
 from starlette.websockets import WebSocket, WebSocketState
 
 from drone_env.errors import InvalidValueError
-from drone_env.server.problems import RequestError
+from drone_env.server.exceptions import RequestError
 
 TOO_BIG, TRY_LATER = 1009, 1013
 SMALL = 8192

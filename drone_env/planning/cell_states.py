@@ -36,11 +36,11 @@ from drone_env.core.tables import (
 from drone_env.planning.states import UNPAID, put_drone, state_arrays
 
 UNREACHED = -1
-PLACES_AT_ONCE = 256
+MAX_CHUNK_CELLS = 256
 """Maximum number of cells per chunk: each has a grid, and all 3,600 of a city take 16 MB."""
 
 
-class Places(NamedTuple):
+class CellStates(NamedTuple):
     """The states of an episode with its drone at each of N cells, in ascending order."""
 
     cells: npt.NDArray[np.int64]
@@ -58,7 +58,7 @@ class Places(NamedTuple):
         return self.states[:, OUTCOME] == FLYING
 
 
-def places_of(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> Places:
+def states_at_cells(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> CellStates:
     """The states with the drone at these cells, or at all cells that it can enter. The episode is not changed.
 
     Raises:
@@ -69,7 +69,7 @@ def places_of(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> P
     cells = open_cells(episode) if cells is None else cells
     n = len(cells)
     telemetry = np.zeros((n, task.telemetry_size), np.float32)
-    places = Places(cells, np.tile(grid, (n, 1)), np.tile(state, (n, 1)), telemetry)
+    places = CellStates(cells, np.tile(grid, (n, 1)), np.tile(state, (n, 1)), telemetry)
     for cell, *arrays in zip(cells.tolist(), places.grids, places.states, telemetry, strict=True):
         grid, state, values = map(view, arrays)
         put_drone(tables, grid, state, cell, state[STEPS], state[BATTERY])
@@ -82,11 +82,11 @@ def places_of(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> P
     return places
 
 
-def places_in_parts(episode: Episode) -> Iterator[Places]:
-    """Yield the states of all cells in chunks of at most `PLACES_AT_ONCE`, to limit memory; raises as `places_of`."""
+def states_in_chunks(episode: Episode) -> Iterator[CellStates]:
+    """Yield the states of all cells in chunks, to limit memory; raises as `states_at_cells`."""
     cells = open_cells(episode)
-    for first in range(0, len(cells), PLACES_AT_ONCE):
-        yield places_of(episode, cells[first : first + PLACES_AT_ONCE])
+    for first in range(0, len(cells), MAX_CHUNK_CELLS):
+        yield states_at_cells(episode, cells[first : first + MAX_CHUNK_CELLS])
 
 
 def open_cells(episode: Episode) -> npt.NDArray[np.int64]:

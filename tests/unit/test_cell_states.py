@@ -9,7 +9,7 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tables import BATTERY, EVENT, OUTCOME, STEPS
-from drone_env.planning.elsewhere import battery_range, charging_pads, places_of
+from drone_env.planning.cell_states import battery_range, charging_pads, states_at_cells
 from tests.toy import fly, toy_episode
 
 TOUR = "RRDDLLDRRRUUUURDDLLLUURRDDDLLUURRRDD"
@@ -18,7 +18,7 @@ TOUR = "RRDDLLDRRRUUUURDDLLLUURRDDDLLUURRRDD"
 
 def assert_places_follow_steps(flight: Episode) -> None:
     """What a step leads to is what stands at that place before it, but for what the step itself changes."""
-    before = places_of(flight)
+    before = states_at_cells(flight)
     here = before.cells.tolist().index(flight.cell)
     assert np.array_equal(before.grids[here], flight.grid().ravel())
     assert np.array_equal(before.telemetry[here], flight.observation()["telemetry"])
@@ -45,7 +45,7 @@ def test_a_place_looks_as_if_the_drone_had_just_flown_there(task: str) -> None:
 
 
 def test_where_the_last_parcel_waits_the_flight_is_over_and_the_drone_cannot_be_where_it_cannot_enter() -> None:
-    places = places_of(toy_episode(["@O0", "B.T"], impassable=frozenset({Cell.OBSTACLE})))
+    places = states_at_cells(toy_episode(["@O0", "B.T"], impassable=frozenset({Cell.OBSTACLE})))
     assert places.cells.tolist() == [0, 2, 3, 4, 5]
     assert places.flying.tolist() == [True, False, True, True, True]
     assert places.states[:, OUTCOME].tolist() == [0, 1, 0, 0, 0]

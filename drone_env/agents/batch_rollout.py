@@ -24,7 +24,7 @@ class BatchResults(NamedTuple):
     """int32[n], parcels delivered."""
 
 
-def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, stateless: bool) -> BatchResults:
+def rollout_batch(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, stateless: bool) -> BatchResults:
     """Fly each map once.
 
     Args:
