@@ -30,7 +30,7 @@ def open_actions(
 class Sb3Agent(StatelessAgent):
     """Takes the likeliest action of a policy (`predict(deterministic=True)`).
 
-    A policy of MaskablePPO gets the action mask. Recurrent policies are not supported.
+    A policy of MaskablePPO gets the action mask.
 
     Args:
         task: The task.
@@ -39,6 +39,7 @@ class Sb3Agent(StatelessAgent):
 
     Raises:
         CheckpointError: if the observation space of the policy is not that of the wrapped task.
+        InvalidValueError: if the policy is recurrent.
     """
 
     def __init__(self, task: TaskConfig, policy: Any, wrapper: Callable[[Any], Any] | None = None) -> None:
@@ -48,6 +49,8 @@ class Sb3Agent(StatelessAgent):
         expected, space = policy.observation_space, self._wrapped.observation_space
         if space != expected:
             raise CheckpointError(f"this policy takes {expected}; {task.id!r} with wrapper {name} has {space}")
+        if hasattr(policy, "lstm_actor"):
+            raise InvalidValueError("recurrent policies are not supported: write an agent that keeps their state")
         self._task, self._policy = task, policy
         self._masked = "maskable" in type(policy).__module__
         policy.set_training_mode(False)
@@ -85,7 +88,7 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any) -> Sb3Agent:
     Raises:
         OSError: if the file cannot be read.
         CheckpointError: if it contains no policy, or one for other observations.
-        InvalidValueError: if Stable-Baselines3 is not installed.
+        InvalidValueError: if Stable-Baselines3 is not installed, or the policy is recurrent.
     """
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
