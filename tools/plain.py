@@ -30,7 +30,7 @@ RULES = {
     r"|asked whether|hears|knows (?:of|nothing))\b",
     "stands or lies for is": r"\b(?:stands?|lies?) (?:in|on|at|beside|below|above|here|there|as|for|behind|between)\b",
     "who for those who": r"(?:^|[,;:] |\b(?:of|for|by|to|with) )who (?:is|are|has|flies|wants|needs|sends|reads)\b",
-    "where for if": r"(?:^|, |; )where (?:it|that|there|they|nothing|none|nobody|no) (?:is|are|has|have|was|can|does)\b",
+    "where for if": r"(?:^|, |; )where (?:it|that|there|they|nothing|none|no) (?:is|are|has|have|was|can|does)\b",
     "inverted order": r"^(?:In it|On it|Of it|Of them|Of these|Of those|Of one|From it|By it|Beside it|To it|Nor"
     r"|So (?:is|are|does))\b",
     "vague person": r"\b(?:nobody|somebody|anybody|oneself|himself|one's own)\b",
