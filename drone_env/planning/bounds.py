@@ -5,7 +5,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS, Cell
@@ -18,7 +17,7 @@ from drone_env.planning.paths import costs_from
 from drone_env.planning.states import drain_range, state_arrays
 from drone_env.planning.tours import UNREACHED, held_karp
 
-register_jitable(held_karp)
+tour_kernel = compiled_once(nogil=True)(held_karp)
 
 
 class Bounds(NamedTuple):
@@ -89,11 +88,5 @@ def _tour(
     n, first = len(parcels), costs_from(tables, ground, start, kind_costs)
     legs = np.array([costs_from(tables, ground, parcel, kind_costs) for parcel in parcels])
     lengths, order = np.zeros((1 << n, n), np.int64), np.zeros(n, np.int64)
-    visited = tour_kernel(first[parcels], legs[:, parcels], budget, lengths, order)
+    visited = tour_kernel(first[parcels], legs[:, parcels], n, budget, lengths, order)
     return int(visited), int(lengths[-1].min())
-
-
-@compiled_once(nogil=True)
-def tour_kernel(first: Any, legs: Any, budget: int, lengths: Any, order: Any) -> int:
-    """`held_karp`, compiled."""
-    return held_karp(first, legs, len(first), budget, lengths, order)
