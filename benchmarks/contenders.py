@@ -85,16 +85,13 @@ def bytes_of(observations: Any, num_envs: int) -> float:
     return sum(array.nbytes for array in arrays) / num_envs
 
 
-def bare(
-    task: str, num_envs: int, dtype: npt.DTypeLike = np.int64, num_threads: int = 1, rewards: str = "aligned"
-) -> Contender:
+def bare(task: str, num_envs: int, dtype: npt.DTypeLike = np.int64, rewards: str = "aligned") -> Contender:
     """`Batch.step` and nothing around it."""
-    batch = Batch(task, num_envs, rewards, num_threads=num_threads)
+    batch = Batch(task, num_envs, rewards)
     actions = random_actions(num_envs, 5, dtype)
     spread_out(batch, np.arange(num_envs), actions)
     notes = "".join(
         [
-            f", {num_threads} threads" if num_threads > 1 else "",
             f", {np.dtype(dtype)} actions" if dtype is not np.int64 else "",
             f", {rewards}" if rewards != "aligned" else "",
         ]
@@ -212,9 +209,6 @@ def contenders(quick: bool, envpool: bool) -> Iterator[Contender]:
     for num_envs in sizes(quick):
         yield cart_pole(num_envs)
     yield from batches(quick)
-    for num_envs in sizes(quick):
-        if num_envs >= 4096:
-            yield bare("hard", num_envs, num_threads=2)
     yield bare("hard", 4096, rewards="tiered")
     yield bare("hard", 4096, dtype=np.uint8)
     for task in tasks:

@@ -16,7 +16,6 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -176,7 +175,6 @@ def time_all(entries: "list[Contender | Elsewhere]", rounds: int, seconds: float
         print(f"\rround {number + 1} of {rounds}", end="", file=sys.stderr, flush=True)
         for entry in entries:
             calls = plan[entry.name]
-            time.sleep(0.01)  # threads that wait for more work go to sleep
             entry.time(max(1, calls // 20))  # its data is back in the cache
             cpu, wall = entry.time(calls)
             figures[entry.name]["cpu"].append(calls * entry.per_call / cpu)
@@ -224,13 +222,11 @@ def report(result: dict[str, Any]) -> None:
     facts = result["machine"]
     packages = ", ".join(f"{name} {facts[name]}" for name in ("numpy", "numba", "gymnasium", "minigrid", "envpool"))
     print(f"{facts['cpu']}, {facts['cores']} cores, {facts['system']}, Python {facts['python']}, {packages}")
-    print(f"median of {result['rounds']} rounds, all in turn; random actions, resets included; CPU time of all threads")
+    print(f"median of {result['rounds']} rounds, all in turn; random actions, resets included")
     print()
     print(f"{'':44} {'million steps':>14} {'ns':>9} {'bytes of one':>13} {'times':>9}")
     print(f"{'':44} {'per CPU-second':>14} {'per step':>9} {'observation':>13} {'CartPole*':>9}")
     for name, row in result["steps"].items():
-        if name in result["threads"]:
-            continue  # below, by the clock: a thread that waits burns CPU time
         rate = row["per_cpu_second"]
         ratio = "" if row["ratio"] is None else f"{row['ratio']:#.3g}"
         print(f"{name:44} {rate / 1e6:#14.4g} {1e9 / rate:9.1f} {row['observation_bytes']:13.0f} {ratio:>9}")
@@ -238,10 +234,6 @@ def report(result: dict[str, Any]) -> None:
     if result["envpool_missing"]:
         print(f"EnvPool does not install here: {result['envpool_missing']}")
     print()
-    print("two threads, by the clock (they need two idle cores; the range of the rounds shows whether they had them):")
-    for name, row in result["threads"].items():
-        times = f"{row['ratio']:.2f} times one thread ({row['lowest']:.2f} to {row['highest']:.2f})"
-        print(f"  {name:42} {row['per_second'] / 1e6:8.1f} million steps/s, {times}")
     print("copying memory, and how many hard observations a second that would be:")
     for name, row in result["copying"].items():
         million = row["observations"] / 1e6
@@ -279,7 +271,6 @@ def measure(quick: bool, other: Path | None) -> dict[str, Any]:
         "rounds": rounds,
         "envpool_missing": missing,
         "steps": {},
-        "threads": {},
         "copying": {},
     }
     for entry in entries:
@@ -296,16 +287,6 @@ def measure(quick: bool, other: Path | None) -> dict[str, Any]:
             "ratio": median(name) / median(unit) if (unit := unit_of(entry.per_call)) in figures else None,
             "rounds": figures[name],
         }
-        one = name.removesuffix(", 2 threads")
-        if one != name:
-            pairs = zip(figures[name]["wall"], figures[one]["wall"], strict=True)
-            ratios = [two / single for two, single in pairs]
-            result["threads"][name] = {
-                "per_second": median(name, "wall"),
-                "ratio": statistics.median(ratios),
-                "lowest": min(ratios),
-                "highest": max(ratios),
-            }
     return result
 
 

@@ -13,7 +13,6 @@ from drone_env.agents.tour_features import (
     PathSearch,
     find_distances,
     first_states,
-    make_distances,
     make_features,
     make_search,
     search_paths,
@@ -31,6 +30,8 @@ CHUNK = 256
 """Maximum number of states per call: their features fit into the processor's cache."""
 CHUNK_BYTES = 1 << 25
 """Maximum size of their features, unless a single state takes more."""
+CACHE_BYTES = 1 << 24
+"""Size of the cache of distances, unless those of a chunk take more."""
 
 
 @kernel
@@ -38,9 +39,11 @@ def encode_kernel(
     grounds: Any,
     drones: Any,
     pads: int,
+    places: Any,
+    missing: Any,
     search: PathSearch,
     stops: Any,
-    distances: Distances,
+    cache: Distances,
     features: Features,
 ) -> int:
     """Write the features of M observations and return their number. It stops at one with too many parcels or pads.
@@ -49,9 +52,11 @@ def encode_kernel(
         grounds: uint8[M, cells], without the drones.
         drones: int64[M, 3]: cell, units left, steps left.
         pads: Number of pads of a map, 0 if they are no stops.
-        search: Working memory, as are the following.
-        stops: int64[N]
-        distances: Between the stops of one state.
+        places: int64[M], the place of each state's distances in the cache.
+        missing: bool[M], whether they are still missing there.
+        search: Working memory.
+        stops: int64[N], working memory.
+        cache: int32[places, N, N] each, distances between the stops of a state.
         features: The output.
     """
     tables, ground, stop_at = search.tables, search.ground, search.stop_at
@@ -81,7 +86,10 @@ def encode_kernel(
                 n += 1
         for i in range(n):
             stop_at[stops[i]] = i
-        find_distances(search, stops[:n], distances)
+        place = places[m]
+        distances = Distances(cache.cheap_units[place], cache.cheap_steps[place], cache.fast_steps[place])
+        if missing[m]:
+            find_distances(search, stops[:n], distances)
         for i in range(parcels):
             ground[stops[i]] = DELIVERY_CELL
         cell, units, left = drones[m]
@@ -97,6 +105,8 @@ def encode_kernel(
 
 class FeatureEncoder:
     """Encodes observations of one task as features. Not thread-safe.
+
+    It caches the distances between stops, which only a delivery changes.
 
     Args:
         task: The task.
@@ -117,7 +127,9 @@ class FeatureEncoder:
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
         require_memory("the features", task, size)
         self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
-        self._working_memory = search, np.zeros(n, np.int64), make_distances(n)
+        self._room = max(self.most, CACHE_BYTES // (12 * n * n))
+        self._working_memory = search, np.zeros(n, np.int64), Distances(*np.zeros((3, self._room, n, n), np.int32))
+        self._place_of: dict[bytes, int] = {}
         self._features = make_features(self.most, n, self.most * options)
 
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
@@ -150,7 +162,15 @@ class FeatureEncoder:
             InvalidValueError: if one has more parcels or pads than the task.
         """
         m = len(grounds)
-        if encode_kernel(grounds, drones, self._pads, *self._working_memory, self._features) < m:
+        if len(self._place_of) + m > self._room:
+            self._place_of.clear()
+        places, missing = np.zeros(m, np.int64), np.zeros(m, np.bool_)
+        for i, ground in enumerate(grounds):
+            new = len(self._place_of)
+            places[i] = self._place_of.setdefault(ground.tobytes(), new)
+            missing[i] = places[i] == new
+        if encode_kernel(grounds, drones, self._pads, places, missing, *self._working_memory, self._features) < m:
+            self._place_of.clear()  # it contains maps whose distances are missing
             raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
         return first_states(self._features, m)
 

@@ -117,7 +117,7 @@ class Rows(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
-    rows: Annotated[list[str], Field(min_length=1)]
+    rows: Annotated[list[str], Field(min_length=1, fail_fast=True)]
 
 
 class CityFile(BaseModel):
@@ -132,7 +132,7 @@ class CityFile(BaseModel):
     cell: FiniteFloat | None = None
     bbox: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None, Field(strict=False)] = None
     start: Annotated[XY | None, Field(strict=False)] = None
-    parcels: Annotated[tuple[Annotated[XY, Field(strict=False)], ...], Field(strict=False)] = ()
+    parcels: Annotated[tuple[Annotated[XY, Field(strict=False)], ...], Field(strict=False, fail_fast=True)] = ()
     task: dict[Number, int] = {}
     terrain: Rows
 

@@ -30,9 +30,8 @@ def compare(
     """Fly the same maps with two agents or more and compare their scores.
 
     All others are compared with the first, map by map. Difference: mean score minus that of the first. Better: share of
-    maps with a higher score; ties count half. Detectable: the smallest true difference that as many maps would show in
-    four of five cases. Narrower: how many times wider the interval would be on different maps. Intervals (95 %) are
-    Student's t over maps; IQM is the mean of the middle half of the maps. See docs/agents.md.
+    maps with a higher score; ties count half. Intervals (95 %) are Student's t over maps; IQM is the mean of the middle
+    half of the maps. See docs/agents.md.
 
     Example: drone-env compare greedy optimal --task hard --episodes 200
 
@@ -118,18 +117,11 @@ def _print(report: dict[str, Any]) -> None:
 
         print(f"{name}: unusable answers {Unusable(unusable['answers'], unusable['of'])}")
     two = [
-        (
-            task,
-            f"{agent} - {of['first']}",
-            _format(figures["difference"]),
-            _format(figures["improvement"], ".1%"),
-            f"{figures['detectable']:.4f}",
-            "-" if figures["narrower"] is None else f"{figures['narrower']:.1f}",
-        )
+        (task, f"{agent} - {of['first']}", _format(figures["difference"]), _format(figures["improvement"], ".1%"))
         for task, of in tasks.items()
         for agent, figures in of["others"].items()
     ]
-    head = ("task", "who", "difference (95 %)", "better (95 %)", "detectable", "narrower")
+    head = ("task", "who", "difference (95 %)", "better (95 %)")
     if two:
         print_table(Table("Map by map", head, two), width=120, names=2, sections=True)
 

@@ -25,6 +25,7 @@ def sweep(
     test_maps: int = 1000,
     out: Path | None = None,
     processes: int = os.cpu_count() or 1,
+    dry_run: bool = False,
 ) -> int:
     """Train a network under several settings with several seeds each, with Optuna.
 
@@ -45,6 +46,7 @@ def sweep(
         test_maps: Number of test maps that each finished network flies.
         out: The folder of the sweep. The default is sweep/ in DRONE_ENV_DATA, or runs/sweep without that.
         processes: Number of trials at a time on this machine; the default is its number of CPUs.
+        dry_run: List the settings and train nothing.
     """
     with needs("train"):
         from optuna.trial import TrialState
@@ -55,6 +57,11 @@ def sweep(
     if len(space) < len(pairs):
         raise InvalidValueError("a setting is set twice: list all its values in one --set")
     config = sweeps.SweepConfig(task, preset, space, samples, seeds, early_stopping, test_maps)
+    if dry_run:
+        print(f"{samples or len(config.settings)} settings with {seeds} seeds each")
+        for setting in config.settings if samples is None else ():
+            print(config.label(setting))
+        return 0
     folder = data_folder("sweep") if out is None else out
     try:
         sweeps.run(folder, config, processes)

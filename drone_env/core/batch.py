@@ -6,14 +6,13 @@ The next step overwrites every buffer of a `Batch`, so copy arrays that you need
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, SupportsIndex
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
-from drone_env.core.compile_cache import compiled_once, print_before_compiling
+from drone_env.core.compile_cache import print_before_compiling
 from drone_env.core.observation import open_actions, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import reset as reset_episode
@@ -52,7 +51,7 @@ class Buffers(NamedTuple):
     terminated: Any
     """bool[N]"""
     ended: Any
-    """int64[N], the episodes that the last step ended; each thread writes from the start of its range"""
+    """int64[N], the episodes that the last step ended, from the start of the array"""
     started: Any
     """int64[N], the episodes that it started, in the same layout"""
     final_grids: Any
@@ -104,23 +103,21 @@ def reset_kernel(tables: Tables, buffers: Buffers, chosen: Any) -> None:
 
 
 @compiled.kernel
-def step_kernel(
-    tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
-) -> int:
-    """Step the episodes from `start` to `stop` and return how many ended.
+def step_kernel(tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, n: int, same_step: bool) -> int:
+    """Step all n episodes and return how many ended.
 
-    `start` and `stop` are unsigned, because compiled code is slower if an index may be negative.
+    `n` is unsigned, because compiled code is slower if an index may be negative.
     """
     n_ended = 0
     n_started = 0
-    prefetching = (stop - start) * tables.cells > PREFETCH_BYTES
-    for i in range(start, stop):
+    prefetching = n * tables.cells > PREFETCH_BYTES
+    for i in range(n):
         if prefetching:
-            ahead = min(i + AHEAD, stop - ONE)
+            ahead = min(i + AHEAD, n - ONE)
             prefetch(buffers.grids, ahead, buffers.states[ahead, CELL])
         state = buffers.states[i]
         if state[OUTCOME] != FLYING:
-            buffers.started[start + n_started] = i
+            buffers.started[n_started] = i
             n_started += 1
             buffers.rewards[i] = 0.0
             buffers.terminated[i] = False
@@ -129,31 +126,22 @@ def step_kernel(
         over = state[OUTCOME] != FLYING
         buffers.terminated[i] = over
         if over:
-            buffers.ended[start + n_ended] = i
+            buffers.ended[n_ended] = i
             n_ended += 1
         write_own_telemetry(tables, state, buffers.telemetry[i])
         if state[EVENT] == DELIVERED:
             write_target_telemetry(tables, state, buffers.telemetry[i])
         buffers.open_actions[i] = open_actions(tables, buffers.grids[i], state)
     # Rare work has separate loops, because it would take registers from the loop above.
-    for k in range(start, start + n_ended):
+    for k in range(n_ended):
         write_final(tables, buffers, buffers.ended[k], k)
         if same_step:
             write_final_observation(tables, buffers, buffers.ended[k], k)
-            buffers.started[start + n_started] = buffers.ended[k]
+            buffers.started[n_started] = buffers.ended[k]
             n_started += 1
-    for k in range(start, start + n_started):
+    for k in range(n_started):
         start_next_episode(tables, buffers, buffers.started[k])
     return n_ended
-
-
-@compiled_once(nogil=True, parallel=True)
-def step_kernel_threads(
-    tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
-) -> None:
-    """Step each range between consecutive `bounds` in its own thread."""
-    for t in numba.prange(len(bounds) - 1):
-        n_ended[t] = step_kernel(tables, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
 
 
 @compiled.kernel
@@ -193,11 +181,10 @@ class Batch:
         reward_profile: A reward profile or its name.
         same_step: If True, a step that ends an episode also starts the next one. If False, the following step starts
             it and ignores its action. The next map is always `seeds.next_seed`.
-        num_threads: Threads that share a step.
 
     Raises:
         UnknownNameError: if there is no such task or profile.
-        InvalidValueError: if a number is not an integer of at least 1.
+        InvalidValueError: if `num_envs` is not an integer of at least 1.
     """
 
     def __init__(
@@ -206,12 +193,13 @@ class Batch:
         num_envs: SupportsIndex,
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         same_step: bool = False,
-        num_threads: SupportsIndex = 1,
     ) -> None:
-        num_envs, num_threads = _count("num_envs", num_envs), _count("num_threads", num_threads)
+        number = integer(num_envs)
+        if number is None or number < 1:
+            raise InvalidValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
+        num_envs = number
         self.task = get_task(task)
         self.num_envs = num_envs
-        self.num_threads = num_threads
         self.reward_profile = get_reward_profile(reward_profile)
         self.same_step = same_step
         self.tables = tabulate(self.task)
@@ -243,19 +231,11 @@ class Batch:
         self.seeds = self._buffers.seeds
         self._started = np.zeros(num_envs, np.bool_)
         self.started = False
-        self._bounds = np.linspace(0, num_envs, min(num_threads, num_envs) + 1).astype(np.uint64)
-        self._all = (0, num_envs)  # Python integers are faster arguments than array elements
-        self._n_ended = np.zeros(len(self._bounds) - 1, np.int64)
-        self._compile()
-
-    def _compile(self) -> None:
+        self._n_ended = np.zeros(1, np.int64)
         print_before_compiling()
         tables = (self.tables, self._rewards, self._buffers, self.seeds)
         self._all_valid = entry_point(all_valid, self.seeds)
-        if len(self._bounds) == 2:
-            self._step = entry_point(step_kernel, *tables, *self._bounds, self.same_step)
-        else:
-            self._step = entry_point(step_kernel_threads, *tables, self._bounds, self.same_step, self._n_ended)
+        self._step = entry_point(step_kernel, *tables, np.uint64(num_envs), same_step)
 
     def reset(self, seeds: Sequence[int] | npt.NDArray[np.int64], chosen: npt.NDArray[np.bool_] | None = None) -> None:
         """Start episodes on the maps of these seeds.
@@ -277,7 +257,7 @@ class Batch:
         reset_kernel(self.tables, self._buffers, numbers)
         self._started[numbers] = True
         self.started = bool(self._started.all())
-        self._n_ended[:] = 0
+        self._n_ended[0] = 0
 
     def step(self, actions: npt.ArrayLike) -> None:
         """Fly one action in each episode and overwrite the buffers.
@@ -299,17 +279,14 @@ class Batch:
             wrong = values[(values < 0) | (values >= N_ACTIONS)][0]
             raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
         tables = (self.tables, self._rewards, self._buffers, integers)
-        if len(self._bounds) == 2:
-            self._n_ended[0] = self._step(*tables, *self._all, self.same_step)
-        else:
-            self._step(*tables, self._bounds, self.same_step, self._n_ended)
+        self._n_ended[0] = self._step(*tables, self.num_envs, self.same_step)
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
         """A snapshot of all episodes for `set_state`, as copies of arrays."""
         return {name: np.array(buffer) for name, buffer in self._arrays().items()}
 
     def set_state(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Restore a snapshot of a batch with the same task, size, mode and threads.
+        """Restore a snapshot of a batch with the same task, size and mode.
 
         Raises:
             InvalidValueError: if the snapshot does not fit this batch; nothing changes.
@@ -327,7 +304,7 @@ class Batch:
         return self._buffers._asdict() | {"has_started": self._started, "n_ended": self._n_ended}
 
     def __getstate__(self) -> tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]:
-        arguments = (self.task, self.num_envs, self.reward_profile, self.same_step, self.num_threads)
+        arguments = (self.task, self.num_envs, self.reward_profile, self.same_step)
         return arguments, self.get_state()
 
     def __setstate__(self, state: tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]) -> None:
@@ -368,19 +345,8 @@ class Batch:
         return _unpack(self._buffers.open_actions.copy())
 
     def _of_ended(self, buffer: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The entries that the threads wrote, each from the start of its range."""
-        counts = self._n_ended.tolist()
-        if len(counts) == 1:
-            return buffer[: counts[0]]
-        starts = self._bounds[:-1].tolist()
-        return np.concatenate([buffer[start : start + n] for start, n in zip(starts, counts, strict=True)])
-
-
-def _count(name: str, value: SupportsIndex) -> int:
-    number = integer(value)
-    if number is None or number < 1:
-        raise InvalidValueError(f"{name} must be an integer of at least 1, got {value!r}")
-    return number
+        """The entries that the last step wrote."""
+        return buffer[: self._n_ended[0]]
 
 
 def _unpack(packed: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:

@@ -48,7 +48,6 @@ class DroneDeliveryVecEnv(VecEnv):
         num_envs: N, at least 1.
         version: The task's version; None for the current one.
         reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
-        num_threads: Threads that share a step.
         observation: `dict` for `{"grid": uint8[N, kinds, H, W], "telemetry": float32[N, n]}`, the grid as one-hot
             planes, for `MultiInputPolicy`; `flat` for float32[N, kinds * H * W + n], the planes and then the
             telemetry, for `MlpPolicy`. n is the task's `telemetry_size`: 5, 6 or 13.
@@ -64,13 +63,12 @@ class DroneDeliveryVecEnv(VecEnv):
         num_envs: SupportsIndex,
         version: int | None = None,
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
-        num_threads: SupportsIndex = 1,
         observation: str = "dict",
     ) -> None:
         if observation not in list(FORMS):
             raise UnknownNameError("observation form", observation, FORMS)
         self._vector = DroneDeliveryVectorEnv(
-            num_envs, task, version, reward_profile, AutoresetMode.SAME_STEP, num_threads, copy=False
+            num_envs, task, version, reward_profile, AutoresetMode.SAME_STEP, copy=False
         )
         self.task = self._vector.task
         self.batch = self._vector.batch

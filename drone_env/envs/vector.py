@@ -39,7 +39,6 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
         autoreset_mode: When the next episode starts: at the `NEXT_STEP`, in the `SAME_STEP`, or, if `DISABLED`, by
             a `reset` with a mask. An `AutoresetMode`, its name or its value.
-        num_threads: Threads that share a step.
         copy: If True, observations, rewards and masks are copies. If False, they are read-only views of the live
             buffers, which the next step overwrites.
         gym_id: The Gymnasium id that made the environment, which must be the task's own.
@@ -56,7 +55,6 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         version: int | None = None,
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        num_threads: SupportsIndex = 1,
         copy: bool = True,
         gym_id: str | None = None,
     ) -> None:
@@ -70,7 +68,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         self.copy = copy
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
-        self.batch = Batch(self.task, num_envs, chosen_profile(reward_profile), same_step, num_threads)
+        self.batch = Batch(self.task, num_envs, chosen_profile(reward_profile), same_step)
         self.num_envs = self.batch.num_envs
         self.single_observation_space = observation_space(self.task)
         self.single_action_space = spaces.Discrete(N_ACTIONS)

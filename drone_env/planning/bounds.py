@@ -1,30 +1,23 @@
 """Proven bounds of the optimum, for maps that are too large for the exact solvers."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS, Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import score_of
 from drone_env.core.tables import N_MOVES, Tables, tabulate
-from drone_env.errors import TooLargeError
-from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.greedy import greedy_action
-from drone_env.planning.legs import LegSolver, covers
-from drone_env.planning.paths import NO_PATH, costs_from
+from drone_env.planning.paths import costs_from
 from drone_env.planning.states import drain_range, state_arrays
 from drone_env.planning.tours import UNREACHED, held_karp
 
-register_jitable(held_karp)
-AHEAD = 4
-"""Number of nearest parcels in each plan of the lower bound."""
+tour_kernel = compiled_once(nogil=True)(held_karp)
 
 
 class Bounds(NamedTuple):
@@ -39,48 +32,12 @@ class Bounds(NamedTuple):
 def bounds(episode: Episode) -> Bounds:
     """Bounds of the optimum from the current state of an episode, which is not changed.
 
-    Lower bound: the better of two flights. One always flies to the nearest target; the other plans a best flight over
-    the `AHEAD` nearest parcels, again after each delivery. Upper bound: the score with all parcels that the shortest
-    tour reaches in the steps left, and with the battery that the cheapest tour leaves. Charging takes steps.
+    Lower bound: the score of a flight that always flies to the nearest target. Upper bound: the score with all parcels
+    that the shortest tour reaches in the steps left, and with the battery that the cheapest tour leaves. Charging takes
+    steps.
     """
     flown = rollout(episode.copy(), partial(greedy_action, episode.task)).score
-    if not episode.ended and covers(episode.task):
-        flown = max(flown, _by_parts(episode).score)
     return Bounds(flown, max(_upper(episode), flown))
-
-
-def _by_parts(episode: Episode) -> Episode:
-    """Fly a copy by best flights over its nearest parcels. It waits if even one parcel is too large a plan."""
-    flight = episode.copy()
-    while not flight.ended:
-        before = flight.deliveries_done
-        for action in _plan_part(flight):
-            flight.step(action)
-            if flight.ended or flight.deliveries_done > before:
-                break
-        if flight.deliveries_done == before:
-            break
-    return flight.waited_out()
-
-
-def _plan_part(flight: Episode) -> list[Action]:
-    ground, state, entries = state_arrays(flight)
-    steps = costs_from(tabulate(flight.task), ground, flight.cell, np.ones(N_CELL_KINDS))
-    waiting = sorted((cell for cell in state[entries].tolist() if steps[cell] < NO_PATH), key=steps.__getitem__)
-    ground[state[entries]] = Cell.DELIVERED
-    for n in range(min(AHEAD, len(waiting)), 0, -1):
-        near = waiting[:n]
-        # A task of these parcels only; its maps are never generated.
-        bare = {"terrain": None, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
-        task = replace(flight.task, deliveries=n, **bare)
-        ground[near] = Cell.DELIVERY
-        parcels = [(cell, False) for cell in near]
-        part = episode_from_fields(task, ground, flight.cell, flight.battery_units, flight.steps, parcels)
-        try:
-            return LegSolver(part).best_actions()
-        except TooLargeError:
-            ground[near] = Cell.DELIVERED
-    return []
 
 
 def _upper(episode: Episode) -> float:
@@ -131,11 +88,5 @@ def _tour(
     n, first = len(parcels), costs_from(tables, ground, start, kind_costs)
     legs = np.array([costs_from(tables, ground, parcel, kind_costs) for parcel in parcels])
     lengths, order = np.zeros((1 << n, n), np.int64), np.zeros(n, np.int64)
-    visited = tour_kernel(first[parcels], legs[:, parcels], budget, lengths, order)
+    visited = tour_kernel(first[parcels], legs[:, parcels], n, budget, lengths, order)
     return int(visited), int(lengths[-1].min())
-
-
-@compiled_once(nogil=True)
-def tour_kernel(first: Any, legs: Any, budget: int, lengths: Any, order: Any) -> int:
-    """`held_karp`, compiled."""
-    return held_karp(first, legs, len(first), budget, lengths, order)

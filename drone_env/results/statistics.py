@@ -31,9 +31,6 @@ REGRETS: Range = (0.0, HIGHEST - LOWEST)
 SHARES: Range = (0.0, 1.0)
 SAME = 1e-9
 """Scores that differ by less are equal: a mean of equal scores may be rounded."""
-LEAST_EFFECT = 1.96 + 0.84
-"""The smallest difference, in standard errors, that a two-sided test at 5 % detects in 80 % of cases (Bloom, "Minimum
-Detectable Effects", 1995)."""
 
 
 class Interval(NamedTuple):
@@ -267,25 +264,20 @@ class PairedComparison:
     def figures(self) -> dict[str, Any]:
         """Return the statistics of the comparison as JSON values.
 
-        `difference` has the interval of pairs, `unpaired` the interval over different maps, which is `narrower` times
-        as wide (null if the pairs never differ). `improvement` is the share of maps on which `a` is better; ties count
-        half. `detectable` is the smallest true difference that as many pairs would show in four of five cases.
+        `difference` has the interval of pairs, `unpaired` the interval over different maps. `improvement` is the share
+        of maps on which `a` is better; ties count half.
 
         Raises:
             InvalidValueError: if both flew fewer than two maps.
         """
         difference = interval(self.differences, DIFFERENCES)
-        error = _error_of(self.differences)[0]
         unpaired = _of_errors(difference.mean, [_error_of(self.a.scores), _error_of(self.b.scores)], DIFFERENCES)
         better = np.where(np.abs(self.differences) < SAME, 0.5, self.differences > 0)
-        width = difference.high - difference.low
         return {
             "maps": len(self.differences),
             "difference": difference._asdict(),
             "unpaired": unpaired._asdict(),
-            "narrower": (unpaired.high - unpaired.low) / width if width > SAME else None,
             "improvement": interval(better, SHARES)._asdict(),
-            "detectable": LEAST_EFFECT * math.sqrt(error),
         }
 
 

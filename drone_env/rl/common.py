@@ -14,6 +14,7 @@ from drone_env.agents.batch_rollout import ActBatch, rollout_batch
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError
+from drone_env.files import differences
 from drone_env.planning.optimal import best_of
 
 MAX_NAMED = 2
@@ -58,12 +59,9 @@ def require_same(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
     Raises:
         CheckpointError: if it has not; the message names some that differ.
     """
-    names = [name for name in ours if ours[name] != theirs.get(name)]
-    if names:
-        different = [f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in names[:MAX_NAMED]]
-        more = len(names) - MAX_NAMED
-        named = ", ".join(different) + (f" and {more} more" if more > 0 else "")
-        raise CheckpointError(f"the checkpoint has other settings: {named}; use those")
+    if changed := differences(theirs, ours):
+        more = f" and {len(changed) - MAX_NAMED} more" if len(changed) > MAX_NAMED else ""
+        raise CheckpointError(f"the checkpoint has other settings: {', '.join(changed[:MAX_NAMED])}{more}; use those")
 
 
 def figure(value: float, digits: int) -> str:

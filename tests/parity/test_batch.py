@@ -88,7 +88,7 @@ def assert_equal(reference: Reference, batch: Batch) -> None:
 def assert_parity(task: TaskConfig, profile: str, same_step: bool, steps: int, n: int = N) -> None:
     """For so many steps, and until as many episodes have ended as fly together."""
     rng = np.random.default_rng(len(profile) + task.width)
-    batch = Batch(task, n, profile, same_step=same_step, num_threads=2 if same_step else 1)
+    batch = Batch(task, n, profile, same_step=same_step)
     reference = Reference(task, n, profile, same_step)
     seeds = rng.integers(2**53, size=n)
     seeds[: len(EDGES)] = EDGES

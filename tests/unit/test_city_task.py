@@ -117,7 +117,7 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     write_city(City(GRID, numbers={"deliveries": 3, "max_steps": 39}), yard)
     register_city(yard)
     for config, identity in zip(configs, before, strict=True):
-        with pytest.raises(CheckpointError, match="rules of yard '"):
+        with pytest.raises(CheckpointError, match="rules of yard: '"):
             require_same(config.identity(), identity)
     with pytest.raises(ValidationError, match="the task 'yard' has changed since the run"):
         RunConfig.model_validate(dict(run))

@@ -58,7 +58,7 @@ def test_a_training_continues_with_the_same_rewards_only(mine: Path) -> None:
     before = identity()
     require_same(identity(), before)
     mine.write_text(MINE.replace("-0.25", "-0.5"))
-    different = "reward events 'delivery 7, wait 0.5, step -0.25' (now 'delivery 7, wait 0.5, step -0.5'); use those"
+    different = "reward events: 'delivery 7, wait 0.5, step -0.25' is now 'delivery 7, wait 0.5, step -0.5'; use those"
     with pytest.raises(CheckpointError, match=re.escape(f"has other settings: {different}")):
         require_same(identity(), before)
 

@@ -10,8 +10,7 @@ import torch
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.rl.config import FAST, ORIGINAL, preset
-from drone_env.rl.dqn import Trainer
-from drone_env.rl.policy import EpsilonGreedyPolicy, epsilon_greedy, linear, multiplicative
+from drone_env.rl.dqn import EpsilonGreedyPolicy, Trainer, epsilon_greedy, linear, multiplicative
 from drone_env.rl.replay_buffer import ReplayBuffer
 from tests.unit.small_training import SMALL, SMALL_TOUR
 
@@ -54,7 +53,7 @@ def filled(capacity: int, steps: int, ends: set[tuple[int, int]]) -> ReplayBuffe
 def test_the_replay_bootstraps_up_to_the_end_of_an_episode() -> None:
     ends = {(0, 2), (1, 3)}
     sampled = filled(10, 5, ends).sample(500, gamma=0.5, rng=np.random.default_rng(0))
-    seen = set()
+    seen: set[tuple[int, int]] = set()
     for k in range(500):
         mark = int(sampled.grids[k, 0, 0])
         env, t = divmod(mark, 100)

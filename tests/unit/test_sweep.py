@@ -84,6 +84,13 @@ def test_a_setting_is_set_once(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "set twice" in capsys.readouterr().err
 
 
+def test_a_dry_run_lists_the_settings_and_trains_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "sweep"
+    assert main(["sweep", "--set", "gamma=0.9,0.8", "--out", str(out), "--dry-run"]) == 0
+    assert capsys.readouterr().out == "2 settings with 3 seeds each\ngamma=0.9\ngamma=0.8\n"
+    assert not out.exists()
+
+
 def test_a_folder_contains_one_sweep(tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     sweep.open_study(out, config_of("gamma=0.9"))

@@ -79,7 +79,7 @@ def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(tmp_path: Pa
     run.save()
     before = run.checkpoint.read_bytes()
     other = TourTrainer(replace(SMALL_TOUR, updates=13, window=4))
-    with pytest.raises(CheckpointError, match=r"updates 12 \(now 13\), window 3 \(now 4\); .*--fresh"):
+    with pytest.raises(CheckpointError, match=r"updates: 12 is now 13, window: 3 is now 4; .*--fresh"):
         TrainingRun(other, tmp_path, tmp_path / "results")
     assert run.checkpoint.read_bytes() == before
     # How often it is saved, and by which of its names the task is called, makes no other run of it.

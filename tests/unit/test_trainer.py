@@ -275,6 +275,6 @@ def test_a_run_that_is_extended_later_is_the_same_from_then_on() -> None:
 def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(whole: Trainer) -> None:
     other = Trainer(replace(SMALL, gamma=0.9, tau=0.5))
     before, state = parameters(other.online), whole.get_state()
-    with pytest.raises(CheckpointError, match=r"gamma 0\.99 \(now 0\.9\), tau 0\.02 \(now 0\.5\)"):
+    with pytest.raises(CheckpointError, match=r"gamma: 0\.99 is now 0\.9, tau: 0\.02 is now 0\.5"):
         other.set_state(state)
     assert_same(before, parameters(other.online))
