@@ -27,7 +27,6 @@ with needs("server", __name__):
 from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.live.socket import LiveSocket
-from drone_env.server.logs import LogRequests
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
@@ -95,9 +94,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
-    # The last middleware is the outermost.
-    app.add_middleware(Security, settings=settings)
-    app.add_middleware(LogRequests, log=shared.requests)
+    app.add_middleware(Security, settings=settings, log=shared.requests)
     app.include_router(flight.stepping)
     for routes in (flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
         app.include_router(routes.router)

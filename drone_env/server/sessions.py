@@ -1,4 +1,4 @@
-"""HTTP sessions: rows of the store, and a cache of their episodes in memory.
+"""HTTP sessions: which one a request flies, their rows in the store, and a cache of their episodes in memory.
 
 Another process may have stepped a session, so each use first applies the actions of the row to the cached episode.
 """
@@ -7,15 +7,25 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
+
+from fastapi import Request, Response
+from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
+from drone_env.server.exceptions import WHAT_TO_DO, RequestError
 from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import ResetOptions
+from drone_env.server.security import shared_address
 
+COOKIE = "drone_env_session"
+HEADER = "X-Session-Id"
+NEW = "new"
+"""As `X-Session-Id` of a reset, this opens a private session."""
+LONGEST_ID = 200
 ANONYMOUS = "anonymous"
 """Default name of an agent."""
 Result = TypeVar("Result")
@@ -25,6 +35,36 @@ Show = Callable[[Episode, float | None], Result]
 
 class OtherStepError(EpisodeError):
     """The step count of the session differs from the caller's."""
+
+
+class Caller(NamedTuple):
+    """The session id of a request, or the `address` whose callers share a session."""
+
+    named: str | None
+    address: str | None
+
+    @classmethod
+    def of(cls, request: Request) -> Self:
+        """Read the header or the cookie. Empty ones count as missing."""
+        named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
+        if named or request.app.state.shared.settings.token is not None:
+            return cls(None if named in ("", NEW) else named, None)
+        return cls(None, shared_address(request.scope))
+
+    def session(self, sessions: "Sessions", answer: Response | None = None) -> str:
+        """Return the session id. The header of `answer` contains the id of a shared session.
+
+        Raises:
+            RequestError: if there is no session.
+        """
+        if self.named is not None:
+            return self.named
+        session = None if self.address is None else sessions.store.unnamed_session(self.address)
+        if session is None:
+            raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
+        if answer is not None:
+            answer.headers[HEADER] = session
+        return session
 
 
 class _Cached:

@@ -16,7 +16,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import DIRECTIONS, Direction
+from drone_env.models import DIRECTIONS, Direction, flat_json
 from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import (
@@ -32,8 +32,7 @@ from drone_env.server.frames import (
 )
 from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
-from drone_env.server.observation_json import flat_json
-from drone_env.server.pilots import HUMAN, Provenance, all_pilots, require_pilot
+from drone_env.server.pilots import HUMAN, Provenance, all_pilots
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import AppState
 
@@ -321,7 +320,7 @@ def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Epi
     """The episode at its start, the agents, and the index of the one that flies the fork."""
     task, fork, agents = get_task(command.task), command.fork, list(command.pilots)
     for pilot in agents:
-        require_pilot(pilot, task, shared.networks)
+        shared.networks.require(pilot, task)
     seed = command.seed
     while seed is None or (command.seed is None and last is not None and seed == last.seed):
         seed = secrets.randbelow(MAPS)
