@@ -71,7 +71,7 @@ class _Cached:
     """A session as this process used it last, and the lock of its user."""
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
+        self.lock = threading.RLock()
         self.session: Session | None = None
 
 
@@ -133,8 +133,8 @@ class Sessions:
     def _begin(
         self, session: str, options: ResetOptions, show: Show[Result], address: str | None, flown: bool = False
     ) -> Result:
-        with self._locked(session) as cached:
-            with self._changing(cached, session, address) as row:
+        with self._locked(session):
+            with self.changing(session, address) as row:
                 if flown and not row.actions:
                     raise NoSessionError("this session has no steps yet")
                 episode = start_episode(options, row.seed)
@@ -148,8 +148,7 @@ class Sessions:
         show: Show[Result],
         after: int | None = None,
         address: str | None = None,
-        check: Callable[[Session], None] | None = None,
-    ) -> tuple[Session, Result]:
+    ) -> Result:
         """Fly one action, and store the step, and the episode if it ends.
 
         Args:
@@ -159,20 +158,17 @@ class Sessions:
             after: The caller's step count. A repeated request with the same count is flown once and returns the same
                 result. None flies the action in any case.
             address: The address of a caller without an id.
-            check: Raises an error if the session must not be stepped.
 
         Returns:
-            The session, and the result of `show`.
+            The result of `show`.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
             OtherStepError: if its step count differs from `after`, and the last action is not this one.
         """
-        with self._locked(session) as cached:
-            with self._changing(cached, session, address) as row:
-                if check is not None:
-                    check(row)
+        with self._locked(session):
+            with self.changing(session, address) as row:
                 flown = len(row.actions)
                 if after is None or after == flown:
                     reward = advance(row, action)
@@ -185,7 +181,7 @@ class Sessions:
                         f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state "
                         "tells where it stands"
                     )
-            return row, show(row.fly(), reward)
+            return show(row.fly(), reward)
 
     @contextmanager
     def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
@@ -195,8 +191,12 @@ class Sessions:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._locked(session) as cached, self._changing(cached, session, address) as row:
-            yield row
+        with self._locked(session) as cached:
+            previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
+            with self.store.session(session, address) as row:
+                row.go_on_from(previous)
+                yield row
+            cached.session = row
 
     @contextmanager
     def reading(self, session: str) -> Generator[Session, None, None]:
@@ -244,14 +244,6 @@ class Sessions:
         except (NoSessionError, SessionGoneError):
             self._forget(session)
             raise
-
-    @contextmanager
-    def _changing(self, cached: _Cached, session: str, address: str | None) -> Generator[Session, None, None]:
-        previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
-        with self.store.session(session, address) as row:
-            row.go_on_from(previous)
-            yield row
-        cached.session = row
 
     def _forget(self, session: str) -> None:
         with self._lock:

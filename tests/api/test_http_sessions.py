@@ -78,7 +78,7 @@ class TestSessions:
                 return f"{reward} {kept} {episode.actions}"
 
             name, _ = sessions.reset(None, ResetOptions(seed=7), flat_json)
-            assert sessions.advance(name, Action.WAIT, show)[1].endswith("(4,) [4]")
+            assert sessions.advance(name, Action.WAIT, show).endswith("(4,) [4]")
             assert sessions.reset(name, ResetOptions(seed=7), show) == (name, "None () []")
 
     def test_an_idle_session_makes_room_and_reading_does_not_keep_it(self, tmp_path: Path, clock: Clock) -> None:

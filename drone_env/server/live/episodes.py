@@ -2,8 +2,8 @@
 
 import asyncio
 import secrets
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
@@ -56,7 +56,7 @@ class LiveEpisode:
     """
 
     def __init__(self, row: Session, shared: AppState, caller: str) -> None:
-        self._see(row)
+        self.row = _copy(row)
         self.pilot = self.provenance.pilot
         if self.pilot not in all_pilots():
             raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
@@ -75,6 +75,11 @@ class LiveEpisode:
     def episode(self) -> Episode:
         """The episode in its current state."""
         return self.row.fly()
+
+    @property
+    def provenance(self) -> Provenance:
+        """The pilots of its steps."""
+        return Provenance.parse(self.row.agent)
 
     @property
     def automatic(self) -> bool:
@@ -120,11 +125,6 @@ class LiveEpisode:
         for job in self._jobs:
             job.cancel()
 
-    def step(self) -> Frame:
-        """Fly one step of an automatic episode whose actions are `planned`."""
-        assert self._plan is not None
-        return self._fly(self._plan[self.episode.steps])
-
     def begin_with(self, actions: Sequence[int], planned: list[int] | None) -> None:
         """Fly the first actions of a new flight and store them.
 
@@ -135,7 +135,7 @@ class LiveEpisode:
         self._plan = planned
         if not actions:
             return
-        with self._sessions.changing(self.row.id) as row:
+        with self._changing() as row:
             for action in actions:
                 advance(row, action)
             if row.finished:
@@ -143,7 +143,11 @@ class LiveEpisode:
                 record = row.finished[0].record.to_json()
                 row.episode_id = sha256(record.encode()).hexdigest()[:16]
                 row.finished[0] = row.finished[0].model_copy(update={"id": row.episode_id})
-        self._see(row)
+
+    def step(self) -> Frame:
+        """Fly one step of an automatic episode whose actions are `planned`."""
+        assert self._plan is not None
+        return self._fly(self._plan[self.episode.steps])
 
     def fly(self, direction: Direction) -> Frame:
         """Fly one step by hand.
@@ -163,11 +167,9 @@ class LiveEpisode:
         self._check_by_hand()
         if self.episode.steps <= self._first:
             raise EpisodeError("there is no step to take back: you have flown none")
-        with self._sessions.changing(self.row.id) as row:
-            self._check_unchanged(row)
+        with self._changing() as row:
             row.actions, row.episode = row.actions[:-1], None
             row.agent = check_agent(str(self.provenance._replace(undo=True)))
-        self._see(row)
         del self.values[self.episode.steps + 1 :]
 
     def help(self) -> Frame:
@@ -177,10 +179,8 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         self._check_by_hand()
-        with self._sessions.changing(self.row.id) as row:
-            self._check_unchanged(row)
+        with self._changing() as row:
             row.agent = check_agent(str(self.provenance._replace(values=True)))
-        self._see(row)
         return self.frame()
 
     def shown_values(self) -> list[float] | None:
@@ -201,20 +201,23 @@ class LiveEpisode:
         return f'{{"opening":{header},"frames":{frames or to_json([self.frame()]).decode()}}}'
 
     def _fly(self, action: int) -> Frame:
-        row, episode = self._sessions.advance(
-            self.row.id, action, lambda episode, _: episode.copy(), check=self._check_unchanged
-        )
-        self.row = replace(row, episode=episode)
+        with self._changing() as row:
+            advance(row, action)
         return self.frame()
 
-    def _see(self, row: Session) -> None:
-        """Copy the session and its episode."""
-        self.row, self.provenance = replace(row, episode=row.fly().copy()), Provenance.parse(row.agent)
+    @contextmanager
+    def _changing(self) -> Generator[Session, None, None]:
+        """Context manager of the session to change; then copy it.
 
-    def _check_unchanged(self, row: Session) -> None:
-        known = self.row
-        if (row.flight, row.agent, row.actions) != (known.flight, known.agent, known.actions):
-            raise SessionGoneError("another page or client flies this session now: start a new flight")
+        Raises:
+            SessionGoneError: if somebody else has changed it.
+        """
+        with self._sessions.changing(self.row.id) as row:
+            if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
+                raise SessionGoneError("another page or client flies this session now: start a new flight")
+            yield row
+            copied = _copy(row)
+        self.row = copied
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -237,6 +240,11 @@ class LiveEpisode:
     @property
     def _shown(self) -> bool:
         return shows_values(self.provenance, self.episode)
+
+
+def _copy(row: Session) -> Session:
+    """Copy a session with its episode, which other threads may fly on."""
+    return replace(row, episode=row.fly().copy())
 
 
 async def _finished(job: "asyncio.Future[Result]") -> Result:

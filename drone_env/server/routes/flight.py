@@ -316,7 +316,7 @@ class StepRoute(JsonRoute):
 
 def _advance(shared: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
     session, show = caller.session(shared.sessions), flat_json if body.action is None else openenv_json
-    _, stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
+    stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
