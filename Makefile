@@ -53,11 +53,12 @@ test-long: $(VENV)/.dev
 	$(PYTEST) -m long -n auto --dist worksteal --ignore tests/cluster
 	$(PYTEST) -m long tests/cluster
 
-# Lint, formatting, types.
+# Lint, formatting, types, plain English.
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/python tools/plain.py
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

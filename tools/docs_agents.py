@@ -1,13 +1,13 @@
-"""What the agents reach on the test maps of every task, and what it costs them: the table of docs/benchmark.md.
+"""The scores of the agents on the test maps of every task, and their CPU times: the tables of docs/benchmark.md.
 
-What was flown is kept in results/agents, a file for each task and agent, so that a stopped run goes on; another network
-or another version of a task or agent is flown anew. Whoever changes how an agent flies without a new version removes
-the folder.
+Results are cached in results/agents, one file per task and agent, so that a stopped run continues. A new network or
+version of a task or agent is flown again. If an agent changes without a new version, remove the folder.
 """
 
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from drone_env.results.result import EpisodesKey
 from drone_env.results.statistics import with_interval
 from drone_env.results.tables import number
 
-KEPT = Path(__file__).parents[1] / "results" / "agents"
+CACHE = Path(__file__).parents[1] / "results" / "agents"
 MAPS = 1000
 BEST = "optimal"
 SHOWN = [*(agent for agent in AGENTS if agent != BEST), BEST]
@@ -37,9 +37,9 @@ def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
             keys[agent] = episodes_key(task, agent, split_seeds("test", MAPS), "test")
         except UnsupportedTaskError as error:
             print(f"no row for {agent} on {task.id}: {error}", file=sys.stderr)
-    files = {agent: KEPT / f"{key.task}-v{key.version}-{agent}-{key.config_hash}.json" for agent, key in keys.items()}
+    files = {agent: CACHE / f"{key.task}-v{key.version}-{agent}-{key.config_hash}.json" for agent, key in keys.items()}
     if not all(file.exists() for file in files.values()):
-        KEPT.mkdir(parents=True, exist_ok=True)
+        CACHE.mkdir(parents=True, exist_ok=True)
         # First, and kept by `run_episodes`: the time of the others is then their own.
         for agent in (BEST, *keys):
             if agent == BEST or not files[agent].exists():
@@ -56,14 +56,17 @@ def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
 
 
 def table_of_all() -> str:
-    """How the agents fly all tasks: the table of docs/benchmark.md."""
-    head = [
-        "task", "agent", "score (95 %)", "ratio", "delivered all", "excess steps", "CPU ms",
-    ]  # fmt: skip
-    rows = [head]
-    for task in (one for one in TASKS.values() if one.terrain is None):
-        for agent, of in figures_of(task).items():
-            score = [with_interval(of["mean_score"], of["score_ci95"]), number(of["score_ratio"])]
-            steps = [f"{of['success_rate']:.1%}", number(of["mean_excess_steps"], ".2f"), f"{of['cpu_ms']:.3g}"]
-            rows.append([task.id, agent, *score, *steps])
-    return table(rows)
+    """Return the tables of docs/benchmark.md: a row per agent, a column per task."""
+    tasks = [task for task in TASKS.values() if task.terrain is None]
+    figures = [figures_of(task) for task in tasks]
+    cells: dict[str, Callable[[dict[str, Any]], str]] = {
+        "Score (95 % interval)": lambda of: with_interval(of["mean_score"], of["score_ci95"]),
+        "Ratio to the optimum": lambda of: number(of["score_ratio"]),
+        "Delivered all parcels": lambda of: f"{of['success_rate']:.1%}",
+        "CPU time of a flight in ms": lambda of: f"{of['cpu_ms']:.3g}",
+    }
+    parts: list[str] = []
+    for title, cell in cells.items():
+        rows = [[agent, *(cell(of[agent]) if agent in of else "-" for of in figures)] for agent in SHOWN]
+        parts.append(f"**{title}**\n\n{table([['agent', *(task.short_name for task in tasks)], *rows])}")
+    return "\n\n".join(parts)

@@ -13,7 +13,7 @@ from pydantic_settings import BaseSettings
 from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TASKS
 from drone_env.llm.config import InferenceSettings, models_table
 from drone_env.results.tables import markdown_table
 from drone_env.server.settings import Settings
@@ -62,40 +62,32 @@ def environments() -> str:
     return table([head, *rows])
 
 
-def numbers(task: TaskConfig) -> str:
-    """The table of a task's numbers."""
-    drain = ", ".join(f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain)
-    blocked = ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "nothing"
-    streets = f"every {task.street_spacing} cells" if task.street_spacing else "none: everything lies anywhere"
-    if task.terrain:
-        streets = f"those of the terrain, {task.terrain.width} x {task.terrain.height} cells"
-    charging = f"{task.pads} pads, {task.charge_rate} units a WAIT" if task.pads else "none"
-    counts = "always" if not task.efficiency_needs_all else "only when everything is delivered"
-    events = (e.name.lower() for e in Event if e not in SPECIAL)
-    others: dict[float, list[str]] = {}
-    for event in events:
-        others.setdefault(getattr(task, f"r_{event}"), []).append(event)
-    other = "everything else" if len(others) == 1 else None
-    rewards = [f"{task.r_delivery} for a delivery"] + [f"{r} for {other or ', '.join(e)}" for r, e in others.items()]
-    rows = {
-        "": "",
-        "Names": f"`{task.id}`" + (f", `{task.short_name}`" if task.short_name != task.id else ""),
-        "Gymnasium": f"`drone_env:{task.gym_id}`",
-        "Grader": f"`{task.grader}`",
-        "Grid": f"{task.width} x {task.height}",
-        "Parcels": str(task.deliveries),
-        "Buildings, trees, obstacles": f"{task.buildings}, {task.trees}, {task.obstacles}",
-        "Impassable": blocked,
-        "Streets": streets,
-        "Steps": str(task.max_steps),
-        "Battery": f"{task.battery_capacity} units",
-        "A step drains": f"1 unit; {drain}" if drain else "1 unit",
-        "Charging": charging,
-        "Battery and steps left score": counts,
-        "Rewards (`tiered`)": "; ".join(rewards),
-        "Telemetry": f"{task.telemetry_size} values",
-    }
-    return table([[name, cell] for name, cell in rows.items()])
+def tasks() -> str:
+    """Return the numbers of all tasks, one row per task."""
+    head = ["task", "grid", "parcels", "buildings, trees, obstacles", "streets every", "steps", "battery"]
+    rows = [[*head, "drain", "closed", "pads, charge", "rewards of `tiered`"]]
+    for task in TASKS.values():
+        drain = ", ".join(f"{CELL_KINDS[kind].name} {units}" for kind, units in task.drain)
+        others: dict[float, list[str]] = {}
+        for event in (event.name.lower() for event in Event if event not in SPECIAL):
+            others.setdefault(getattr(task, f"r_{event}"), []).append(event)
+        rest = [f"{reward} {'else' if len(others) == 1 else ', '.join(events)}" for reward, events in others.items()]
+        rows.append(
+            [
+                f"`{task.id}`",
+                f"{task.width} x {task.height}",
+                str(task.deliveries),
+                "real" if task.terrain else f"{task.buildings}, {task.trees}, {task.obstacles}",
+                "real" if task.terrain else str(task.street_spacing or "-"),
+                str(task.max_steps),
+                str(task.battery_capacity),
+                drain or "-",
+                ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "-",
+                f"{task.pads}, {task.charge_rate}" if task.pads else "-",
+                "; ".join([f"{task.r_delivery} delivery", *rest]),
+            ]
+        )
+    return table(rows)
 
 
 def of_cities() -> str:
@@ -118,15 +110,14 @@ def described(rule: Rule) -> str:
 
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
-    of_tasks = {("tasks.md", task.id): numbers(task) for task in TASKS.values() if not task.terrain}
     return {
         ("rules.md", "kinds"): kinds(),
+        ("tasks.md", "tasks"): tasks(),
         ("cities.md", "layers"): of_cities(),
         ("gymnasium.md", "environments"): environments(),
         ("configuration.md", "settings of the server"): settings_table(Settings),
         ("configuration.md", "settings of language models"): settings_table(InferenceSettings),
         ("llm.md", "models"): models_table(),
-        **of_tasks,
     }
 
 

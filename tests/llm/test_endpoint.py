@@ -17,7 +17,7 @@ from drone_env.llm.answers import Answer
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 
 from .conftest import TOKEN
-from .kept_run import run_config
+from .stored_run import run_config
 
 Send = Callable[..., Answer | TryFailedError]
 

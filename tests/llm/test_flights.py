@@ -17,7 +17,7 @@ from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 
 from .conftest import ROOT, TOKEN, Endpoint, blocks, environment, verified
-from .kept_run import Scripted, fly
+from .stored_run import Scripted, fly
 
 Start = Callable[..., Endpoint]
 ROUTES = int(os.environ.get("DRONE_ENV_LLM_ROUTES", "30"))

@@ -14,7 +14,7 @@ from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 
 from .conftest import Endpoint, blocks, verified
-from .kept_run import VirtualClock, fly
+from .stored_run import VirtualClock, fly
 
 Start = Callable[..., Endpoint]
 

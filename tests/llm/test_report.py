@@ -19,7 +19,7 @@ from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.record import EpisodeRecord, record_of
 
 from .conftest import Endpoint
-from .kept_run import put_run
+from .stored_run import put_run
 
 Start = Callable[..., Endpoint]
 

@@ -16,7 +16,7 @@ from drone_env.llm.transcript import Transcript, read_calls
 from drone_env.llm.verify import verified_run
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, verified, wait_until
-from .kept_run import Scripted, fly
+from .stored_run import Scripted, fly
 
 Start = Callable[..., Endpoint]
 KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))

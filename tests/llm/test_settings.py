@@ -12,7 +12,7 @@ from drone_env.llm.config import InferenceSettings, Sampling, load_settings, mod
 from tests.environment import SETTINGS
 
 from .conftest import ROOT
-from .kept_run import run_config
+from .stored_run import run_config
 
 HF, OTHER = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
 

@@ -18,7 +18,7 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pilot", "step", "of", "expected"),
+    ("pilot", "step", "of", "said"),
     [
         ("human", 20, "pathqnet", "human from step 20 of pathqnet"),
         ("greedy", 3, "a model with values", "greedy from step 3 of a model with values"),

@@ -91,7 +91,7 @@ def test_a_folder_contains_one_sweep(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"another configuration: space: .*0.9.* is now .*0.8.*; seeds: 2 is"):
         sweep.open_study(out, config_of("gamma=0.8", seeds=1))
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(InvalidValueError, match="holds other things"):
+    with pytest.raises(InvalidValueError, match="contains other files"):
         sweep.open_study(tmp_path, config_of())
 
 
