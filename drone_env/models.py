@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import to_json
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
@@ -32,6 +33,7 @@ LEGEND: dict[str, str] = {
     kind.emoji: f"{kind.name}: {kind.effect}" for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN
 }
 LEGEND[CELL_KINDS[Cell.DRONE].emoji] += ", which cell_below tells"
+LEGEND_JSON = to_json(LEGEND).decode()
 EMOJI = [CELL_KINDS[cell].emoji for cell in Cell]
 NAMES = [CELL_KINDS[cell].name for cell in Cell]
 DIRECTIONS: list[Direction] = [action.name for action in Action]
@@ -185,6 +187,42 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
         "done": episode.ended,
         "message": episode.message,
     }
+
+
+# Written without the models, which take a third of a step's time.
+def flat_json(episode: Episode, _: float | None = None) -> str:
+    """Return the JSON of `DroneObservation.of(episode)`."""
+    return _observation_json(episode, observation_numbers(episode)) + "}"
+
+
+def openenv_json(episode: Episode, reward: float | None) -> str:
+    """Return the observation in OpenEnv's format, with `reward` and `done` outside.
+
+    Args:
+        episode: The episode.
+        reward: The reward of the last step, None after a reset.
+    """
+    numbers = observation_numbers(episode)
+    done = numbers.pop("done")
+    observation = _observation_json(episode, numbers)
+    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
+
+
+def _json(value: object) -> str:
+    return to_json(value).decode()
+
+
+def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
+    """Return the JSON of an observation without the closing brace."""
+    rows = [_row_json(row) for row in map_rows(episode)]
+    grid, cell_types = (",".join([row[i] for row in rows]) for i in (0, 1))
+    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
+
+
+@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 rows
+def _row_json(row: bytes) -> tuple[str, str]:
+    emoji, names = shown(row)
+    return _json(emoji), _json(names)
 
 
 @lru_cache(maxsize=4096)

@@ -19,9 +19,9 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.results.record import EpisodeRecord, replay
-from drone_env.server.links import FIRST_PAINT, Link
 from drone_env.server.page_files import ART, PAGE
 from drone_env.server.pilots import HUMAN, OURS
+from drone_env.server.routes.page import FIRST_PAINT, Link
 
 RIVALS = (HUMAN, "tournet", "greedy")
 SECOND, PAUSE = 4, 8

@@ -27,12 +27,11 @@ with needs("server", __name__):
 from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.live.socket import LiveSocket
-from drone_env.server.logs import LogRequests
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.process import end_with_parent, run
-from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs, values
+from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import AppState, AppStateDep
@@ -95,11 +94,9 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
-    # The last middleware is the outermost.
-    app.add_middleware(Security, settings=settings)
-    app.add_middleware(LogRequests, log=shared.requests)
+    app.add_middleware(Security, settings=settings, log=shared.requests)
     app.include_router(flight.stepping)
-    for routes in (flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
+    for routes in (flight, catalogue, history, compare, runs, replay, maps, page, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))

@@ -25,7 +25,7 @@ from drone_env.models import (
 )
 from drone_env.results.record import fly_directions
 from drone_env.server.jobs import job_context
-from drone_env.server.pilots import HUMAN, Provenance, agent_of, all_pilots
+from drone_env.server.pilots import HUMAN, Provenance, all_pilots
 
 
 class FlightHeader(Message):
@@ -197,7 +197,7 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check
         CheckpointError: if the network file cannot be used.
         TooLargeError: if the map is too large for the pilot.
     """
-    agent = agent_of(pilot, episode.task, job_context().networks)
+    agent = job_context().networks.agent(pilot, episode.task)
     assert agent is not None
     agent.reset(episode.seed)
     for step, action in enumerate(actions, 1):

@@ -4,15 +4,14 @@ The request log contains no bodies, queries, headers or sessions.
 """
 
 import asyncio
-import time
 from collections import deque
 from collections.abc import AsyncGenerator
 from datetime import datetime, timezone
+from functools import cached_property
 from math import isfinite
 from pathlib import Path
 
 from pydantic import Field
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env import models
 from drone_env.errors import InvalidValueError, StoreError
@@ -34,6 +33,11 @@ class LoggedRequest(models.Message):
     status: int = Field(description="HTTP status; 101 for an opened WebSocket, 403 for a refused one.")
     milliseconds: float = Field(ge=0, description="Duration; a WebSocket is logged when it is closed.")
 
+    @cached_property
+    def event(self) -> bytes:
+        """The server-sent event of the request. Cached, because all streams share it."""
+        return f"id: {self.number}\r\ndata: {self.model_dump_json()}\r\n\r\n".encode()
+
 
 class RequestLog:
     """The request log of one process."""
@@ -43,7 +47,6 @@ class RequestLog:
         self.count = 0
         self.followers = 0
         self._changed = asyncio.Event()
-        self._batch: tuple[int, int, bytes] = (0, 0, b"")
 
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
         """Add a request."""
@@ -72,50 +75,7 @@ class RequestLog:
                 await self._changed.wait()
                 await asyncio.sleep(BATCH_SECONDS)
             start, sent = sent, self.count
-            yield self._events(start)
-
-    def _events(self, start: int) -> bytes:
-        """Return the events after a number. Streams at the same number share them."""
-        if self._batch[:2] != (start, self.count):
-            lines = [f"id: {one.number}\r\ndata: {one.model_dump_json()}\r\n\r\n" for one in self.since(start)]
-            self._batch = start, self.count, "".join(lines).encode()
-        return self._batch[2]
-
-
-class LogRequests:
-    """Middleware that logs every request.
-
-    Args:
-        app: The wrapped application.
-        log: The log.
-    """
-
-    def __init__(self, app: ASGIApp, log: RequestLog) -> None:
-        self.app = app
-        self.log = log
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on a request, and log it."""
-        if scope["type"] not in ("http", "websocket"):
-            await self.app(scope, receive, send)
-            return
-        is_http = scope["type"] == "http"
-        started = time.perf_counter()
-        status = 500 if is_http else 403
-
-        async def noting(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-            elif message["type"] == "websocket.accept":
-                status = 101
-            await send(message)
-
-        try:
-            await self.app(scope, receive, noting)
-        finally:
-            method = scope["method"] if is_http else "WEBSOCKET"
-            self.log.add(method, scope["path"], status, time.perf_counter() - started)
+            yield b"".join([entry.event for entry in self.since(start)])
 
 
 FILE_NAME = "train.log"

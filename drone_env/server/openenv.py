@@ -20,11 +20,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.core.episode import NOT_STARTED
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
-from drone_env.models import DroneState
+from drone_env.models import DroneState, openenv_json
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import start_episode
-from drone_env.server.observation_json import openenv_json
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import AppState

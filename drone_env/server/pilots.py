@@ -1,23 +1,31 @@
-"""The pilots of the page: agents and people. The provenance of a flight: the pilots of its steps."""
+"""The pilots of the page: agents, their networks, and people. The provenance of a flight: the pilots of its steps."""
 
 import logging
 import re
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from functools import lru_cache
 from inspect import cleandoc
+from pathlib import Path
 from types import FunctionType
 from typing import NamedTuple
 
 from typing_extensions import Self
 
-from drone_env.agents import AGENTS, SHIPPED_AGENTS, make_agent
+from drone_env.agents import AGENTS, NETWORK_AGENTS, SHIPPED_AGENTS, make_agent, tournet
 from drone_env.agents.base import Agent
-from drone_env.core.tasks import TaskConfig
+from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
+from drone_env.agents.weights_file import TOURNET, network_of
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
-from drone_env.server.predict import NETWORK, SOURCES, TRAINED, Networks
+from drone_env.files import stamp
 
 log = logging.getLogger(__name__)
-HUMAN = "human"
+HUMAN, NETWORK, TRAINED = "human", "pathqnet", "trained"
+"""The person, and the pilots that fly by a PathQNet: the shipped one, and the one from the data folder."""
+WHOLE_MAPS = ("trained-tournet", "tournet", TRAINED, NETWORK)
+"""The first of these that supports a task computes the actions for a whole map."""
 
 
 class Pilot(NamedTuple):
@@ -25,21 +33,33 @@ class Pilot(NamedTuple):
 
     name: str
     summary: str
+    network: str = ""
+    """Key of `NETWORK_AGENTS`; empty for a pilot without a network."""
+    trained: bool = False
+    """Whether the network is in the data folder; shipped networks are not."""
 
 
 OURS: dict[str, Pilot] = {
-    TRAINED: Pilot("Trained here", "The network that you trained, from the data folder of this server."),
-    "trained-tournet": Pilot("Tournet trained here", "The tour network that you trained, from the same folder."),
-    NETWORK: Pilot("PathQNet", "The network that is shipped: sees the map, takes the action of the highest value."),
-    "tournet": Pilot("Tournet", "A network that plans: chooses the parcel or pad to fly to next, and by which way."),
+    TRAINED: Pilot(
+        "Trained here", "The network that you trained, from the data folder of this server.", "pathqnet", trained=True
+    ),
+    "trained-tournet": Pilot(
+        "Tournet trained here", "The tour network that you trained, from the same folder.", "tournet", trained=True
+    ),
+    NETWORK: Pilot(
+        "PathQNet", "The network that is shipped: sees the map, takes the action of the highest value.", "pathqnet"
+    ),
+    "tournet": Pilot(
+        "Tournet", "A network that plans: chooses the parcel or pad to fly to next, and by which way.", "tournet"
+    ),
     "greedy": Pilot("Greedy", "Flies to the nearest parcel and looks no further."),
     "optimal": Pilot("Optimal", "Plans a best flight over the whole map and flies it."),
-    "tournet-search": Pilot("Tournet search", "Tries eight plans of Tournet before it starts, and flies the best."),
+    "tournet-search": Pilot(
+        "Tournet search", "Tries eight plans of Tournet before it starts, and flies the best.", "tournet-search"
+    ),
     "random": Pilot("Random", "Takes any action; the floor that everybody must beat."),
     HUMAN: Pilot("You", "Arrow keys or the pad; space waits."),
 }
-
-
 COLOURS = len(OURS) + 3
 """Colours of pilots on the page, `--pilot-1` and so on; further agents share the last one."""
 
@@ -124,11 +144,16 @@ def display_name(agent: str) -> str:
     return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
 
 
-def can_fly(pilot: str, task: TaskConfig, networks: Networks) -> bool:
-    """Whether a pilot can fly a task."""
-    if pilot in SOURCES:
-        return networks.flies(pilot, task)
-    return pilot in OURS or _flies(AGENTS[pilot], task)
+def _known(pilot: str) -> Pilot:
+    """Return a pilot by its id.
+
+    Raises:
+        UnknownNameError: if there is no such pilot.
+    """
+    pilots = all_pilots()
+    if pilot not in pilots:
+        raise UnknownNameError("pilot", pilot, pilots)
+    return pilots[pilot]
 
 
 @lru_cache
@@ -143,34 +168,139 @@ def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
     return True
 
 
-def require_pilot(pilot: str, task: TaskConfig, networks: Networks) -> None:
-    """Check that a pilot can fly a task, without work on a map.
+class Networks:
+    """The agents of the pilots, with the PathQNets and tour networks of the server, shipped and trained. Thread-safe.
 
-    Raises:
-        UnknownNameError: if there is no such pilot.
-        UnsupportedTaskError: if there is no network for the task.
-        CheckpointError: if the network file cannot be used.
+    A trained PathQNet has priority over the shipped one. A file that has changed is read again, so a server uses a new
+    network without a restart.
+
+    Args:
+        shipped: Folder with `<task id>_v<version>.safetensors` and `tournet_v1.safetensors`.
+        trained: Data folder with `<short name>`, `tournet_<short name>` and `tournet`, all `.safetensors`.
     """
-    if pilot not in all_pilots():
-        raise UnknownNameError("pilot", pilot, all_pilots())
-    if pilot in SOURCES:
-        networks.require(pilot, task)
-    elif pilot not in OURS:
-        make_agent(pilot, task)
+
+    def __init__(self, shipped: Path, trained: Path) -> None:
+        self._shipped, self._trained = shipped, trained
+        self._loaded: dict[Path, tuple[object, PathQNetAgent | Path | CheckpointError]] = {}
+        self._lock = threading.Lock()
+
+    def shown_network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
+        """Return the PathQNet whose values the page shows for a flight: the pilot's own, or else the preferred one.
+
+        None if there is none, or its file is invalid.
+        """
+        shown = pilot if pilot in (TRAINED, NETWORK) else self.preferred(task)
+        found = None if shown is None else self._at(shown, task)
+        return found if isinstance(found, PathQNetAgent) else None
+
+    def map_network(self, task: TaskConfig) -> str | None:
+        """Return the pilot that computes the actions for a whole map, or None."""
+        return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
+
+    def flies(self, pilot: str, task: TaskConfig) -> bool:
+        """Return whether a pilot can fly a task."""
+        if pilot not in OURS:
+            return _flies(AGENTS[pilot], task)
+        return not OURS[pilot].network or isinstance(self._at(pilot, task), PathQNetAgent | Path)
+
+    def require(self, pilot: str, task: TaskConfig) -> None:
+        """Check that a pilot can fly a task, without work on a map.
+
+        Raises:
+            UnknownNameError: if there is no such pilot.
+            UnsupportedTaskError: if there is no network for the task.
+            CheckpointError: if the network file cannot be used.
+        """
+        if _known(pilot).network:
+            self.network(pilot, task)
+        elif pilot not in OURS:
+            make_agent(pilot, task)
+
+    def agent(self, pilot: str, task: TaskConfig) -> Agent | None:
+        """Return an agent of a pilot, None for a person. PathQNet agents have no state and are shared; others are new.
+
+        Raises:
+            UnknownNameError, UnsupportedTaskError, CheckpointError: as `require`.
+            TooLargeError: if the maps of the task are too large for the pilot.
+            OSError: if the file can no longer be read.
+        """
+        kind = _known(pilot).network
+        if not kind:
+            return None if pilot == HUMAN else make_agent(pilot, task)
+        found = self.network(pilot, task)
+        with _folder_hidden(self.file(pilot, task)):
+            return NETWORK_AGENTS[kind].make(task, found) if isinstance(found, Path) else found
+
+    def network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path:
+        """Return the network of a pilot for a task: the PathQNet, or the file of a tour network.
+
+        Raises:
+            UnsupportedTaskError: if there is none; the message lists the tasks that have one.
+            CheckpointError: if its file is invalid; the message contains its name, but not its folder.
+        """
+        found = self._at(pilot, task)
+        if found is None:
+            supported = [other.short_name for other in TASKS.values() if self.flies(pilot, other)]
+            raise UnsupportedTaskError(
+                f"there is no network for {task.id!r}: {pilot!r} has no {self.file(pilot, task).name}; "
+                f"it flies {', '.join(supported) or 'nothing here'}"
+            )
+        if isinstance(found, CheckpointError):
+            raise CheckpointError(str(found))
+        return found
+
+    def file(self, pilot: str, task: TaskConfig) -> Path:
+        """Return the path of a pilot's network for a task, whether it exists or not."""
+        trained = OURS[pilot].trained
+        folder = self._trained if trained else self._shipped
+        if pilot in (TRAINED, NETWORK):
+            return folder / (f"{task.short_name}.safetensors" if trained else shipped_network(task).name)
+        if not trained:
+            return folder / tournet.SHIPPED.name
+        # A network of this task has priority over one of all tasks.
+        alone = folder / f"tournet_{task.short_name}.safetensors"
+        return alone if alone.exists() else folder / "tournet.safetensors"
+
+    def preferred(self, task: TaskConfig) -> str | None:
+        """Return the pilot whose PathQNet values the actions of a task; None without a network."""
+        return next((pilot for pilot in (TRAINED, NETWORK) if self._at(pilot, task) is not None), None)
+
+    def _at(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path | CheckpointError | None:
+        """Return the network in the current file, or the error if the file is invalid; None without a file.
+
+        Agents of tour networks have state, so for these it is the path.
+        """
+        file = self.file(pilot, task)
+        try:
+            now = stamp(file)
+            if now is None:
+                return None
+            with self._lock:
+                loaded = self._loaded.get(file)
+                if loaded is None or loaded[0] != now:
+                    try:
+                        with _folder_hidden(file):
+                            network = PathQNetAgent(task, file) if pilot in (TRAINED, NETWORK) else _tour_file(file)
+                    except CheckpointError as error:
+                        network = error
+                    loaded = self._loaded[file] = (now, network)
+                return loaded[1]
+        except OSError as error:
+            return CheckpointError(f"{file.name} cannot be read: {error.strerror}")
 
 
-def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
-    """A new agent for a pilot, None for a person.
+@contextmanager
+def _folder_hidden(file: Path) -> Generator[None, None, None]:
+    """Replace the path of a file by its name in errors: clients must not see where the server's files are."""
+    try:
+        yield
+    except CheckpointError as error:
+        raise CheckpointError(str(error).replace(str(file), file.name)) from None
 
-    Raises:
-        UnknownNameError: if there is no such pilot.
-        UnsupportedTaskError: if there is no network for the task.
-        CheckpointError: if the network file cannot be used.
-        TooLargeError: if the maps of the task are too large for the pilot.
-        OSError: if the file can no longer be read.
-    """
-    if pilot not in all_pilots():
-        raise UnknownNameError("pilot", pilot, all_pilots())
-    if pilot == HUMAN:
-        return None
-    return networks.agent(pilot, task) if pilot in SOURCES else make_agent(pilot, task)
+
+def _tour_file(file: Path) -> Path:
+    """Return the file if its header names a tour network. Agents read the rest, which compiles code."""
+    network = network_of(file)
+    if network != TOURNET:
+        raise CheckpointError(f"{file} holds a network of {network!r}, not of {TOURNET!r}")
+    return file

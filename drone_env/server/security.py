@@ -1,9 +1,10 @@
-"""Checks of the host, origin and token of a request, and its address."""
+"""The middleware around every request: its host, origin and token, its headers, its line in the log. Its address."""
 
 import base64
 import binascii
 import hmac
 import ipaddress
+import time
 from functools import lru_cache
 from urllib.parse import urlsplit
 
@@ -11,6 +12,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.server.exceptions import RequestError, answer_to
+from drone_env.server.logs import RequestLog
 from drone_env.server.page_files import is_file
 from drone_env.server.settings import Settings
 
@@ -21,7 +23,7 @@ OFFER = "bearer."
 
 
 class Security:
-    """Middleware that checks the host, the origin and the token of a request, and adds security and cache headers.
+    """Middleware that checks host, origin and token of a request, adds security and cache headers, and logs it.
 
     A server on loopback accepts only names of this machine and `allowed_hosts`: with DNS rebinding, any web page could
     call it otherwise. Browsers send the origin of a page in the `Origin` header; other programs send none.
@@ -29,10 +31,12 @@ class Security:
     Args:
         app: The wrapped application.
         settings: The allowed hosts, origins and frame ancestors, and the token.
+        log: The request log.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings, log: RequestLog) -> None:
         self.app = app
+        self.log = log
         self.hosts = {host.lower() for host in settings.allowed_hosts}
         self.listens = settings.host.lower()
         self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
@@ -52,27 +56,38 @@ class Security:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on an allowed request. A refused WebSocket is closed before it opens."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        is_http, path = scope["type"] == "http", scope["path"]
+        started, status = time.perf_counter(), 500 if is_http else 403
 
         async def send_with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
+            nonlocal status
+            if message["type"] == "websocket.accept":
+                status = 101
+            elif message["type"] == "http.response.start":
+                status = message["status"]
                 headers = [*message.get("headers", ()), *self.headers]
                 if not any(name.lower() == b"cache-control" for name, _ in headers):
                     # Browsers must revalidate the page, so that users see an update of the package at once.
-                    is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
+                    is_page = path in ("/", "/docs") or path.startswith("/static/")
                     headers.append((b"cache-control", b"no-cache" if is_page else b"no-store"))
                 message["headers"] = headers
             await send(message)
 
         try:
-            if scope["type"] in ("http", "websocket"):
+            try:
                 self._check(scope, Headers(scope=scope))
-        except RequestError as error:
-            if scope["type"] == "websocket":
-                await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
+            except RequestError as error:
+                if is_http:
+                    await answer_to(error, scope)(scope, receive, send_with_headers)
+                else:
+                    await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
             else:
-                await answer_to(error, scope)(scope, receive, send_with_headers)
-            return
-        await self.app(scope, receive, send_with_headers)
+                await self.app(scope, receive, send_with_headers)
+        finally:
+            self.log.add(scope["method"] if is_http else "WEBSOCKET", path, status, time.perf_counter() - started)
 
     def _check(self, scope: Scope, headers: Headers) -> None:
         named = headers.get("host", "")

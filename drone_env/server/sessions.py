@@ -1,4 +1,4 @@
-"""HTTP sessions: rows of the store, and a cache of their episodes in memory.
+"""HTTP sessions: which one a request flies, their rows in the store, and a cache of their episodes in memory.
 
 Another process may have stepped a session, so each use first applies the actions of the row to the cached episode.
 """
@@ -7,15 +7,25 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
+
+from fastapi import Request, Response
+from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
+from drone_env.server.exceptions import WHAT_TO_DO, RequestError
 from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import ResetOptions
+from drone_env.server.security import shared_address
 
+COOKIE = "drone_env_session"
+HEADER = "X-Session-Id"
+NEW = "new"
+"""As `X-Session-Id` of a reset, this opens a private session."""
+LONGEST_ID = 200
 ANONYMOUS = "anonymous"
 """Default name of an agent."""
 Result = TypeVar("Result")
@@ -27,11 +37,41 @@ class OtherStepError(EpisodeError):
     """The step count of the session differs from the caller's."""
 
 
+class Caller(NamedTuple):
+    """The session id of a request, or the `address` whose callers share a session."""
+
+    named: str | None
+    address: str | None
+
+    @classmethod
+    def of(cls, request: Request) -> Self:
+        """Read the header or the cookie. Empty ones count as missing."""
+        named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
+        if named or request.app.state.shared.settings.token is not None:
+            return cls(None if named in ("", NEW) else named, None)
+        return cls(None, shared_address(request.scope))
+
+    def session(self, sessions: "Sessions", answer: Response | None = None) -> str:
+        """Return the session id. The header of `answer` contains the id of a shared session.
+
+        Raises:
+            RequestError: if there is no session.
+        """
+        if self.named is not None:
+            return self.named
+        session = None if self.address is None else sessions.store.unnamed_session(self.address)
+        if session is None:
+            raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
+        if answer is not None:
+            answer.headers[HEADER] = session
+        return session
+
+
 class _Cached:
     """A session as this process used it last, and the lock of its user."""
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
+        self.lock = threading.RLock()
         self.session: Session | None = None
 
 
@@ -93,8 +133,8 @@ class Sessions:
     def _begin(
         self, session: str, options: ResetOptions, show: Show[Result], address: str | None, flown: bool = False
     ) -> Result:
-        with self._locked(session) as cached:
-            with self._changing(cached, session, address) as row:
+        with self._locked(session):
+            with self.changing(session, address) as row:
                 if flown and not row.actions:
                     raise NoSessionError("this session has no steps yet")
                 episode = start_episode(options, row.seed)
@@ -108,8 +148,7 @@ class Sessions:
         show: Show[Result],
         after: int | None = None,
         address: str | None = None,
-        check: Callable[[Session], None] | None = None,
-    ) -> tuple[Session, Result]:
+    ) -> Result:
         """Fly one action, and store the step, and the episode if it ends.
 
         Args:
@@ -119,20 +158,17 @@ class Sessions:
             after: The caller's step count. A repeated request with the same count is flown once and returns the same
                 result. None flies the action in any case.
             address: The address of a caller without an id.
-            check: Raises an error if the session must not be stepped.
 
         Returns:
-            The session, and the result of `show`.
+            The result of `show`.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
             OtherStepError: if its step count differs from `after`, and the last action is not this one.
         """
-        with self._locked(session) as cached:
-            with self._changing(cached, session, address) as row:
-                if check is not None:
-                    check(row)
+        with self._locked(session):
+            with self.changing(session, address) as row:
                 flown = len(row.actions)
                 if after is None or after == flown:
                     reward = advance(row, action)
@@ -145,7 +181,7 @@ class Sessions:
                         f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state "
                         "tells where it stands"
                     )
-            return row, show(row.fly(), reward)
+            return show(row.fly(), reward)
 
     @contextmanager
     def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
@@ -155,8 +191,12 @@ class Sessions:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._locked(session) as cached, self._changing(cached, session, address) as row:
-            yield row
+        with self._locked(session) as cached:
+            previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
+            with self.store.session(session, address) as row:
+                row.go_on_from(previous)
+                yield row
+            cached.session = row
 
     @contextmanager
     def reading(self, session: str) -> Generator[Session, None, None]:
@@ -204,14 +244,6 @@ class Sessions:
         except (NoSessionError, SessionGoneError):
             self._forget(session)
             raise
-
-    @contextmanager
-    def _changing(self, cached: _Cached, session: str, address: str | None) -> Generator[Session, None, None]:
-        previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
-        with self.store.session(session, address) as row:
-            row.go_on_from(previous)
-            yield row
-        cached.session = row
 
     def _forget(self, session: str) -> None:
         with self._lock:

@@ -3,30 +3,23 @@
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated, NamedTuple, TypeVar
+from typing import Annotated, TypeVar
 
 from fastapi import Depends, Header, Request, Response
 from starlette.requests import HTTPConnection
-from typing_extensions import Self
 
 from drone_env.core.tasks import FINDERS
 from drone_env.files import MAPS
 from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.exceptions import WHAT_TO_DO, RequestError, error_responses
+from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.logs import RequestLog
 from drone_env.server.model_runs import StoredRuns
-from drone_env.server.predict import Networks
-from drone_env.server.security import shared_address
-from drone_env.server.sessions import Sessions
+from drone_env.server.pilots import Networks
+from drone_env.server.sessions import HEADER, LONGEST_ID, Caller, Sessions
 from drone_env.server.settings import Settings
 from drone_env.server.workers import Workers
 
-COOKIE = "drone_env_session"
-HEADER = "X-Session-Id"
-NEW = "new"
-"""As `X-Session-Id` of a reset, this opens a private session."""
-LONGEST_ID = 200
 SESSION_ERRORS = error_responses(409, 410, 422, 503)
 Result = TypeVar("Result")
 
@@ -120,36 +113,6 @@ async def _disconnected(request: Request) -> None:
 async def get_app_state(request: Request) -> AppState:
     """The parts of the server that handles a request."""
     return request.app.state.shared
-
-
-class Caller(NamedTuple):
-    """The session id of a request, or the `address` whose callers share a session."""
-
-    named: str | None
-    address: str | None
-
-    @classmethod
-    def of(cls, request: Request) -> Self:
-        """Read the header or the cookie. Empty ones count as missing."""
-        named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
-        if named or request.app.state.shared.settings.token is not None:
-            return cls(None if named in ("", NEW) else named, None)
-        return cls(None, shared_address(request.scope))
-
-    def session(self, shared: AppState, answer: Response | None = None) -> str:
-        """Return the session id. The header of `answer` contains the id of a shared session.
-
-        Raises:
-            RequestError: if there is no session.
-        """
-        if self.named is not None:
-            return self.named
-        session = None if self.address is None else shared.store.unnamed_session(self.address)
-        if session is None:
-            raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
-        if answer is not None:
-            answer.headers[HEADER] = session
-        return session
 
 
 async def get_caller(

@@ -52,7 +52,7 @@ class Job(Future[Any]):
         self.arguments = arguments
         self.quick = quick
         self.dropped = False
-        self.process: _Process | None = None
+        self.process: BaseProcess | None = None
         self._workers = workers
 
     def cancel(self) -> bool:
@@ -182,10 +182,11 @@ class Workers:
         try:
             process = process or _Process(self._settings)
             with self._condition:
-                job.process = process
+                job.process = process.process
                 if job.dropped and (self._closed or not job.quick):
-                    process.kill()
-            result, error, then = process.call(job.function, job.arguments)
+                    job.process.kill()
+            process.connection.send((job.function, job.arguments))
+            result, error, then = process.connection.recv()
         except (EOFError, OSError):
             error = self._error_of(process, job)
             is_final = is_new or job.dropped or isinstance(error, TooLargeError)
@@ -231,7 +232,7 @@ class Workers:
 
 
 class _Process:
-    """One worker process. Only its own thread may use it, except for `kill`."""
+    """One worker process. Only its own thread may use it, but others may kill it."""
 
     def __init__(self, settings: Settings) -> None:
         context: Any = multiprocessing.get_context(METHOD)
@@ -239,32 +240,17 @@ class _Process:
             context.set_forkserver_preload(PRELOADED)
         # A forked worker inherits the environment of the forkserver, which may be outdated.
         environment = {name: value for name, value in os.environ.items() if name.startswith("DRONE_ENV_")}
-        self._connection, theirs = context.Pipe()
-        arguments = theirs, self._connection, settings, environment, (TASKS, REWARD_PROFILES)
-        self._process: BaseProcess = context.Process(target=serve, args=arguments, name="drone_env-worker", daemon=True)
-        self._process.start()
+        self.connection, theirs = context.Pipe()
+        arguments = theirs, self.connection, settings, environment, (TASKS, REWARD_PROFILES)
+        self.process: BaseProcess = context.Process(target=serve, args=arguments, name="drone_env-worker", daemon=True)
+        self.process.start()
         theirs.close()
-
-    def call(
-        self, function: Callable[..., Any], arguments: tuple[object, ...]
-    ) -> tuple[Any, DroneEnvError | None, int]:
-        """Call a function and return its result, its error, and `NEXT`, `LAST` or `AGAIN`.
-
-        Raises:
-            EOFError, OSError: if the process has ended.
-        """
-        self._connection.send((function, arguments))
-        return self._connection.recv()
-
-    def kill(self) -> None:
-        """Kill the process."""
-        self._process.kill()
 
     def end(self) -> int | None:
         """End the process, and return its exit status, or minus the number of a signal."""
-        self._connection.close()  # ends it unless it is busy
-        self._process.join(1)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        return self._process.exitcode
+        self.connection.close()  # ends it unless it is busy
+        self.process.join(1)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        return self.process.exitcode

@@ -19,9 +19,8 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import DroneObservation
 from drone_env.server.logs import KEPT, LONGEST_PATH, POINTS, RequestLog, TrainLog
-from drone_env.server.predict import arrays_of
+from drone_env.server.routes.flight import Prediction, arrays_of
 from drone_env.server.routes.history import LINES
-from drone_env.server.schemas import Prediction
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]

@@ -9,7 +9,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.models import DroneObservation, DroneState
 from drone_env.planning.optimal import solve
-from drone_env.server.schemas import FlatReset, PathHistory, ResetResult, SolutionAnswer, StepResult
+from drone_env.server.routes.flight import FlatReset, PathHistory, ResetResult, SolutionAnswer, StepResult
 
 Header = dict[str, str]
 UP = {"direction": "UP"}

@@ -11,11 +11,10 @@ from starlette.testclient import TestClient
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.models import DroneObservation
+from drone_env.models import DroneObservation, flat_json
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME, Store
 from drone_env.server.app import create_app
-from drone_env.server.observation_json import flat_json
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
@@ -79,7 +78,7 @@ class TestSessions:
                 return f"{reward} {kept} {episode.actions}"
 
             name, _ = sessions.reset(None, ResetOptions(seed=7), flat_json)
-            assert sessions.advance(name, Action.WAIT, show)[1].endswith("(4,) [4]")
+            assert sessions.advance(name, Action.WAIT, show).endswith("(4,) [4]")
             assert sessions.reset(name, ResetOptions(seed=7), show) == (name, "None () []")
 
     def test_an_idle_session_makes_room_and_reading_does_not_keep_it(self, tmp_path: Path, clock: Clock) -> None:

@@ -14,8 +14,8 @@ from drone_env.envs.rendering import draw_card
 from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.server.app import create_app
-from drone_env.server.links import FIRST_PAINT
 from drone_env.server.page_files import PAGE
+from drone_env.server.routes.page import FIRST_PAINT
 from drone_env.server.settings import Settings
 from tests.api.live_page import flown
 from tools.first_paint import draw

@@ -13,12 +13,11 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.models import observation_fields
+from drone_env.models import observation_fields, openenv_json
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.json_routes import SMALL
-from drone_env.server.observation_json import openenv_json
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.cluster.sessions import openenv_result

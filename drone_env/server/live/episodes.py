@@ -2,8 +2,8 @@
 
 import asyncio
 import secrets
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
@@ -16,7 +16,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import DIRECTIONS, Direction
+from drone_env.models import DIRECTIONS, Direction, flat_json
 from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import (
@@ -32,8 +32,7 @@ from drone_env.server.frames import (
 )
 from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
-from drone_env.server.observation_json import flat_json
-from drone_env.server.pilots import HUMAN, Provenance, all_pilots, require_pilot
+from drone_env.server.pilots import HUMAN, Provenance, all_pilots
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import AppState
 
@@ -57,7 +56,7 @@ class LiveEpisode:
     """
 
     def __init__(self, row: Session, shared: AppState, caller: str) -> None:
-        self._see(row)
+        self.row = _copy(row)
         self.pilot = self.provenance.pilot
         if self.pilot not in all_pilots():
             raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
@@ -76,6 +75,11 @@ class LiveEpisode:
     def episode(self) -> Episode:
         """The episode in its current state."""
         return self.row.fly()
+
+    @property
+    def provenance(self) -> Provenance:
+        """The pilots of its steps."""
+        return Provenance.parse(self.row.agent)
 
     @property
     def automatic(self) -> bool:
@@ -121,11 +125,6 @@ class LiveEpisode:
         for job in self._jobs:
             job.cancel()
 
-    def step(self) -> Frame:
-        """Fly one step of an automatic episode whose actions are `planned`."""
-        assert self._plan is not None
-        return self._fly(self._plan[self.episode.steps])
-
     def begin_with(self, actions: Sequence[int], planned: list[int] | None) -> None:
         """Fly the first actions of a new flight and store them.
 
@@ -136,7 +135,7 @@ class LiveEpisode:
         self._plan = planned
         if not actions:
             return
-        with self._sessions.changing(self.row.id) as row:
+        with self._changing() as row:
             for action in actions:
                 advance(row, action)
             if row.finished:
@@ -144,7 +143,11 @@ class LiveEpisode:
                 record = row.finished[0].record.to_json()
                 row.episode_id = sha256(record.encode()).hexdigest()[:16]
                 row.finished[0] = row.finished[0].model_copy(update={"id": row.episode_id})
-        self._see(row)
+
+    def step(self) -> Frame:
+        """Fly one step of an automatic episode whose actions are `planned`."""
+        assert self._plan is not None
+        return self._fly(self._plan[self.episode.steps])
 
     def fly(self, direction: Direction) -> Frame:
         """Fly one step by hand.
@@ -164,11 +167,9 @@ class LiveEpisode:
         self._check_by_hand()
         if self.episode.steps <= self._first:
             raise EpisodeError("there is no step to take back: you have flown none")
-        with self._sessions.changing(self.row.id) as row:
-            self._check_unchanged(row)
+        with self._changing() as row:
             row.actions, row.episode = row.actions[:-1], None
             row.agent = check_agent(str(self.provenance._replace(undo=True)))
-        self._see(row)
         del self.values[self.episode.steps + 1 :]
 
     def help(self) -> Frame:
@@ -178,10 +179,8 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         self._check_by_hand()
-        with self._sessions.changing(self.row.id) as row:
-            self._check_unchanged(row)
+        with self._changing() as row:
             row.agent = check_agent(str(self.provenance._replace(values=True)))
-        self._see(row)
         return self.frame()
 
     def shown_values(self) -> list[float] | None:
@@ -202,20 +201,23 @@ class LiveEpisode:
         return f'{{"opening":{header},"frames":{frames or to_json([self.frame()]).decode()}}}'
 
     def _fly(self, action: int) -> Frame:
-        row, episode = self._sessions.advance(
-            self.row.id, action, lambda episode, _: episode.copy(), check=self._check_unchanged
-        )
-        self.row = replace(row, episode=episode)
+        with self._changing() as row:
+            advance(row, action)
         return self.frame()
 
-    def _see(self, row: Session) -> None:
-        """Copy the session and its episode."""
-        self.row, self.provenance = replace(row, episode=row.fly().copy()), Provenance.parse(row.agent)
+    @contextmanager
+    def _changing(self) -> Generator[Session, None, None]:
+        """Context manager of the session to change; then copy it.
 
-    def _check_unchanged(self, row: Session) -> None:
-        known = self.row
-        if (row.flight, row.agent, row.actions) != (known.flight, known.agent, known.actions):
-            raise SessionGoneError("another page or client flies this session now: start a new flight")
+        Raises:
+            SessionGoneError: if somebody else has changed it.
+        """
+        with self._sessions.changing(self.row.id) as row:
+            if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
+                raise SessionGoneError("another page or client flies this session now: start a new flight")
+            yield row
+            copied = _copy(row)
+        self.row = copied
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -238,6 +240,11 @@ class LiveEpisode:
     @property
     def _shown(self) -> bool:
         return shows_values(self.provenance, self.episode)
+
+
+def _copy(row: Session) -> Session:
+    """Copy a session with its episode, which other threads may fly on."""
+    return replace(row, episode=row.fly().copy())
 
 
 async def _finished(job: "asyncio.Future[Result]") -> Result:
@@ -321,7 +328,7 @@ def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Epi
     """The episode at its start, the agents, and the index of the one that flies the fork."""
     task, fork, agents = get_task(command.task), command.fork, list(command.pilots)
     for pilot in agents:
-        require_pilot(pilot, task, shared.networks)
+        shared.networks.require(pilot, task)
     seed = command.seed
     while seed is None or (command.seed is None and last is not None and seed == last.seed):
         seed = secrets.randbelow(MAPS)

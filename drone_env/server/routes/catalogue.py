@@ -1,34 +1,152 @@
 """The routes that list tasks, graders, cell kinds and pilots, and the health check."""
 
+from dataclasses import fields
+from typing import Any, Literal
+
+import numpy as np
 from fastapi import APIRouter
+from pydantic import Field, create_model
+from typing_extensions import Self
 
 from drone_env import __version__
+from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
-from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
+from drone_env.models import Count, Message
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import COLOURS, HUMAN, all_pilots, can_fly
-from drone_env.server.predict import SOURCES
-from drone_env.server.schemas import (
-    GraderInfo,
-    GraderList,
-    Health,
-    KindInfo,
-    KindList,
-    OneTask,
-    PilotInfo,
-    PilotList,
-    ProfileInfo,
-    TaskInfo,
-    TaskList,
-)
+from drone_env.server.pilots import COLOURS, HUMAN, all_pilots
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["catalogue"])
 PUBLISHED = ("easy_delivery", "medium_delivery", "hard_delivery")
 """The tasks of `openenv.yaml`."""
+STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
+"""Events that do not change the distance to the target."""
+
+
+_CONVERTED = ("drain", "impassable", "terrain")
+_PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in _CONVERTED}
+
+
+class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
+    """One task: the fields of its `TaskConfig`, except for the terrain."""
+
+    name: str = Field(description="Same as `id`.")
+    drain: dict[str, int] = Field(description="Battery units per step by kind of cell below the drone; default 1.")
+    impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
+    charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
+    rewards: dict[str, dict[str, list[float]]] = Field(
+        description="Reward of each event, by reward profile; empty if the profile does not reward events. Three "
+        "numbers if the drone moves: distance to the target grows, stays equal, shrinks. Otherwise one number."
+    )
+    published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
+    attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
+
+    @classmethod
+    def of(cls, task: TaskConfig, published: bool) -> Self:
+        """Describe a task."""
+        return cls(
+            **{name: getattr(task, name) for name in _PLAIN},
+            name=task.id,
+            drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
+            impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
+            rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
+            published=published,
+            attribution=task.attribution,
+        )
+
+
+def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[float]]:
+    table = np.reshape(np.asarray(tabulate_rewards(task, profile).events), (-1, 3))
+    events = [event for event in Event if event is not Event.NONE and table.any()]
+    return {event.name.lower(): (table[event, 1:2] if event in STAYING else table[event]).tolist() for event in events}
+
+
+class ProfileInfo(Message):
+    """The terms of a reward profile that are equal for all tasks. `TaskInfo.rewards` contains the others."""
+
+    id: str
+    summary: str = Field(description="One-line summary.")
+    shaping: float = Field(description="Reward per cell by which the distance to the target shrinks.")
+    clamp: tuple[float, float] | None = Field(description="Bounds of the sum of event reward and shaping.")
+    shaping_gamma: float | None = Field(description="Discount of potential-based shaping; null for none.")
+    pays_score: bool = Field(description="Whether the last step pays the graded score.")
+
+    @classmethod
+    def of(cls, profile: RewardProfile) -> Self:
+        """Describe a profile."""
+        return cls.model_validate(profile, from_attributes=True, strict=False)
+
+
+class TaskList(Message):
+    """All tasks and reward profiles."""
+
+    tasks: list[TaskInfo]
+    reward_profiles: list[ProfileInfo]
+
+
+class OneTask(Message):
+    """One task and its pilots."""
+
+    task: TaskInfo
+    pilots: list[str] = Field(description="Ids of the pilots that can fly it, as in `/pilots`.")
+
+
+class GraderInfo(Message):
+    """One grader."""
+
+    id: str = Field(description="`module:function`.")
+    task: str = Field(description="Id of its task.")
+
+
+class GraderList(Message):
+    """All graders."""
+
+    graders: list[GraderInfo]
+    ids: list[str] = Field(description="The ids in the same order.")
+
+
+class KindInfo(Message):
+    """One kind of cell."""
+
+    id: Count = Field(description="Its number in grids.")
+    name: str
+    emoji: str
+    effect: str
+
+
+class KindList(Message):
+    """All kinds of cells."""
+
+    kinds: list[KindInfo]
+
+
+class PilotInfo(Message):
+    """One pilot of the page."""
+
+    id: str
+    name: str
+    summary: str
+    colour: int = Field(ge=1, description="Number of its colour on the page.")
+    automatic: bool = Field(description="False for a human pilot.")
+    tasks: list[str] = Field(description="Ids of the tasks that it can fly.")
+
+
+class PilotList(Message):
+    """All pilots of the page."""
+
+    pilots: list[PilotInfo]
+    most: Count = Field(description="Most pilots in a race.")
+
+
+class Health(Message):
+    """Status of the server."""
+
+    status: Literal["healthy"] = "healthy"
+    version: str = Field(description="Version of the package.")
 
 
 @router.get("/tasks")
@@ -48,7 +166,7 @@ def one_task(shared: AppStateDep, task_name: str) -> OneTask:
 
 def describe(task: TaskConfig, shared: AppState) -> OneTask:
     """A task and its pilots."""
-    flying = [name for name in all_pilots() if can_fly(name, task, shared.networks)]
+    flying = [name for name in all_pilots() if shared.networks.flies(name, task)]
     return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
 
 
@@ -70,10 +188,11 @@ def pilots(shared: AppStateDep) -> PilotList:
     """The pilots of the page and their tasks; networks that you trained are included."""
     pilots: list[PilotInfo] = []
     for colour, (name, pilot) in enumerate(all_pilots().items(), 1):
-        tasks = [task.id for task in TASKS.values() if can_fly(name, task, shared.networks)]
-        if tasks or name not in SOURCES or not SOURCES[name].trained:
+        tasks = [task.id for task in TASKS.values() if shared.networks.flies(name, task)]
+        if tasks or not pilot.trained:
             look, automatic = min(colour, COLOURS), name != HUMAN
-            pilots.append(PilotInfo(id=name, **pilot._asdict(), colour=look, automatic=automatic, tasks=tasks))
+            about = {"name": pilot.name, "summary": pilot.summary}
+            pilots.append(PilotInfo(id=name, **about, colour=look, automatic=automatic, tasks=tasks))
     return PilotList(pilots=pilots, most=MOST_EPISODES)
 
 

@@ -1,48 +1,44 @@
-"""The routes that fly: reset, step, and the state of the session's episode."""
+"""The routes that fly: reset, step, the state of the session's episode, and the network's next action."""
 
 import asyncio
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from fastapi import APIRouter, Body, Header, Request, Response
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from drone_env.core.episode import Episode
-from drone_env.core.tasks import get_task
+from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode, Observation
+from drone_env.core.observation import telemetry_of
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, make_grader
-from drone_env.models import DIRECTIONS, DroneObservation, DroneState
+from drone_env.models import (
+    DIRECTIONS,
+    NAMES,
+    Count,
+    Direction,
+    DroneObservation,
+    DroneState,
+    GroundName,
+    Message,
+    PathPoint,
+    Position,
+    Score,
+    Seed,
+    flat_json,
+    openenv_json,
+)
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import LARGE_BODY, JsonRequest, JsonRoute
-from drone_env.server.observation_json import flat_json, openenv_json
-from drone_env.server.predict import arrays_of
 from drone_env.server.routes.replay import best_flight
-from drone_env.server.schemas import (
-    RESETS,
-    STEPS,
-    FlatReset,
-    Grade,
-    PathHistory,
-    Prediction,
-    PredictRequest,
-    ResetOptions,
-    ResetResult,
-    SolutionAnswer,
-    StepRequest,
-    StepResult,
-    examples,
-)
-from drone_env.server.state import (
-    COOKIE,
-    HEADER,
-    LONGEST_ID,
-    SESSION_ERRORS,
-    AppState,
-    AppStateDep,
-    Caller,
-    CallerDep,
-)
+from drone_env.server.schemas import RESETS, STEPS, ResetOptions, StepRequest, examples
+from drone_env.server.sessions import COOKIE, HEADER, LONGEST_ID, Caller
+from drone_env.server.state import SESSION_ERRORS, AppState, AppStateDep, CallerDep
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
 STEP_HEADER = "x-step-count"
@@ -55,6 +51,87 @@ OPENED: dict[str, Any] = {
         for name in IN_SESSION
     },
 }
+
+
+class StepResult(Message):
+    """An observation in OpenEnv's format, with reward and done outside."""
+
+    observation: dict[str, Any] = Field(description="The fields of `DroneObservation` without `done`, and `metadata`.")
+    reward: float | None = Field(description="Reward of the step; null after a reset.")
+    done: bool = Field(description="Whether the episode has ended.")
+
+
+SessionId = Annotated[str, Field(description="The session id. Send it as the header X-Session-Id with every request.")]
+
+
+class FlatReset(DroneObservation):
+    """The first observation of an episode, and the session id."""
+
+    session_id: SessionId
+
+
+class ResetResult(StepResult):
+    """The first observation in OpenEnv's format, and the session id."""
+
+    session_id: SessionId
+
+
+class Grade(Message):
+    """The graded score of the session's episode."""
+
+    task: str = Field(description="Id of the task.")
+    score: Score = Field(description="The graded score; provisional until `done`.")
+    done: bool = Field(description="Whether the episode has ended.")
+
+
+class PathHistory(Message):
+    """The steps of a session's episode."""
+
+    task: str = Field(description="Id of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    step_count: Count = Field(description="Steps flown.")
+    path: list[PathPoint] = Field(description="All steps, in order.")
+    path_history: list[PathPoint] = Field(description="Same as `path`.")
+
+
+class SolutionAnswer(Message):
+    """An optimal flight on the map of an episode that has ended."""
+
+    task: str = Field(description="Id of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    score: Score = Field(description="Score of the session's episode.")
+    optimal_score: Score = Field(description="Highest possible score on this map.")
+    regret: float = Field(ge=0, description="optimal_score - score.")
+    steps: Count = Field(description="Steps of the optimal flight.")
+    deliveries: Count = Field(description="Parcels that it delivers.")
+    actions: list[Direction] = Field(description="Its actions, in order.")
+    path: list[Position] = Field(description="Its positions [x, y], including the start.")
+
+
+class ModelInfo(Message):
+    """The network behind a prediction."""
+
+    name: Literal["pathqnet"] = "pathqnet"
+    file: str = Field(description="Name of its file.")
+    digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
+
+
+class PredictRequest(DroneObservation):
+    """An observation from `/step` or `/reset`."""
+
+    # Networks need it only for tasks with pads.
+    cell_below: GroundName | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default=None, description="Kind of the cell below the drone; optional for tasks without pads."
+    )
+    session_id: str | None = Field(default=None, max_length=255, description="Ignored.")
+
+
+class Prediction(Message):
+    """The next action by the network."""
+
+    action: Direction = Field(description="The action with the highest value.")
+    q_values: dict[Direction, float] = Field(description="Value of each action.")
+    model: ModelInfo
 
 
 @router.post(
@@ -90,14 +167,14 @@ def reset(
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
 def end_session(shared: AppStateDep, caller: CallerDep, response: Response) -> None:
     """End the session and free its place. An unfinished episode is dropped."""
-    shared.sessions.end(caller.session(shared, response))
+    shared.sessions.end(caller.session(shared.sessions, response))
     response.delete_cookie(COOKIE)
 
 
 @router.get("/state", responses=SESSION_ERRORS)
 def state(shared: AppStateDep, caller: CallerDep, answer: Response) -> DroneState:
     """The full state of the session's episode."""
-    with shared.sessions.reading(caller.session(shared, answer)) as session:
+    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
         return DroneState.of(session.fly()).model_copy(update={"episode_id": session.episode_id})
 
 
@@ -105,7 +182,7 @@ def state(shared: AppStateDep, caller: CallerDep, answer: Response) -> DroneStat
 def grade(shared: AppStateDep, caller: CallerDep, answer: Response, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
     task = get_task(task_name)
-    with shared.sessions.reading(caller.session(shared, answer)) as session:
+    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
         episode = session.fly()
         if episode.task.id != task.id:
             raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
@@ -116,7 +193,7 @@ def grade(shared: AppStateDep, caller: CallerDep, answer: Response, task_name: s
 @router.get("/path_history", responses=SESSION_ERRORS)
 def path_history(shared: AppStateDep, caller: CallerDep, answer: Response) -> PathHistory:
     """The flight of the session's episode so far."""
-    with shared.sessions.reading(caller.session(shared, answer)) as session:
+    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
         flown = DroneState.of(session.fly())
     path = flown.path_history
     return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
@@ -127,7 +204,7 @@ async def solution(request: Request, shared: AppStateDep, caller: CallerDep, ans
     """The best flight over the map of the session's episode, once that has ended."""
 
     def flown() -> Episode:
-        with shared.sessions.reading(caller.session(shared, answer)) as session:
+        with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
             return session.fly().copy()
 
     episode = await run_in_threadpool(flown)
@@ -153,13 +230,66 @@ def predict(shared: AppStateDep, caller: CallerDep, answer: Response, body: Pred
     if body is not None:
         if body.done:
             raise RequestError(422, "ended", "the episode of this observation has ended: there is no next action")
-        return shared.networks.predict(*arrays_of(body))
-    with shared.sessions.reading(caller.session(shared, answer)) as session:
+        return _predicted(shared, *arrays_of(body))
+    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
         episode = session.fly()
         if episode.ended:
             raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
         task, observation = episode.task, episode.observation()
-    return shared.networks.predict(task, observation)
+    return _predicted(shared, task, observation)
+
+
+def _predicted(shared: AppState, task: TaskConfig, observation: Observation) -> Prediction:
+    pilot = shared.networks.preferred(task)
+    if pilot is None:
+        detail = f"there is no network for {task.id!r}; train one: drone-env train --task {task.short_name}"
+        raise RequestError(503, "no_network", detail)
+    agent = shared.networks.network(pilot, task)
+    assert isinstance(agent, PathQNetAgent)
+    values = agent.q_values(observation)
+    return Prediction(
+        action=DIRECTIONS[int(np.argmax(values))],
+        q_values=dict(zip(DIRECTIONS, values.tolist(), strict=True)),
+        model=ModelInfo(file=shared.networks.file(pilot, task).name, digest=str(agent.config["network"])),
+    )
+
+
+def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:
+    """Return the task and the arrays of an observation, as agents need them.
+
+    Raises:
+        InvalidValueError: if no task matches, the battery exceeds the task's capacity, or `cell_below` is missing in a
+            task with pads.
+    """
+    shape = (observation.grid_width, observation.grid_height, observation.deliveries_total, observation.max_steps)
+    shapes = {(task.width, task.height, task.deliveries, task.max_steps): task for task in TASKS.values()}
+    task = shapes.get(shape)
+    if task is None:
+        known = "; ".join(f"{task.id} {shape}" for shape, task in shapes.items())
+        raise InvalidValueError(
+            f"no task has (grid_width, grid_height, deliveries_total, max_steps) = {shape}; there are: {known}"
+        )
+    if observation.battery_steps_remaining > task.battery_capacity:
+        raise InvalidValueError(f"battery_steps_remaining must be at most {task.battery_capacity} in {task.id!r}")
+    below = observation.cell_below
+    placed = [kind for kind, count in task.cell_counts().items() if count and kind not in task.impassable]
+    possible = [NAMES[kind] for kind in (Cell.ROAD, Cell.DELIVERED, *placed)]
+    if below not in possible and (below is not None or task.pads):
+        raise InvalidValueError(
+            f"cell_below {'is missing' if below is None else f'cannot be {below}'}: in {task.id!r} one of "
+            f"{', '.join(possible)} is below the drone; /reset and /step return it"
+        )
+    target = observation.current_target
+    telemetry = telemetry_of(
+        task,
+        cell=observation.drone_y * task.width + observation.drone_x,
+        under=0 if below is None else NAMES.index(below),
+        battery=observation.battery_steps_remaining,
+        steps=observation.step_count,
+        target=None if target is None else target[1] * task.width + target[0],
+    )
+    grid = np.array([[NAMES.index(name) for name in line] for line in observation.cell_types], np.uint8)
+    return task, {"grid": grid, "telemetry": telemetry}
 
 
 class StepRoute(JsonRoute):
@@ -185,8 +315,8 @@ class StepRoute(JsonRoute):
 
 
 def _advance(shared: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
-    session, show = caller.session(shared), flat_json if body.action is None else openenv_json
-    _, stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
+    session, show = caller.session(shared.sessions), flat_json if body.action is None else openenv_json
+    stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session

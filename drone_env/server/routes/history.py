@@ -1,6 +1,6 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse
@@ -10,10 +10,10 @@ from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
 from drone_env.models import MAX_SEED, Message
+from drone_env.results.finished import Analysis, EpisodeSummary
 from drone_env.results.record import EpisodeRecord
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
-from drone_env.server.schemas import AnalysisAnswer, EpisodePage, EpisodeSummaries, History, LogLines
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["history"])
@@ -21,6 +21,38 @@ SUMMARIES = 5
 ROLLING = 20
 LINES = 50
 FOLLOWERS = 32
+
+
+class AnalysisAnswer(Analysis):
+    """Statistics of the finished episodes of a task."""
+
+    status: Literal["Success", "No data"] = Field(description="Whether there are any episodes.")
+
+
+class EpisodeSummaries(Message):
+    """Finished episodes, newest first."""
+
+    episodes: list[EpisodeSummary]
+
+
+class EpisodePage(EpisodeSummaries):
+    """A page of finished episodes, newest first."""
+
+    next: int | None = Field(description="Value of `before` for the next page; null on the last page.")
+
+
+class History(EpisodeSummaries):
+    """The last finished episodes of a task, oldest first."""
+
+    task: str = Field(description="Id of the task.")
+    rolling_success: list[float] = Field(description="Success rate over 20 episodes up to each episode.")
+
+
+class LogLines(Message):
+    """The end of a log file."""
+
+    file: str = Field(description="Name of the file.")
+    lines: list[str] = Field(description="Its last lines, oldest first; empty if there is no file.")
 
 
 class Requests(Message):

@@ -20,9 +20,8 @@ from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
-from drone_env.server.routes.catalogue import describe
+from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.routes.replay import best_flight
-from drone_env.server.schemas import OneTask
 from drone_env.server.security import stranger_address
 from drone_env.server.state import AppStateDep
 
