@@ -42,7 +42,7 @@ Stage = Literal["sft", "grpo", "evaluate"]
 Reward = Literal["score", "regret", "rank"]
 PHRASES = (
     r"(?:pad|parcel) (?:left|right) \d+ (?:up|down) \d+|cost \d+ via [A-Z]+|(?:battery|left) \d+"
-    r"|(?:UP|DOWN|LEFT|RIGHT) [a-z]+|Below the drone: [a-z ]+|<[a-z]+>|\S+"
+    r"|(?:UP|DOWN|LEFT|RIGHT) [a-z]+|Below the drone: [a-z]+(?: pad)?|<[a-z]+>|\S+"
 )
 """What is one word to the tiny model."""
 CHAT_TEMPLATE = """

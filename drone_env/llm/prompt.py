@@ -269,7 +269,8 @@ def _compass(task: TaskConfig, obs: DroneObservation) -> str:
     here, width = obs.drone_y * obs.grid_width + obs.drone_x, obs.grid_width
     grid = np.array([NAMES.index(name) for name in names], np.uint8)
     units, first = cheapest_ways(task, grid, here)
-    lines, names[here] = [], obs.cell_below
+    names[here] = obs.cell_below
+    lines: list[str] = []
     for action, (dx, dy) in ACTION_OFFSETS.items():
         if action is Action.WAIT:
             continue
