@@ -1,7 +1,7 @@
 """Post-train a tiny language model on two cores: supervised fine-tuning, then GRPO, then honest evaluation.
 
     pip install -e '.[llm,trl]' accelerate
-    python examples/post_train.py                              # sft grpo evaluate, about an hour on two cores
+    python examples/post_train.py                              # sft weak grpo evaluate, about an hour on two cores
     python examples/post_train.py sft --maps 500 --seed 1      # one stage
     python examples/post_train.py --model Qwen/Qwen3-0.6B --device cuda --batch 16 --lr 2e-5   # a model from the hub
 
@@ -15,6 +15,7 @@ Each stage reads and writes folders in `--out`: `sft` and `weak` (the same train
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -38,7 +39,7 @@ from drone_env.llm.prompt import get_prompt
 from drone_env.planning.optimal import solve, solver_of
 from drone_env.results.statistics import DIFFERENCES, SCORES, interval
 
-Stage = Literal["sft", "grpo", "evaluate"]
+Stage = Literal["sft", "weak", "grpo", "evaluate"]
 Reward = Literal["score", "regret", "rank"]
 PHRASES = (
     r"(?:pad|parcel) (?:left|right) \d+ (?:up|down) \d+|cost \d+ via [A-Z]+|(?:battery|left) \d+"
@@ -91,17 +92,17 @@ class Options:
     model: str | None = None
     device: Literal["cpu", "cuda"] = "cpu"
     seed: int = 0
-    maps: int = 4000
+    maps: int = 6000
     mistakes: float = 0.15
     batch: int = 512
     epochs: float = 1.0
     lr: float = 1.5e-3
-    weak_maps: int = 1000
+    weak_maps: int = 2500
     rewards: tuple[Reward, ...] = ("score", "regret", "rank")
     grpo_seeds: int = 3
     grpo_maps: int = 400
-    grpo_steps: int = 100
-    grpo_batch: int = 64
+    grpo_steps: int = 50
+    grpo_batch: int = 32
     generations: int = 8
     grpo_lr: float = 1e-4
     width: int = 128
@@ -388,7 +389,7 @@ def evaluate(options: Options) -> None:
             "score": list(interval(scores, SCORES)),
             "ratio": float(scores.mean() / best.mean()),
             "delivered_all": sum(flight.success for flight in flown) / len(flown),
-            "ends": dict(zip(*np.unique([flight.outcome.name for flight in flown], return_counts=True), strict=True)),
+            "ends": dict(Counter(flight.outcome.name for flight in flown)),
             "scores": scores.tolist(),
         }
         if weak is not None and name.startswith("grpo"):
@@ -402,7 +403,7 @@ def note(options: Options, more: dict[str, Any]) -> None:
     path = options.out / "results.json"
     known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     known |= {"options": asdict(options) | {"out": str(options.out)}} | more
-    path.write_text(json.dumps(known, indent=1, default=int) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
 def main(stages: tyro.conf.Positional[tuple[Stage, ...]], options: tyro.conf.OmitArgPrefixes[Options]) -> None:
@@ -411,9 +412,10 @@ def main(stages: tyro.conf.Positional[tuple[Stage, ...]], options: tyro.conf.Omi
         options = replace(options, **QUICK)
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(2) if options.device == "cpu" else None
-    chosen: Sequence[Stage] = stages or ("sft", "grpo", "evaluate")
+    chosen: Sequence[Stage] = stages or ("sft", "weak", "grpo", "evaluate")
     if "sft" in chosen:
         fine_tune(options, "sft", options.maps)
+    if "weak" in chosen:
         fine_tune(options, "weak", options.weak_maps)
     if "grpo" in chosen:
         reinforce(options)
