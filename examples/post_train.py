@@ -1,7 +1,7 @@
 """Post-train a tiny language model on two cores: supervised fine-tuning, then GRPO, then honest evaluation.
 
     pip install -e '.[llm,trl]' accelerate
-    python examples/post_train.py                              # sft weak grpo evaluate, about an hour on two cores
+    python examples/post_train.py                              # sft weak grpo evaluate
     python examples/post_train.py sft --maps 500 --seed 1      # one stage
     python examples/post_train.py --model Qwen/Qwen3-0.6B --device cuda --batch 16 --lr 2e-5   # a model from the hub
 
@@ -45,7 +45,7 @@ PHRASES = (
     r"(?:pad|parcel) (?:left|right) \d+ (?:up|down) \d+|cost \d+ via [A-Z]+|(?:battery|left) \d+"
     r"|(?:UP|DOWN|LEFT|RIGHT) [a-z]+|Below the drone: [a-z]+(?: pad)?|<[a-z]+>|\S+"
 )
-"""What is one word to the tiny model."""
+"""The words of the tiny model."""
 CHAT_TEMPLATE = """
 {%- for message in messages %}
 {%- if message.role == 'user' %}{{ message.content.split('Compass:\\n')[-1] }}
@@ -258,7 +258,7 @@ def losses(trainer: Any) -> list[dict[str, float]]:
 
 
 def pilot(options: Options, model: Any, tokenizer: Any, temperature: float = 0) -> Callable[[list[Any]], list[Action]]:
-    """Answers of a model to many requests at once; an unusable answer is a WAIT."""
+    """Make a function that answers many requests at once. An unusable answer is a WAIT."""
     prompt = get_prompt(options.prompt)
     sampling = {"do_sample": True, "temperature": temperature, "top_k": 0} if temperature else {"do_sample": False}
 

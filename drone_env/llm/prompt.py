@@ -262,7 +262,7 @@ def _values(task: TaskConfig, obs: DroneObservation, last_steps: Sequence[str]) 
 
 
 def _compass(task: TaskConfig, obs: DroneObservation) -> str:
-    """What lies next to the drone, and the cheapest way to each parcel and to the nearest pads, one line each."""
+    """One line for each neighbouring cell, and for the cheapest way to each parcel and to the nearest pads."""
     from drone_env.planning.paths import cheapest_ways  # compiles
 
     names = [name for row in obs.cell_types for name in row]
