@@ -18,7 +18,7 @@ from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
 from drone_env.llm.limiter import Number, Options, Whole
 
-PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|original|FILE.toml"
+PROMPTS = "minimal|grid|coordinates|compass|plan|think|think-plan|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()
 

@@ -11,8 +11,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError
 
+from drone_env.core.actions import ACTION_OFFSETS, Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
@@ -31,6 +33,8 @@ LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel"
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
 LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
 """The letter of each kind of cell in the grid as text."""
+COMPASS_PADS = 5
+"""The largest number of charging pads that the compass shows."""
 LEGEND = (
     "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
 )
@@ -53,7 +57,7 @@ OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
     "width": lambda obs: obs.grid_width,
     "height": lambda obs: obs.grid_height,
 }
-VALUES = {*OBSERVED, *CELL_LISTS, "grid", "legend", "history", "task", "drains", "impassable", "terrain"}
+VALUES = {*OBSERVED, *CELL_LISTS, "compass", "grid", "legend", "history", "task", "drains", "impassable", "terrain"}
 """All names that a template can use."""
 
 
@@ -94,6 +98,8 @@ class Prompt(PromptFile):
         """
         task, obs = episode.task, DroneObservation.of(episode)
         values = _values(task, obs, last_steps)
+        if "compass" in self.names:
+            values["compass"] = _compass(task, obs)
         user = [self._render(self.user, values), below_text(task, obs.cell_below)]
         return [
             {"role": "system", "content": self._render(self.system, values)},
@@ -253,6 +259,33 @@ def _values(task: TaskConfig, obs: DroneObservation, last_steps: Sequence[str]) 
         "impassable": sorted(map(_label, task.impassable)),
         "terrain": [(title, lists[CELL_KINDS[kind].name], kind in deciding) for kind, title in TITLES.items()],
     }
+
+
+def _compass(task: TaskConfig, obs: DroneObservation) -> str:
+    """One line for each neighbouring cell, and for the cheapest way to each parcel and to the nearest pads."""
+    from drone_env.planning.paths import cheapest_ways  # compiles
+
+    names = [name for row in obs.cell_types for name in row]
+    here, width = obs.drone_y * obs.grid_width + obs.drone_x, obs.grid_width
+    grid = np.array([NAMES.index(name) for name in names], np.uint8)
+    units, first = cheapest_ways(task, grid, here)
+    names[here] = obs.cell_below
+    lines: list[str] = []
+    for action, (dx, dy) in ACTION_OFFSETS.items():
+        if action is Action.WAIT:
+            continue
+        x, y = obs.drone_x + dx, obs.drone_y + dy
+        inside = 0 <= x < width and 0 <= y < obs.grid_height
+        lines.append(f"{action.name} {names[y * width + x] if inside else 'edge'}")
+    for label, kind, most in (("pad", "pad", COMPASS_PADS), ("parcel", "delivery", len(names))):
+        cells = sorted((cell for cell, name in enumerate(names) if name == kind), key=lambda cell: units[cell])
+        for cell in [cell for cell in cells if units[cell] >= 0][:most]:
+            dx, dy = cell % width - obs.drone_x, cell // width - obs.drone_y
+            where = f"{'left' if dx < 0 else 'right'} {abs(dx)} {'up' if dy < 0 else 'down'} {abs(dy)}"
+            lines.append(
+                f"{label} {where} cost {units[cell]} via {Action(first[cell]).name if cell != here else 'WAIT'}"
+            )
+    return "\n".join(lines)
 
 
 def _label(kind: Cell) -> str:

@@ -234,7 +234,32 @@ def cheapest_actions(
     tables = tabulate(task)
     actions = np.zeros(len(grids), np.int64)
     cells = starts[:, 1] * task.width + starts[:, 0]
-    kind_costs = np.reshape(tables.drain, (-1, N_ACTIONS))[:, 0] * np.int64(UNIT_COST) + STEP_COST
+    kind_costs = _move_costs(tables)
     costs, first = np.zeros((2, tables.cells), np.int64)
     cheapest_kernel(tables, np.reshape(grids, (len(grids), tables.cells)), cells, kind_costs, costs, first, actions)
     return actions
+
+
+def cheapest_ways(
+    task: TaskConfig, grid: npt.NDArray[np.uint8], start: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The cheapest way from a cell to each other cell: fewest battery units, then fewest steps.
+
+    Args:
+        task: The task.
+        grid: uint8[cells], as the drone sees it.
+        start: The first cell.
+
+    Returns:
+        int64[cells] each: the units that the way drains, or -1 if there is none; and its first action, or `NO_ACTION`.
+    """
+    tables = tabulate(task)
+    costs, first = np.full(tables.cells, NO_PATH), np.full(tables.cells, NO_ACTION)
+    costs[start] = 0
+    cost_kernel(tables, grid, _move_costs(tables), costs, first)
+    return np.where(costs == NO_PATH, -1, costs // UNIT_COST), first
+
+
+def _move_costs(tables: Tables) -> npt.NDArray[np.int64]:
+    """int64[kinds], the cost of a move onto each kind of cell: battery counts first, then steps."""
+    return np.reshape(tables.drain, (-1, N_ACTIONS))[:, 0] * np.int64(UNIT_COST) + STEP_COST

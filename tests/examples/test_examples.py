@@ -22,6 +22,8 @@ SHORT = {
     "sb3_ppo": ["--total-timesteps", "2048", "--maps", "5"],
 }
 """Flags that keep them short; an example that is not named here runs as it is."""
+ELSEWHERE = "post_train"
+"""It needs TRL: tests/adapters/test_post_train.py runs it."""
 PAIR = re.compile(r"score (0\.\d+)[^\n]*optimum[^\n]*? (0\.\d+)")
 every_example = pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 
@@ -35,7 +37,7 @@ def test_an_example_is_sound(example: Path) -> None:
 
 
 @pytest.mark.long
-@every_example
+@pytest.mark.parametrize("example", [path for path in EXAMPLES if path.stem != ELSEWHERE], ids=lambda path: path.stem)
 def test_an_example_runs_and_shows_its_score_beside_the_optimum(example: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
     command = [sys.executable, str(example), *SHORT.get(example.stem, [])]

@@ -19,6 +19,7 @@ from .test_prompts_suffice import ODD, texts_of
 SHOWN = [*TASKS.values(), *ODD]
 """The tasks of the package, and some with rules that none of those has."""
 GOLDEN = {
+    "compass-1": "f287a2a3ff54e35c",
     "coordinates-2": "cb3bd9e2aa7ac77f",
     "grid-2": "33af35bacadc98fc",
     "minimal-2": "3eda9b3d51c7f993",
@@ -62,7 +63,7 @@ def test_a_checkout_with_other_ends_of_lines_has_the_same_prompts(tmp_path: Path
 
 
 def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match=r"allowed: FILE\.toml, coordinates"):
+    with pytest.raises(UnknownNameError, match=r"allowed: FILE\.toml, compass"):
         get_prompt("poem")
     path = tmp_path / "mine.toml"
     rest = '\nplan = false\nsystem = ""\nuser = "{{ weather }}"\nrepair = ""'

@@ -1,0 +1,24 @@
+"""`examples/post_train.py` with TRL's trainers, at its smallest sizes: `tools/verify.sh adapters`."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.timeout(600)
+def test_the_example_trains_by_both_trainers_and_evaluates(tmp_path: Path) -> None:
+    command = [sys.executable, "examples/post_train.py", "--quick", "--out", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {"HF_HUB_OFFLINE": "1"}, timeout=500)
+    results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    models = {"sft", "weak", "grpo-score-0", "grpo-regret-0", "grpo-rank-0"}
+    assert results["evaluation"].keys() == models | {"optimum", "greedy"}
+    assert all((tmp_path / name / "model.safetensors").exists() for name in models)
+    assert results["sft"]["answers"] > results["weak"]["answers"] > 0
+    for row in results["evaluation"].values():
+        assert 0.01 <= row["score"][0] <= results["evaluation"]["optimum"]["score"][0]
