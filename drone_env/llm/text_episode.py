@@ -125,7 +125,11 @@ class Flight(TextEpisode):
     """A flight of a run. Its calls can fail.
 
     Args:
-        task, seed, prompt, reward_profile, history: See `TextEpisode`.
+        task: See `TextEpisode`, as for the next four.
+        seed: The map.
+        prompt: The prompt.
+        reward_profile: The rewards of the steps.
+        history: Number of last steps that the prompt shows.
         index: Its number in the run, from 0.
         repeat: The number of earlier flights of the run over the same map.
 
