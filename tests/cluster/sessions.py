@@ -89,19 +89,21 @@ class HttpSession:
         try:
             answer = await self.steps.post("/step", json={"direction": action.name}, headers=headers)
         except (httpx.ReadError, httpx.RemoteProtocolError, httpx.WriteError):
-            # Closed by nginx while it lay idle.
-            assert self.counts
+            # nginx reloaded while the connection was idle, or the server was killed while it sent the response.
             self.broken += 1
-            answer = await self.steps.post("/step", json={"direction": action.name}, headers=headers)
-        if answer.status_code == 502 and not self.counts:
+            answer = None
+            if self.counts:
+                answer = await self.steps.post("/step", json={"direction": action.name}, headers=headers)
+        if not self.counts and (answer is None or answer.status_code == 502):
             # Nobody knows whether it was flown, and nobody has flown it twice.
-            assert answer.json()["code"] == "no_server"
+            assert answer is None or answer.json()["code"] == "no_server"
             self.unanswered += 1
             flown = (await self.state())["step_count"] - episode.steps
             assert flown in (0, 1)
             if flown:
                 episode.step(action)
             return
+        assert answer is not None
         assert answer.status_code == 200, answer.text
         episode.step(action)
         assert answer.json() == self.reference.fields()
