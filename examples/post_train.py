@@ -52,8 +52,6 @@ CHAT_TEMPLATE = """
 {%- elif message.role == 'assistant' %} <answer> {{ message.content }} <end>{% endif %}
 {%- endfor %}
 {%- if add_generation_prompt %} <answer>{% endif %}"""
-UNUSABLE = -1.0
-"""Reward of an answer that is no action: at most that of any action."""
 
 
 @dataclass(frozen=True)
@@ -283,6 +281,8 @@ def reward_of(options: Options, kind: Reward) -> Callable[..., list[float]]:
     - `score`: the score at the end if the agent `greedy` flies on after this answer: no planner is necessary;
     - `regret`: Q* of the action minus V*, which only an exact oracle can pay;
     - `rank`: 1 for the best actions of this state, 0 for the worst ones; equal actions share a rank.
+
+    An answer that is no action pays what the worst action pays.
     """
     prompt = get_prompt(options.prompt)
 
@@ -292,7 +292,7 @@ def reward_of(options: Options, kind: Reward) -> Callable[..., list[float]]:
             actions = prompt.read_answer(Answer(text=completion[0]["content"])).actions
             q = np.round(of_state, 12)
             kinds = {"score": at_end, "regret": q - q.max(), "rank": rank(q)}
-            pay.append(float(kinds[kind][actions[0]]) if actions else UNUSABLE)
+            pay.append(float(kinds[kind][actions[0]] if actions else min(kinds[kind])))
         return pay
 
     reward.__name__ = kind

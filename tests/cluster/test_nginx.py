@@ -112,7 +112,7 @@ def test_a_server_is_killed_among_its_sessions_and_comes_back(running: Cluster) 
             await asyncio.gather(fly_all(http, 6, kill_in_the_middle), fly_all(sockets, 12, kill_in_the_middle))
             assert running.servers[killed].process.poll() is not None
             await asyncio.gather(*[session.check() for session in http])
-            # A server that dies while it sends a response breaks that connection, and each session has one request at a time.
+            # A server that dies while it sends a response breaks that connection; a session has one request at a time.
             assert all(session.broken <= 1 for session in http)
             # Those of the killed server, a third of them, and no other.
             lost = [session for session in sockets if session.lost]
