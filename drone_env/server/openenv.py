@@ -11,20 +11,22 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError
 from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.core.episode import NOT_STARTED
+from drone_env.core.episode import NOT_STARTED, Episode
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
+from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.models import DroneState, openenv_json
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import start_episode
-from drone_env.server.schemas import ResetOptions, WireAction
+from drone_env.server.openenv_text import openenv_fields
+from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import AppState
 
@@ -32,6 +34,7 @@ log = logging.getLogger(__name__)
 
 NORMAL, GOING_AWAY = 1000, 1001
 ALLOWED_TYPES = "reset, step, state, close, mcp"
+Result = TypeVar("Result")
 
 
 class RefusedError(Exception):
@@ -60,6 +63,8 @@ class Connection:
         self._shared = shared
         self._session: Session | None = None
         self._episode_id = ""
+        self._prompt: Prompt | None = None
+        self._last: tuple[float, int] = 0.0, 0
 
     async def answer(self, received: bytes) -> str | None:
         """Return the response to a frame; None if the client closes the session.
@@ -75,14 +80,14 @@ class Connection:
             raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
         frame = cast(dict[str, Any], frame)
         kind, data = frame.get("type"), frame.get("data", {})
-        if frame.keys() - {"type", "data"} or not isinstance(data, dict):
+        # An action may be a word or a number instead of an object.
+        if frame.keys() - {"type", "data"} or not (kind == "step" or isinstance(data, dict)):
             raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
-        data = cast(dict[str, Any], data)
         try:
             if kind == "step":
-                return await self._step(WireAction.model_validate(data))
+                return await self._step(RouteAction.model_validate(data))
             if kind == "reset":
-                return self._reset(ResetOptions.model_validate(data))
+                return await self._reset(OpenEnvReset.model_validate(data))
             if kind == "state":
                 state = DroneState.of(self._started().fly()).model_copy(update={"episode_id": self._episode_id})
                 return _frame("state", state.model_dump_json())
@@ -99,26 +104,40 @@ class Connection:
             return _frame("mcp", to_json(mcp_answer(data)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
-    def _reset(self, options: ResetOptions) -> str:
+    async def _reset(self, options: OpenEnvReset) -> str:
         """Start an episode. After an error the current one continues."""
+        prompt = None if options.prompt is None else get_prompt(options.prompt)
         episode = start_episode(options, None if self._session is None else self._session.seed)
         self._session = Session("", *flight_of(episode), options.agent or ANONYMOUS, episode=episode)
         self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
-        return _frame("observation", openenv_json(episode, None))
+        self._prompt = prompt
+        return await self._shown(episode, None)
+
+    async def _shown(self, episode: Episode, reward: float | None, **metadata: object) -> str:
+        # Text takes milliseconds, and some prompts compile code.
+        wait = asyncio.to_thread if self._prompt is not None else _at_once
+        fields = await wait(openenv_fields, episode, self._prompt, metadata)
+        return _frame("observation", openenv_json(episode, reward, **fields))
 
     def _started(self) -> Session:
         if self._session is None:
             raise EpisodeError(NOT_STARTED)
         return self._session
 
-    async def _step(self, action: WireAction) -> str:
+    async def _step(self, action: RouteAction) -> str:
         session = self._started()
         episode = session.fly()
         # If storing the ended episode failed, the client repeats the last step, and gets the same response.
-        reward = episode.reward_last if session.finished else advance(session, action.action)
+        if not session.finished:
+            self._last = action.fly(episode, lambda one: advance(session, one))
         if session.finished:
             await asyncio.get_running_loop().run_in_executor(self._shared.steps, self._shared.store.keep, session)
-        return _frame("observation", openenv_json(episode, reward))
+        reward, flown = self._last
+        return await self._shown(episode, reward, flown=flown)
+
+
+async def _at_once(function: Callable[..., Result], *arguments: Any) -> Result:
+    return function(*arguments)
 
 
 class OpenEnvSocket:

@@ -39,7 +39,7 @@ def best_actions(task: str, seed: int) -> list[DroneAction]:
 @pytest.mark.feature("E10")
 def test_the_official_client_flies_synchronously(server: Server) -> None:
     task = "medium_delivery"
-    flight = Episode(task, "tiered", 7)
+    flight = Episode(task, "score", 7)
     with official.DroneDeliveryClient(server.url).sync() as env:
         result = env.reset(seed=7, task_name=task, episode_id="mine")
         assert (result.reward, result.done) == (None, False)
@@ -77,6 +77,11 @@ MESSAGES: list[dict[str, Any]] = [
     {"type": "step", "data": {"direction": "UP"}},
     {"type": "reset", "data": {"seed": 8, "episode_id": "two", "reward_profile": "aligned"}},
     {"type": "step", "data": {"direction": "WAIT", "metadata": {}}},
+    {"type": "reset", "data": {"task_name": "skyline_easy", "seed": 9, "episode_id": "three", "prompt": "minimal"}},
+    {"type": "step", "data": {"route": ["UP", "LEFT", 4]}},
+    {"type": "step", "data": {"direction": "DOWN DOWN"}},
+    {"type": "step", "data": {"action_id": 2, "game_name": "catch", "game_params": {}}},
+    {"type": "state"},
 ]
 
 

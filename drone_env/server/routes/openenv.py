@@ -11,7 +11,7 @@ from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import JsonRoute
 from drone_env.server.map_choice import SplitInfo, TaskApi, TaskSpec
 from drone_env.server.openenv import mcp_answer
-from drone_env.server.schemas import DESCRIPTION, ENV_NAME, WireAction, WireObservation
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, RouteAction, WireObservation
 
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
 named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
@@ -93,7 +93,7 @@ async def schema() -> Schemas:
     """JSON Schemas of the messages of `/ws`."""
     observation = WireObservation.model_json_schema()
     return Schemas(
-        action=WireAction.model_json_schema(),
+        action=RouteAction.model_json_schema(),
         observation=observation,
         reset_observation=observation,
         state=DroneState.model_json_schema(),
