@@ -23,7 +23,7 @@ from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.models import DroneState, observation_fields
 from drone_env.server.map_choice import DEFAULT_TASK, TaskApi, start_episode
-from drone_env.server.openenv_text import openenv_fields
+from drone_env.server.openenv_session import openenv_fields
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, OpenEnvReset, RouteAction, WireObservation
 
 

@@ -70,7 +70,7 @@ class ResetOptions(Message):
         return self
 
 
-class OpenEnvReset(ResetOptions):
+class SessionReset(ResetOptions):
     """Options of a reset in an OpenEnv session."""
 
     default_profile: ClassVar[str] = OPENENV_PROFILE
@@ -80,11 +80,16 @@ class OpenEnvReset(ResetOptions):
         max_length=100,
         description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{OPENENV_PROFILE}`.",
     )
+
+
+class OpenEnvReset(SessionReset):
+    """Options of a reset over `/ws`."""
+
     # Names of the package alone: a caller must not read files.
     prompt: str | None = Field(
         default=None,
         pattern=r"^[a-z0-9-]{1,40}$",
-        description="A prompt of `drone-env infer`, such as `minimal`, as whose text `prompt` shows each observation.",
+        description="A prompt of `drone-env infer`, such as `minimal`, whose text each observation contains.",
     )
 
 
@@ -170,11 +175,22 @@ class RouteAction(Message):
         return sum(rewards), episode.steps - before
 
 
+class TextMessage(Message):
+    """A message in TextArena's format."""
+
+    sender_id: int
+    content: str
+    category: str
+
+
 class WireObservation(DroneObservation):
     """An observation with OpenEnv's fields."""
 
     reward: float | None = Field(default=None, description="Sum of the rewards of the step; null after a reset.")
     prompt: str = Field(default="", description="Rules and observation as text, if the reset named a prompt.")
+    messages: list[TextMessage] = Field(
+        default_factory=list[TextMessage], description="All text so far, on the paths for TextArena's clients."
+    )
     metadata: dict[str, Any] = Field(
         default_factory=dict[str, Any],
         description="`reward_profile`, which pays; after a step also `flown`, the number of actions flown.",
