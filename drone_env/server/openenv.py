@@ -18,7 +18,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.core.tasks import get_task
-from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
+from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
 from drone_env.llm.prompt import get_prompt
 from drone_env.models import DroneState
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
@@ -102,10 +102,9 @@ class Connection:
         except ValidationError as error:
             errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
-        except LookupError as error:
-            raise RefusedError("VALIDATION_ERROR", str(error)) from None
         except DroneEnvError as error:
-            raise RefusedError("EXECUTION_ERROR", str(error)) from None
+            named = isinstance(error, UnknownNameError)
+            raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None
         if kind == "close":
             return None
         if kind == "mcp":

@@ -56,7 +56,8 @@ def openenv_result(fields: dict[str, Any], reward: float | None, **more: Any) ->
 
 def socket_result(fields: dict[str, Any], reward: float | None, flown: int, profile: str) -> dict[str, Any]:
     """The answer to a step over OpenEnv's socket."""
-    return openenv_result(fields, reward, metadata={"reward_profile": profile, "flown": flown}, prompt="")
+    metadata = {"reward_profile": profile, "flown": flown}
+    return openenv_result(fields, reward, metadata=metadata, prompt="", messages=[])
 
 
 class HttpSession:
