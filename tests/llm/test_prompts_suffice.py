@@ -1,12 +1,13 @@
 """Prompts state all that decides a flight: a planner that reads nothing but a prompt flies the optimum."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
 
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
@@ -18,6 +19,8 @@ from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import FOLDER, Prompt, get_prompt, prompt_ids, read_prompt
 from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.optimal import solve, solver_of
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
 
 PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
 PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
@@ -225,3 +228,47 @@ def test_who_reads_nothing_but_the_prompt_flies_the_optimum(prompt: Prompt, task
 def test_who_reads_nothing_but_the_prompt_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
     for seed in split_seeds("test", 100 if prompt.id.startswith("minimal-") else 5):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
+
+
+@pytest.fixture(scope="module")
+def socket(tmp_path_factory: pytest.TempPathFactory) -> Generator[WebSocketTestSession, None, None]:
+    app = create_app(Settings(data=tmp_path_factory.mktemp("told") / "data"))
+    with TestClient(app) as client, client.websocket_connect("/ws") as connected:
+        yield connected
+
+
+def flown_over_the_socket(socket: WebSocketTestSession, task: str, seed: int, ahead: int) -> float:
+    """The sum of the rewards of a client of OpenEnv that reads nothing but `prompt`, and plans so many steps ahead."""
+
+    def ask(kind: str, data: Any) -> Any:
+        socket.send_json({"type": kind, "data": data})
+        return socket.receive_json()["data"]
+
+    answer, total = ask("reset", {"task_name": task, "seed": seed, "prompt": "minimal"}), 0.0
+    while not answer["done"]:
+        flight, says = read_text(*[answer["observation"]["prompt"]] * 2).episode, list[str]()
+        solver = solver_of(flight)
+        while not flight.ended and len(says) < ahead:
+            action = solver.optimal_actions(flight)[0]
+            flight.step(action)
+            says.append(action.name)
+        answer = ask("step", " ".join(says))
+        total += answer["reward"]
+    return total
+
+
+@pytest.mark.parametrize("task", ["easy", "medium", "skyline_easy"])
+def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum(
+    socket: WebSocketTestSession, task: str
+) -> None:
+    for seed in split_seeds("test", 2):
+        assert flown_over_the_socket(socket, task, seed, 1) == solve(task, seed).score
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", [task.short_name for task in GENERATED])
+def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum_of_many_maps(
+    socket: WebSocketTestSession, task: str
+) -> None:
+    for seed in split_seeds("test", 100):
+        assert flown_over_the_socket(socket, task, seed, 8) == solve(task, seed).score
