@@ -49,7 +49,8 @@ def environments() -> str:
     """Every task under its Gymnasium id."""
     head = ["Gymnasium id", "grid", "telemetry"]
     rows = [
-        [f"`{task.gym_id}`", f"{task.width} x {task.height}", f"{task.telemetry_size} values"] for task in TASKS.values()
+        [f"`{task.gym_id}`", f"{task.width} x {task.height}", f"{task.telemetry_size} values"]
+        for task in TASKS.values()
     ]
     return table([head, *rows])
 
