@@ -3,12 +3,11 @@
     python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
 
 A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
-send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with
-thousands of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read
-slowly or not at all, fuzzed requests, and an end while nobody reads. It fails if `/health` took longer than 0.5 s or
-the event loop used more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than
-5 ms; if the server had more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or
-left a traceback.
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods of pings and of one-byte fragments over
+WebSockets, fuzzed requests, and an end while nobody reads. It fails if `/health` took longer than 0.5 s or the event
+loop used more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than 5 ms; if the
+server had more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or left a
+traceback.
 
 The time of an answer is counted without that for which server or asker could have run while the machine was busy with
 others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
@@ -178,34 +177,6 @@ class Campaign:
             self.faults.append(f"{1000 - len(ended)} half requests stay")
         return f"{len(ended)} of 1,000 halves were ended within {time.monotonic() - began:.0f} s"
 
-    async def flood(self, frame: bytes, reads: bool, path: str = "/ws") -> str:
-        streams = [await self.open_socket(path) for _ in range(10)]
-        until = time.monotonic() + self.seconds
-        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams if reads]
-        if not reads:
-            for reader, _ in streams:
-                reader._transport.pause_reading()  # pyright: ignore
-        data = frame * (100_000 // len(frame))
-        taken = await asyncio.gather(*[self.push(writer, data, 10_000, until) for _, writer in streams])
-        for task in readers:
-            task.cancel()
-        abort(streams)
-        return f"{sum(taken) / len(frame):,.0f} frames taken from 10"
-
-    async def send_long_heads(self) -> str:
-        """Send requests with 6,500 headers, from 128 callers."""
-        headers = b"".join([b"a%04d: x\r\n" % number for number in range(6500)])
-        request = HEAD.format("GET /health").encode() + headers + b"\r\n"
-
-        async def ask(_: float) -> int:
-            reader, writer = await self.open(request)
-            with contextlib.suppress(OSError):  # the server may close before it has read everything
-                await reader.readline()
-            writer.transport.abort()
-            return 1
-
-        return await self.repeat(128, ask)
-
     async def send_small_frames(self, path: str, first: bytes, frame: bytes) -> str:
         """Send as many frames as the server takes, from 64 callers that connect again when it closes."""
 
@@ -219,24 +190,6 @@ class Campaign:
             return 1
 
         return await self.repeat(64, flood)
-
-    async def follow_requests(self) -> str:
-        """Read the request log with 296 callers while 8 others call."""
-        request = (HEAD.format("GET /terminal_logs") + "Accept: text/event-stream\r\n\r\n").encode()
-        streams = [await self.open(request) for _ in range(296)]
-        statuses = Counter([(await reader.readline())[9:12].decode() for reader, _ in streams])
-        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams]
-
-        async def ask(_: float) -> int:
-            reader, writer = await self.open((HEAD.format("GET /x") + "\r\n").encode())
-            await reader.readline()
-            writer.transport.abort()
-            return 1
-
-        note = await self.repeat(8, ask)
-        abort(streams)
-        await asyncio.gather(*readers, return_exceptions=True)
-        return f"readers by status: {dict(statuses)}; requests: {note}"
 
     async def repeat(self, callers: int, act: Callable[[float], Awaitable[int]]) -> str:
         """Have callers act until the time is over: how often they did, and what that cost the event loop."""
@@ -255,21 +208,6 @@ class Campaign:
         if each > MOST_LOOP_SECONDS_EACH:
             self.faults.append(f"each of {done:,} cost the event loop {each * 1000:.1f} ms")
         return f"{done:,} from {callers}, {each * 1000:.3f} ms of the event loop each"
-
-    async def read_slowly(self) -> str:
-        page = (HEAD.format("GET /") + "\r\n").encode() * 50
-        script = (HEAD.format("GET /openapi.json") + "\r\n").encode() * 50
-        streams = [await self.open(page if number % 2 else script, limit=16) for number in range(40)]
-        streams += [await self.open_socket("/live") for _ in range(10)]
-        for _, writer in streams[40:]:
-            writer.write(masked(b'{"type":"subscribe","topics":["requests","episodes"]}'))
-        until, read = time.monotonic() + self.seconds, 0
-        while time.monotonic() < until:
-            for reader, _ in streams[:40]:
-                read += len(await reader.read(1))
-            await asyncio.sleep(0.2)
-        abort(streams)
-        return f"{read} bytes read by 40, and none by 10 pages"
 
     async def fuzz(self, times: int, seed: int) -> str:
         chance = random.Random(seed)
@@ -390,16 +328,9 @@ async def go(server: Server, given: argparse.Namespace) -> list[str]:
     await campaign.under("quiet", quiet)
     await campaign.under("requests sent, none read", campaign.pipeline())
     await campaign.under("half requests", campaign.send_halves())
-    await campaign.under("flood of frames", campaign.flood(masked(b'{"type":"mcp"}'), True))
-    await campaign.under("flood of frames, no answer read", campaign.flood(masked(b'{"type":"mcp"}'), False))
-    await campaign.under("flood of frames of pages", campaign.flood(masked(b'{"type":"pause"}'), True, "/live"))
-    await campaign.under("flood of pings, no answer read", campaign.flood(masked(b"x" * 100, 9), False))
-    await campaign.under("requests with 6,500 headers", campaign.send_long_heads())
     for path in ("/ws", "/live"):
         await campaign.under(f"pings to {path}", campaign.send_small_frames(path, PING, PING))
         await campaign.under(f"one-byte fragments to {path}", campaign.send_small_frames(path, BEGIN, GO_ON))
-    await campaign.under("readers of the request log", campaign.follow_requests())
-    await campaign.under("slow readers", campaign.read_slowly())
     await campaign.under(f"{given.fuzzed:,} fuzzed requests", campaign.fuzz(given.fuzzed, given.seed))
     await campaign.end()
     return campaign.faults

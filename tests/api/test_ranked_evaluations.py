@@ -108,6 +108,9 @@ PIECES: dict[str, Callable[[Path], object]] = {
     "objects": column(scores=np.array([None] * 4)),
     "no numbers": column(scores=np.full(4, np.nan)),
     "a table": column(scores=np.full((4, 1), 0.5)),
+    "forged scores": column(scores=np.full(4, 0.99)),
+    "other optima": column(optimal_scores=np.full(4, 0.9)),
+    "other maps": column(seeds=np.arange(4)),
     "too many parcels": column(deliveries=np.full(4, 9, np.int32)),
 }
 RUNS = ("run.json", "calls.jsonl", "episodes.jsonl")
