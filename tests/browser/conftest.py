@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown, put_evaluation
+from tests.browser.stage import show
 from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
 from tests.llm.stored_run import put_run
 from tests.tools import missing_tool
@@ -76,6 +77,7 @@ def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
         "localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close());"
         "document.querySelectorAll('.telemetry[open]').forEach(one => { one.open = false; })"
     )
+    show(page, "/?view=learn")
     yield page
     assert tabs.unexpected() == []
 

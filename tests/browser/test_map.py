@@ -83,29 +83,12 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         box(page, "Best flight").check()
 
 
-def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
-    ranges, thoughts = box(page, "Battery range"), box(page, "Network values")
-    show(page, "/?task=easy&seed=7&pilot=greedy")
-    expect_step(page, 0, 60)
-    # These maps have no pads.
-    expect(ranges).to_be_hidden()
-    expect(thoughts).to_be_checked()
-    columns = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
-    expect(columns).to_have_text(["Move", "Network", "Still possible", "Loss"])
-    # The network that flies here has no values for single moves.
-    show(page, "/?task=skyline_easy&seed=7&pilot=tournet")
-    expect(thoughts).to_be_hidden()
-    expect(columns).to_have_text(["Move", "Still possible", "Loss"])
-    expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
-    expect(ranges).to_be_visible()
-
-
 CONTRIBUTORS = "© OpenStreetMap contributors"
 FIELD = "#boards .map-ground"
 JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
 
 
-def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_shows(page: Page) -> None:
+def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page: Page) -> None:
     credit = page.get_by_role("link", name=CONTRIBUTORS)
     farther, nearer = (page.get_by_role("button", name=name) for name in ("Zoom out", "Zoom in"))
     show(page, "/?task=city&seed=7&pilots=greedy")
@@ -126,3 +109,15 @@ def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_s
     expect_step(page, 0, 60)
     expect(credit).to_be_hidden()
     assert painted(page.locator(FIELD), *JOINED) == []
+    # These maps have no pads.
+    ranges, thoughts = box(page, "Battery range"), box(page, "Network values")
+    expect(ranges).to_be_hidden()
+    expect(thoughts).to_be_checked()
+    columns = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
+    expect(columns).to_have_text(["Move", "Network", "Still possible", "Loss"])
+    # The network that flies here has no values for single moves.
+    show(page, "/?task=skyline_easy&seed=7&pilot=tournet")
+    expect(thoughts).to_be_hidden()
+    expect(columns).to_have_text(["Move", "Still possible", "Loss"])
+    expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
+    expect(ranges).to_be_visible()

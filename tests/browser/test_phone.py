@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from tests.api.serving import Server
 from tests.browser.conftest import lent
 from tests.browser.shown import expect_step, pictures
-from tests.browser.stage import ended, fly, show, standings, whole_view
+from tests.browser.stage import at_its_end, ended, fly, show, standings, whole_view
 from tests.browser.tabs import NARROW, Tabs
 
 PIXELS_PER_PIXEL = 2
@@ -55,14 +55,12 @@ def swipe(node: Locator, right: float, down: float) -> None:
 
 
 def test_it_never_scrolls_sideways(phone: Page) -> None:
-    show(phone, "/?task=hard&seed=14&pilots=pathqnet,greedy")
+    at_its_end(phone, 14, "/?task=easy&seed=14&pilots=pathqnet,greedy")
     expect(standings(phone)).to_have_count(2)
-    fly(phone)
-    ended(phone)
-    phone.get_by_text("Hard · map 14 · PathQNet, Greedy").click()
+    phone.get_by_text("Easy · map 14 · PathQNet, Greedy").click()
     expect(phone.get_by_role("button", name="New map")).to_be_visible()
     expect_no_wider(phone)
-    phone.get_by_text("Hard · map 14 · PathQNet, Greedy").click()
+    phone.get_by_text("Easy · map 14 · PathQNet, Greedy").click()
     show(phone, "/?view=compare&task=easy&pilots=greedy,random")
     expect(phone.locator("dl.paired")).to_be_visible()
     expect_no_wider(phone)
@@ -100,9 +98,9 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
         pictures(phone)  # drawn
         return place(ground)
 
-    show(phone, "/?task=hard&seed=11&pilot=greedy")
-    expect(phone.get_by_text("Hard · map 11 · Greedy")).to_be_visible()
-    expect_step(phone, 0, 160)
+    show(phone, "/?task=easy&seed=11&pilot=greedy")
+    expect(phone.get_by_text("Easy · map 11 · Greedy")).to_be_visible()
+    expect_step(phone, 0, 60)
     ground = phone.locator("#boards canvas").first
     whole = corner()
     for _ in range(4):

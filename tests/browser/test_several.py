@@ -17,13 +17,15 @@ SEED = 20
 NAMES = {"random": "Random", "pathqnet": "PathQNet", "greedy": "Greedy", "optimal": "Optimal"}
 
 
-def test_four_are_ranked_while_they_fly_and_each_is_annotated(page: Page, server: Server) -> None:
+def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated(page: Page, server: Server) -> None:
     annotations = {agent: posted(server, "annotate", flown("easy", SEED, agent)) for agent in NAMES}
     values = {
         NAMES[agent]: [*(move["value"] for move in annotation["moves"]), annotation["score"]]
         for agent, annotation in annotations.items()
     }
     best = values["Optimal"][0]
+    colours = {one["id"]: f"--pilot-{one['colour']}" for one in get(server, "pilots")["pilots"]}
+    boards = page.get_by_role("img", name="City map")
 
     def expect_ranked(at: int) -> None:
         """The best first; of equals the one that is named first."""
@@ -36,6 +38,10 @@ def test_four_are_ranked_while_they_fly_and_each_is_annotated(page: Page, server
     names = standings(page).get_by_role("rowheader")
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     expect(names).to_have_text(list(NAMES.values()))
+    # Brackets in the colour of the pilot that is looked at surround its target.
+    for number, agent in enumerate(NAMES, 1):
+        page.keyboard.press(str(number))
+        assert painted(boards, *colours.values()) == [colours[agent]]
     for at in (1, 2):
         press(page, "Step")
         expect_ranked(at)
@@ -47,16 +53,6 @@ def test_four_are_ranked_while_they_fly_and_each_is_annotated(page: Page, server
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(name)
         for label, count in annotations[agent]["counts"].items():
             expect(page.locator(f"#moves button[data-label={label}]")).to_have_count(count)
-
-
-def test_each_pilot_keeps_its_colour(page: Page, server: Server) -> None:
-    colours = {one["id"]: f"--pilot-{one['colour']}" for one in get(server, "pilots")["pilots"]}
-    over(page, SEED, f"/?task=easy&seed={SEED}&pilots=greedy,random")
-    boards = page.get_by_role("img", name="City map")
-    expect(standings(page)).to_have_count(2)
-    assert painted(boards, *colours.values()) == [colours["greedy"]], "brackets around the target of who is looked at"
-    page.keyboard.press("2")
-    assert painted(boards, *colours.values()) == [colours["random"]]
     # Alone, too, a pilot keeps its colour.
     pilot(page, "Random").click()
     expect(page.locator("#standings")).to_be_hidden()
