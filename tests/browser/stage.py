@@ -10,24 +10,11 @@ from tests.browser.tabs import PATIENCE_MS
 
 FASTEST = "60"
 """Steps per second, the last choice."""
-SIGNS = {
-    "Fly": "#boards .map",
-    "Compare": "#view-compare tbody tr",
-    "Learn": ".lesson",
-    "API": "#log-requests li",
-}
-"""An element of each view that is visible once the view is complete."""
 
 
 def view(page: Page, name: str) -> None:
     """Open a view by its link in the navigation."""
     page.get_by_role("navigation", name="Views").get_by_role("link", name=name, exact=True).click()
-
-
-def whole_view(page: Page, name: str) -> None:
-    """Open a view and wait until it is complete."""
-    view(page, name)
-    expect(page.locator(SIGNS[name]).first).to_be_visible()
 
 
 def show(page: Page, path: str) -> None:
@@ -120,11 +107,3 @@ def pilot(page: Page, name: str) -> Locator:
 def along(page: Page, name: str) -> Locator:
     """The box that makes a pilot fly along."""
     return page.get_by_role("checkbox", name=f"Add {name}", exact=True)
-
-
-def copied(page: Page, button: str, says: str) -> str:
-    """What a button copies to the clipboard."""
-    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-    page.get_by_role("button", name=button).click()
-    expect(page.locator("#toasts")).to_contain_text(says)
-    return page.evaluate("navigator.clipboard.readText()")
