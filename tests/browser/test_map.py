@@ -4,7 +4,7 @@ import json
 
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
-from tests.browser.shown import changed, expect_step, offset, painted, pictures, points
+from tests.browser.shown import changed, expect_step, painted, pictures, points
 from tests.browser.stage import ended, fly, press, show, until
 
 GROUND, CELLS, AIR = range(3)
@@ -96,11 +96,15 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     assert painted(page.locator(FIELD), *JOINED) == list(JOINED)
     for _ in range(3):
         nearer.click()
-    before = offset(page)
+    shift = page.locator(FIELD)
+    before = shift.bounding_box()
     page.keyboard.press("Shift+ArrowRight")
-    moved = offset(page)
-    assert moved[0] < before[0]
-    assert moved[1] == before[1]
+    pictures(page)  # drawn
+    after = shift.bounding_box()
+    assert before
+    assert after
+    assert after["x"] < before["x"]
+    assert after["y"] == before["y"]
     expect(page.get_by_role("button", name="Follow the drone")).to_be_visible()
     # A person starts nearby; a map of the standard tasks has no blocks and nothing around it.
     show(page, "/?task=city&seed=7&pilots=human")
