@@ -3,9 +3,8 @@
 from collections.abc import Generator
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Locator, Page, expect
 
-from tests.api.serving import Server
 from tests.browser.conftest import lent
 from tests.browser.shown import expect_step, pictures
 from tests.browser.stage import at_its_end, ended, fly, show, standings, view
@@ -15,20 +14,14 @@ PIXELS_PER_PIXEL = 2
 
 
 @pytest.fixture(scope="module")
-def pocket(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
-    with Tabs(browser, server.url) as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
-def opened(pocket: Tabs) -> Page:
+def opened(shared: Tabs) -> Page:
     touched = {"viewport": NARROW, "has_touch": True, "is_mobile": True, "device_scale_factor": PIXELS_PER_PIXEL}
-    return pocket.open("/?view=learn", **touched, reduced_motion="reduce")
+    return shared.open("/?view=learn", **touched, reduced_motion="reduce")
 
 
 @pytest.fixture
-def phone(opened: Page, pocket: Tabs) -> Generator[Page, None, None]:
-    with lent(opened, pocket) as page:
+def phone(opened: Page, shared: Tabs) -> Generator[Page, None, None]:
+    with lent(opened, shared) as page:
         yield page
 
 
