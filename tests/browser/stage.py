@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 from playwright.sync_api import Locator, Page, expect
 
-from drone_env.results.record import EpisodeRecord
 from tests.browser.tabs import PATIENCE_MS
 
 FASTEST = "60"
@@ -50,14 +49,6 @@ def standings(page: Page) -> Locator:
 def open_file(page: Page, name: str, text: str, field: str = "#flight-file") -> None:
     """Choose a file in a field of the page."""
     page.locator(field).set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
-
-
-def opened(page: Page, record: EpisodeRecord) -> None:
-    """Open a record in Fly, and wait until the page shows it."""
-    open_file(page, "flight.json", record.to_json(2))
-    expect(page.locator(".strip")).to_contain_text(f"{record.agent}: ")
-    expect(map_number(page)).to_have_value(str(record.seed))
-    expect(slider(page)).to_have_attribute("max", str(len(record.actions)))
 
 
 def over(page: Page, seed: int, path: str) -> None:

@@ -27,7 +27,6 @@ from tests.browser.stage import (
     map_number,
     moves,
     open_file,
-    opened,
     over,
     press,
     show,
@@ -142,7 +141,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         choice.select_option(index=index)
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
-    opened(page, record_of(by_hand("easy", 5, [Action.UP]), "me"))
+    open_file(page, "flight.json", record_of(by_hand("easy", 5, [Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight. This flight is not finished")
     page.keyboard.press("End")
     expect_step(page, 1, 60, "UP")
@@ -182,7 +181,8 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
         expect(problem).to_contain_text(says)
     # The flight before is still shown.
     expect(map_number(page)).to_have_value("7")
-    opened(page, record)
+    open_file(page, "flight.json", record.to_json(2))
+    expect(page.locator(".strip")).to_contain_text("me: ")
     expect(problem).to_be_hidden()
     press(page, "Greedy")
     expect(page.locator(".strip")).to_be_hidden()

@@ -129,11 +129,11 @@ def test_less_motion_stands_still_between_steps(page: Page) -> None:
                 const where = document.getElementById("step-counter");
                 const flight = [...document.querySelectorAll("#boards canvas")].at(-1);
                 for (;;) {
-                    const step = where.textContent;
-                    const pictures = new Set();
-                    for (let frame = 0; frame < 6; frame++) {
+                    const [step, pictures] = [where.textContent, new Set()];
+                    await new Promise(requestAnimationFrame);
+                    for (let frame = 0; frame < 5; frame++) {
                         await new Promise(requestAnimationFrame);
-                        if (frame) pictures.add(flight.toDataURL());
+                        pictures.add(flight.toDataURL());
                     }
                     if (where.textContent === step) return pictures.size > 1;
                 }

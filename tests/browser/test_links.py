@@ -53,25 +53,25 @@ def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, serv
     press(page, "Step")
     expect_frame(page, flights[0][10], 100)
     slider(page).fill("4")
-    here = f"{server.url}/?task=medium&seed=7&pilots=greedy,random&step=4"
-    expect(page).to_have_url(here)
+    expect(page).to_have_url(re.compile("seed=7&pilots=greedy,random&step=4$"))
     page.reload()
     expect_frame(page, flights[0][4], 100)
-    expect(page).to_have_url(here)
 
 
 def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page: Page, server: Server) -> None:
     # Both in the middle of their flights: the moments differ from their ends.
     records = [flown("medium", seed, "random") for seed in (5, 6)]
     ids = fill(server.data, records)
+    moments = [frames(server, record) for record in records]
 
     def expect_stored(number: int, at: int) -> None:
+        expect_frame(page, moments[number][at], 100)
         expect(map_number(page)).to_have_value(str(records[number].seed))
-        expect_frame(page, frames(server, records[number])[at], 100)
         expect(page).to_have_url(f"{server.url}/?episode={ids[number]}" + (f"&step={at}" if at else ""))
 
-    over(page, 5, f"/?episode={ids[0]}&step=8")
+    show(page, f"/?episode={ids[0]}&step=8")
     expect_stored(0, 8)
+    expect(page.locator(".strip")).to_contain_text("Random: ")
     view(page, "Compare")
     show(page, f"/?episode={ids[1]}")
     expect_stored(1, 0)
