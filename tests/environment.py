@@ -5,7 +5,7 @@ import os
 SETTINGS = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_TASK", "LOCAL_IMAGE_NAME")
 """The variables of `drone-env infer`; all others of the package begin with `DRONE_ENV_`."""
 KNOBS = (
-    "DRONE_ENV_CACHE",  # where compiled code is kept: a run of the tests may share it with others
+    "DRONE_ENV_CACHE",
     "DRONE_ENV_CLUSTER_FLIGHTS",
     "DRONE_ENV_CLUSTER_MAPS",
     "DRONE_ENV_CLUSTER_TASK",
@@ -15,6 +15,7 @@ KNOBS = (
     "DRONE_ENV_MUTATIONS",
     "DRONE_ENV_NGINX_SESSIONS",
     "DRONE_ENV_PARITY_STEPS",
+    "DRONE_ENV_PROMPT_MAPS",
     "DRONE_ENV_REQUIRE_TOOLS",
     "DRONE_ENV_SCHEMA_EXAMPLES",
 )
