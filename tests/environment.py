@@ -5,7 +5,7 @@ import os
 SETTINGS = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_TASK", "LOCAL_IMAGE_NAME")
 """The variables of `drone-env infer`; all others of the package begin with `DRONE_ENV_`."""
 KNOBS = (
-    "DRONE_ENV_CACHE",
+    "DRONE_ENV_CACHE",  # where compiled code is kept: a run of the tests may share it with others
     "DRONE_ENV_CLUSTER_FLIGHTS",
     "DRONE_ENV_CLUSTER_MAPS",
     "DRONE_ENV_CLUSTER_TASK",

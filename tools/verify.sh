@@ -25,7 +25,8 @@ coverage() {
 }
 
 mutants() {
-  $python tools/mutants.py
+  "$VENV/bin/uv" pip install --quiet --python $python 'cosmic-ray>=8.7'
+  $python tools/mutation.py
 }
 
 # environment NAME: a virtual environment beside the other, with PyTorch.
