@@ -24,7 +24,7 @@ from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.models import DroneState, observation_fields
 from drone_env.server.map_choice import DEFAULT_TASK, TaskApi, start_episode
 from drone_env.server.openenv_session import openenv_fields
-from drone_env.server.schemas import DESCRIPTION, ENV_NAME, OpenEnvReset, RouteAction, WireObservation
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, OpenEnvReset, RouteAction, WireObservation, fly_route
 
 
 class DroneEnvAction(RouteAction, Action):
@@ -106,7 +106,7 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         Raises:
             EpisodeError: before the first reset.
         """
-        reward, flown = action.fly(self._episode, self._episode.step)
+        reward, flown = fly_route(action.direction, self._episode, self._episode.step)
         observation = self._observe(reward, {"flown": flown})
         self._apply_rubric(action, observation)
         return observation

@@ -4,20 +4,14 @@ import asyncio
 from functools import lru_cache
 from typing import Any, cast
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from drone_env import __version__
-from drone_env.errors import (
-    DroneEnvError,
-    InvalidValueError,
-    NoSessionError,
-    SessionGoneError,
-    UnknownNameError,
-    text_of,
-)
+from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, text_of
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
+from drone_env.models import Message, flat_json
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
-from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, RouteAction, SessionReset
+from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState
 
 SESSION_HEADER = "Mcp-Session-Id"
@@ -25,34 +19,26 @@ INVALID_REQUEST, NO_METHOD, INVALID, FAILED = -32600, -32601, -32602, -32603
 SERVER_ERROR = -32000
 PROTOCOLS = ("2025-11-25", "2025-06-18", "2025-03-26")
 """Versions of MCP, newest first."""
-TOOLS: list[dict[str, Any]] = [
-    {
-        "name": "reset",
-        "description": "Start a flight over a map. Returns the rules and the observation.",
-        "inputSchema": SessionReset.model_json_schema(),
-    },
-    {
-        "name": "fly",
-        "description": "Fly one action or a route. Returns what happened, and where the drone is now.",
-        "inputSchema": {
-            "type": "object",
-            "properties": {
-                "route": {
-                    "type": "string",
-                    "description": "UP, DOWN, LEFT, RIGHT or WAIT, or several of them, such as UP UP WAIT; "
-                    f"at most {MAX_ROUTE}.",
-                }
-            },
-            "required": ["route"],
-            "additionalProperties": False,
-        },
-    },
-    {
-        "name": "look",
-        "description": "Returns the rules and the observation.",
-        "inputSchema": {"type": "object", "properties": {}, "additionalProperties": False},
-    },
-]
+
+
+class FlyArguments(Message):
+    """The arguments of the tool `fly`."""
+
+    route: Route = Field(
+        description=f"UP, DOWN, LEFT, RIGHT or WAIT, or several of them, such as UP UP WAIT; at most {MAX_ROUTE}."
+    )
+
+
+class LookArguments(Message):
+    """The tool `look` has no arguments."""
+
+
+TOOLS: dict[str, tuple[type[Message], str]] = {
+    "reset": (SessionReset, "Start a flight over a map. Returns the rules and the observation."),
+    "fly": (FlyArguments, "Fly one action or a route. Returns what happened, and where the drone is now."),
+    "look": (LookArguments, "Return the rules and the observation."),
+}
+"""The arguments of each tool, and what it does."""
 
 
 class ToolError(Exception):
@@ -84,29 +70,19 @@ async def call_tool(session: OpenEnvSession, name: object, arguments: object) ->
     Raises:
         ToolError: if the call is invalid or cannot be executed.
     """
-    if name not in [tool["name"] for tool in TOOLS]:
-        shown = name[:40] if isinstance(name, str) else type(name).__name__
-        raise ToolError("tool_not_found", str(UnknownNameError("tool", shown, (tool["name"] for tool in TOOLS))))
-    if not isinstance(arguments, dict):
-        raise ToolError("invalid_args", "the arguments of a tool are an object")
-    given = cast(dict[str, Any], arguments)
+    if not isinstance(name, str) or name not in TOOLS:
+        raise ToolError("tool_not_found", f"there is no such tool; tools: {', '.join(TOOLS)}")
     reward, flown = None, 0
     try:
-        if name == "reset":
-            episode = await session.reset(SessionReset.model_validate(given))
-        elif unknown := sorted(given.keys() ^ ({"route"} if name == "fly" else set())):
-            state = "unexpected" if unknown[0] in given else "missing"
-            raise InvalidValueError(f"{unknown[0][:40]}: {state}")
-        elif name == "fly":
-            episode, reward, flown = await session.fly(RouteAction.model_validate(given))
-        else:
-            episode = await session.look()
-        if name == "fly":
+        given = TOOLS[name][0].model_validate(arguments)
+        if isinstance(given, FlyArguments):
+            episode, reward, flown = await session.fly(given.route)
             text = flown_text(episode, flown)
         else:
+            episode = await (session.reset(given) if isinstance(given, SessionReset) else session.look())
             text = await asyncio.to_thread(full_text, _prompt(), episode)
     except ValidationError as error:
-        raise ToolError("invalid_args", text_of(error, lambda where: "route" if name == "fly" else where)) from None
+        raise ToolError("invalid_args", text_of(error)) from None
     except (LookupError, InvalidValueError) as error:
         raise ToolError("invalid_args", str(error)) from None
     except DroneEnvError as error:
@@ -117,8 +93,7 @@ async def call_tool(session: OpenEnvSession, name: object, arguments: object) ->
 async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[str, Any]:
     """Return the result of a step whose action is OpenEnv's `ListToolsAction` or `CallToolAction`."""
     if action["type"] == "list_tools":
-        tools = [{"input_schema" if key == "inputSchema" else key: one[key] for key in one} for one in TOOLS]
-        return {"observation": {"tools": tools, "metadata": {}}, "reward": None, "done": False}
+        return {"observation": {"tools": _listed("input_schema"), "metadata": {}}, "reward": None, "done": False}
     name = action.get("tool_name")
     observation: dict[str, Any] = {"tool_name": name if isinstance(name, str) else ""}
     observation |= {"result": None, "error": None, "metadata": {}}
@@ -159,7 +134,6 @@ async def rpc(
 async def _call(
     shared: AppState, method: str, params: dict[str, Any], session: OpenEnvSession | None, named: str | None
 ) -> dict[str, Any]:
-    named = params.get("session_id", named)
     if method == "initialize":
         version = params.get("protocolVersion")
         return {
@@ -170,33 +144,33 @@ async def _call(
     if method == "ping":
         return {}
     if method == "tools/list":
-        return {"tools": TOOLS}
-    if method == "openenv/session/create":
-        if session is not None:
-            return {"session_id": session.episode_id}
-        try:
-            return {"session_id": (await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), _nothing))[0]}
-        except DroneEnvError as error:
-            raise ToolError("execution_error", str(error), SERVER_ERROR) from None
-    if method not in ("tools/call", "openenv/session/close"):
-        raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
-    if session is not None:
-        if method == "tools/call":
-            return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
-        raise ToolError("invalid_request", "the session ends with its connection", INVALID_REQUEST)
-    if not isinstance(named, str):
-        raise ToolError("invalid_args", "session_id: name the session that openenv/session/create opened")
-    if method == "tools/call":
-        return _result(await call_tool(OpenEnvSession(shared, named), params.get("name"), params.get("arguments", {})))
+        return {"tools": _listed("inputSchema")}
     try:
-        await asyncio.to_thread(shared.sessions.end, named)
-    except (NoSessionError, SessionGoneError) as error:
-        raise ToolError("invalid_args", f"session_id: {error}") from None
-    return {"session_id": named, "closed": True}
+        if method == "openenv/session/create":
+            if session is not None:
+                return {"session_id": session.episode_id}
+            return {"session_id": (await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), flat_json))[0]}
+        named = params.get("session_id", named)
+        if session is None and not isinstance(named, str):
+            raise InvalidValueError("session_id: send the one from openenv/session/create")
+        if method == "tools/call":
+            session = session or OpenEnvSession(shared, named)
+            return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
+        if method == "openenv/session/close" and session is None:
+            await asyncio.to_thread(shared.sessions.end, str(named))
+            return {"session_id": named, "closed": True}
+    except CapacityError as error:
+        raise ToolError("execution_error", str(error), SERVER_ERROR) from None
+    except (LookupError, InvalidValueError) as error:
+        raise ToolError("invalid_args", str(error)) from None
+    raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
 
 
-def _nothing(*_: object) -> None:
-    pass
+def _listed(schema: str) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "description": about, schema: arguments.model_json_schema()}
+        for name, (arguments, about) in TOOLS.items()
+    ]
 
 
 def _result(data: dict[str, Any]) -> dict[str, Any]:

@@ -74,7 +74,7 @@ class Connection:
             RefusedError: if the frame is invalid or cannot be executed.
         """
         try:
-            frame = parse_json(received) if received is not None else _binary()
+            frame = parse_json(received or b"")
         except InvalidValueError as error:
             if self._mcp:
                 problem = {"code": PARSE_ERROR, "message": str(error)}
@@ -115,12 +115,8 @@ class Connection:
         if isinstance(data, dict) and cast(dict[str, Any], data).get("type") in ("list_tools", "call_tool"):
             result = await step_as_tool(self._session, cast(dict[str, Any], data))
             return _frame("observation", to_json(result).decode())
-        episode, reward, flown = await self._session.fly(RouteAction.model_validate(data))
+        episode, reward, flown = await self._session.fly(RouteAction.model_validate(data).direction)
         return _frame("observation", await self._session.observation(episode, reward, flown=flown))
-
-
-def _binary() -> Any:
-    raise InvalidValueError("send text frames with JSON")
 
 
 class OpenEnvSocket:

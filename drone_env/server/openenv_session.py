@@ -11,7 +11,7 @@ from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.models import NAMES, openenv_json
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.map_choice import DEFAULT_TASK, start_episode
-from drone_env.server.schemas import OpenEnvReset, RouteAction, SessionReset
+from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import AppState
 
@@ -97,8 +97,8 @@ class OpenEnvSession:
         self._prompt, self._feedback = prompt, ""
         return episode
 
-    async def fly(self, action: RouteAction) -> tuple[Episode, float, int]:
-        """Fly an action or a route; returns the episode, the sum of the rewards, and the number of steps.
+    async def fly(self, route: str) -> tuple[Episode, float, int]:
+        """Fly a route; returns the episode, the sum of the rewards, and the number of steps.
 
         Raises:
             EpisodeError: before the first reset.
@@ -107,7 +107,7 @@ class OpenEnvSession:
         def fly(session: Session) -> None:
             # If storing the ended episode failed, the client repeats the last step, and gets the same response.
             if not session.finished:
-                self._last = action.fly(session.fly(), lambda one: advance(session, one))
+                self._last = fly_route(route, session.fly(), lambda action: advance(session, action))
 
         episode, _ = await self._use(fly)
         return episode, *self._last

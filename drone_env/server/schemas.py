@@ -11,7 +11,7 @@ from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.llm.answers import Answer, read_answer
-from drone_env.models import MAX_SEED, Direction, DroneAction, DroneObservation, Message, Seed
+from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Message, Seed
 from drone_env.results.finished import check_agent
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
@@ -24,7 +24,6 @@ OPENENV_PROFILE = "score"
 """The default of OpenEnv sessions: trainers log the sum of the rewards or the last one, and both are the score."""
 MAX_ROUTE = 1000
 """Maximum number of actions in one step of an OpenEnv session; the longest task has 640 steps."""
-STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
 
 def examples(values: list[JsonValue]) -> Any:
@@ -134,13 +133,17 @@ def _action(word: object) -> Action:
     raise ValueError(f"{shown} is not an action; actions: {', '.join(Action.__members__)}, or 0 to {N_ACTIONS - 1}")
 
 
+Route = Annotated[str, BeforeValidator(route_text)]
+"""Names of actions, separated by spaces; numbers and lists are converted."""
+
+
 class RouteAction(Message):
     """An action, or several in a row, in an OpenEnv session.
 
     `{"direction": "UP"}`, `{"direction": 0}`, `{"direction": "UP UP WAIT"}`, `{"route": ["UP", "UP", "WAIT"]}`.
     """
 
-    direction: Annotated[str, BeforeValidator(route_text)] = Field(
+    direction: Route = Field(
         description=f"One of {', '.join(Action.__members__)}, or up to {MAX_ROUTE} of them, separated by spaces."
     )
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
@@ -157,22 +160,24 @@ class RouteAction(Message):
                 return {"direction": fields[name], **kept}
         return fields
 
-    def fly(self, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:
-        """Fly the actions until the episode ends; those after the end are not flown.
 
-        Args:
-            episode: The episode.
-            step: Flies one action and returns its reward.
+def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:
+    """Fly actions until the episode ends; those after the end are not flown.
 
-        Returns:
-            The sum of the rewards, and the number of actions flown.
-        """
-        before, rewards = episode.steps, list[float]()
-        for name in self.direction.split():
-            rewards.append(step(Action[name]))
-            if episode.ended:
-                break
-        return sum(rewards), episode.steps - before
+    Args:
+        route: The names of the actions, separated by spaces.
+        episode: The episode.
+        step: Flies one action and returns its reward.
+
+    Returns:
+        The sum of the rewards, and the number of actions flown.
+    """
+    before, rewards = episode.steps, list[float]()
+    for name in route.split():
+        rewards.append(step(Action[name]))
+        if episode.ended:
+            break
+    return sum(rewards), episode.steps - before
 
 
 class TextMessage(Message):
@@ -195,25 +200,3 @@ class WireObservation(DroneObservation):
         default_factory=dict[str, Any],
         description="`reward_profile`, which pays; after a step also `flown`, the number of actions flown.",
     )
-
-
-class StepRequest(Message):
-    """One action: either flat (`direction`) or in OpenEnv's format (`action`)."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": STEPS})
-
-    direction: Direction | None = Field(default=None, description="The action; returns a `DroneObservation`.")
-    action: WireAction | None = Field(default=None, description="The action in OpenEnv's format; returns `StepResult`.")
-    timeout_s: float | None = Field(default=None, gt=0, description="Ignored; OpenEnv's clients send it.")
-    request_id: str | None = Field(default=None, max_length=255, description="Ignored; OpenEnv's clients send it.")
-
-    @model_validator(mode="after")
-    def _check_format(self) -> Self:
-        if (self.direction is None) == (self.action is None):
-            raise ValueError('send either {"direction": ...} or {"action": {"direction": ...}}')
-        return self
-
-    @property
-    def chosen(self) -> Action:
-        """The action."""
-        return Action[str(self.direction)] if self.action is None else self.action.action

@@ -52,11 +52,12 @@ def of_sockets() -> dict[str, list[Hostile]]:
     head = {name: {"const": value} for name, value in (("jsonrpc", "2.0"), ("method", "tools/call"))}
     mcp = [
         text
-        for tool in TOOLS
-        for call in [{"name": {"const": tool["name"]}, "arguments": tool["inputSchema"]}]
+        for name, (arguments, _) in TOOLS.items()
+        for schema in [arguments.model_json_schema()]
+        for call in [{"name": {"const": name}, "arguments": schema}]
         for params in [{"type": "object", "properties": call, "required": list(call)}]
         for request in [{"type": "object", "properties": {**head, "params": params}, "required": [*head, "params"]}]
-        for text in _texts(request, tool["inputSchema"], SMALL - 100)
+        for text in _texts(request, schema, SMALL - 100)
     ]
     return {"/ws": ws, "/mcp": mcp, "/live": list(_texts(live, live, LARGE))}
 

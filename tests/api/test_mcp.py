@@ -1,6 +1,7 @@
 """MCP over HTTP and WebSocket: the session that a call flies, and calls that are invalid."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -8,8 +9,10 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from drone_env.planning.optimal import solve
+from drone_env.server.app import create_app
 from drone_env.server.json_routes import SMALL
 from drone_env.server.schemas import MAX_ROUTE
+from drone_env.server.settings import Settings
 
 
 def request(method: str, **params: Any) -> dict[str, Any]:
@@ -24,29 +27,21 @@ def opened(client: TestClient) -> str:
     return post(client, "openenv/session/create")["result"]["session_id"]
 
 
+CALLS: list[dict[str, Any]] = [
+    {},
+    *({"name": name, "arguments": {}} for name in ("none", "fly", ["fly"], None, "x" * 5000)),
+    *({"name": "fly", "arguments": arguments} for arguments in ([], {"route": "UP", "more": 1}, {"x": 1}, None)),
+    *({"name": "fly", "arguments": {"route": route}} for route in (None, "SIDEWAYS", "", [], ["UP"] * (MAX_ROUTE + 1))),
+    {"name": "look", "arguments": {"x": 1}},
+    *({"name": "reset", "arguments": {"seed": seed}} for seed in (2**53, 1e9, "7", -1)),
+    *({"name": "reset", "arguments": arguments} for arguments in ({"task_name": "none"}, {"prompt": "minimal"})),
+]
 WRONG: list[tuple[Any, int]] = [
-    ([], -32600),
-    ({"jsonrpc": "2.0"}, -32600),
-    ({"jsonrpc": 2, "method": "ping"}, -32600),
+    *((wrong, -32600) for wrong in ([], None, {"jsonrpc": "2.0"}, {"jsonrpc": 2, "method": "ping"})),
     ({"jsonrpc": "2.0", "method": ["ping"]}, -32600),
-    (request("tools/none"), -32601),
-    (request("x" * 5000), -32601),
+    *((request(method), -32601) for method in ("tools/none", "x" * 5000)),
     ({"jsonrpc": "2.0", "method": "tools/call", "params": []}, -32602),
-    (request("tools/call"), -32602),
-    (request("tools/call", name="none", arguments={}), -32602),
-    (request("tools/call", name=["fly"], arguments={}), -32602),
-    (request("tools/call", name="fly", arguments=[]), -32602),
-    (request("tools/call", name="fly", arguments={}), -32602),
-    (request("tools/call", name="fly", arguments={"route": "UP", "more": 1}), -32602),
-    (request("tools/call", name="fly", arguments={"route": None}), -32602),
-    (request("tools/call", name="fly", arguments={"route": "SIDEWAYS"}), -32602),
-    (request("tools/call", name="fly", arguments={"route": []}), -32602),
-    (request("tools/call", name="fly", arguments={"route": ["UP"] * (MAX_ROUTE + 1)}), -32602),
-    (request("tools/call", name="look", arguments={"x": 1}), -32602),
-    (request("tools/call", name="reset", arguments={"task_name": "none"}), -32602),
-    (request("tools/call", name="reset", arguments={"seed": 2**53}), -32602),
-    (request("tools/call", name="reset", arguments={"seed": 1e9}), -32602),
-    (request("tools/call", name="reset", arguments={"prompt": "minimal"}), -32602),
+    *((request("tools/call", **call), -32602) for call in CALLS),
 ]
 
 
@@ -55,21 +50,17 @@ def test_an_invalid_request_is_an_error_and_the_flight_goes_on(
     shared_client: TestClient, wrong: Any, code: int
 ) -> None:
     session = opened(shared_client)
-    post(shared_client, "tools/call", name="reset", arguments={"seed": 7}, session_id=session)
-    before = post(shared_client, "tools/call", name="look", session_id=session)
+    start, look = request("tools/call", name="reset", arguments={"seed": 7}), request("tools/call", name="look")
     headers = {"Mcp-Session-Id": session}
-    answer = shared_client.post("/mcp", json=wrong, headers=headers)
-    assert (answer.status_code, answer.json()["error"]["code"]) == (200, code)
+    over_http, over_socket = (list[Any](), list[Any]())
     with shared_client.websocket_connect("/mcp") as socket:
-        socket.send_json(request("tools/call", name="reset", arguments={"seed": 7}))
-        assert socket.receive_json() == post(
-            shared_client, "tools/call", name="reset", arguments={"seed": 7}, session_id=session
-        )
-        socket.send_json(wrong)
-        assert socket.receive_json()["error"] == answer.json()["error"]
-        socket.send_json(request("tools/call", name="look"))
-        assert socket.receive_json() == before
-    assert post(shared_client, "tools/call", name="look", session_id=session) == before
+        for call in (start, look, wrong, look):
+            over_http.append(shared_client.post("/mcp", json=call, headers=headers).json())
+            socket.send_json(call)
+            over_socket.append(socket.receive_json())
+    assert over_http == over_socket
+    assert over_http[1] == over_http[3]
+    assert over_http[2]["error"]["code"] == code
 
 
 @pytest.mark.parametrize("path", ["/mcp", "/ws"])
@@ -124,24 +115,10 @@ def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_cli
         assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
 
 
-def test_initialize_opens_a_session_that_a_header_names(shared_client: TestClient) -> None:
-    answer = shared_client.post("/mcp", json=request("initialize", protocolVersion="1999-01-01"))
-    assert answer.json()["result"]["protocolVersion"] == "2025-11-25"
-    notified = shared_client.post("/mcp", json={"jsonrpc": "2.0", "method": "notifications/initialized"})
-    assert (notified.status_code, notified.content) == (202, b"")
-    headers = {"Mcp-Session-Id": answer.headers["Mcp-Session-Id"]}
-    looked = shared_client.post("/mcp", json=request("tools/call", name="look"), headers=headers).json()
-    assert looked["result"]["content"][0]["text"] == looked["result"]["structuredContent"]["text"]
-
-
-@pytest.mark.parametrize("settings", [{"capacity": 1}])
-def test_without_room_no_session_is_opened(settings: dict[str, Any], tmp_path: Any) -> None:
-    from drone_env.server.app import create_app
-    from drone_env.server.settings import Settings
-
-    with TestClient(create_app(Settings(data=tmp_path, **settings))) as client:
-        opened(client)
-        assert post(client, "openenv/session/create")["error"]["code"] == -32000
-        refused = client.post("/mcp", json=request("initialize"))
-        assert refused.json()["error"]["code"] == -32000
-        assert "Mcp-Session-Id" not in refused.headers
+def test_without_room_no_session_is_opened(tmp_path: Path) -> None:
+    with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
+        assert "Mcp-Session-Id" in client.post("/mcp", json=request("initialize", protocolVersion=[1])).headers
+        for method in ("openenv/session/create", "initialize"):
+            refused = client.post("/mcp", json=request(method))
+            assert refused.json()["error"]["code"] == -32000
+            assert "Mcp-Session-Id" not in refused.headers

@@ -1,5 +1,6 @@
 """Prompts state all that decides a flight: a planner that reads nothing but a prompt flies the optimum."""
 
+import os
 import re
 from collections.abc import Generator, Sequence
 from dataclasses import replace
@@ -22,6 +23,7 @@ from drone_env.planning.optimal import solve, solver_of
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 
+MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
 PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
 PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
@@ -55,6 +57,8 @@ TITLES = {
 }
 LEGEND = r"^(\S) is the drone, (\S) a parcel to deliver, (\S) a delivered one, (.*)\.$"
 MOVES = [("UP", "y", "-"), ("DOWN", "y", "+"), ("LEFT", "x", "-"), ("RIGHT", "x", "+")]
+TIERS = [pytest.param(task.short_name, marks=() if task in (EASY, SKYLINE) else pytest.mark.long) for task in GENERATED]
+"""All generated tasks; the quick tests fly two of them."""
 REWARDS = "delivery battery_dead wall blocked obstacle building tree wait step"
 
 
@@ -215,18 +219,10 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
     return episode.score
 
 
-@pytest.mark.parametrize("task", ["easy", "skyline_easy"])
+@pytest.mark.parametrize("task", TIERS)
 @pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
 def test_who_reads_nothing_but_the_prompt_flies_the_optimum(prompt: Prompt, task: str) -> None:
-    for seed in split_seeds("test", 1):
-        assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("task", [task.short_name for task in GENERATED])
-@pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
-def test_who_reads_nothing_but_the_prompt_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
-    for seed in split_seeds("test", 100 if prompt.id.startswith("minimal-") else 5):
+    for seed in split_seeds("test", MAPS or (1 if task in ("easy", "skyline_easy") else 3)):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
@@ -237,38 +233,23 @@ def socket(tmp_path_factory: pytest.TempPathFactory) -> Generator[WebSocketTestS
         yield connected
 
 
-def flown_over_the_socket(socket: WebSocketTestSession, task: str, seed: int, ahead: int) -> float:
-    """The sum of the rewards of a client of OpenEnv that reads nothing but `prompt`, and plans so many steps ahead."""
-
+@pytest.mark.parametrize("task", TIERS)
+def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum(
+    socket: WebSocketTestSession, task: str
+) -> None:
     def ask(kind: str, data: Any) -> Any:
         socket.send_json({"type": kind, "data": data})
         return socket.receive_json()["data"]
 
-    answer, total = ask("reset", {"task_name": task, "seed": seed, "prompt": "minimal"}), 0.0
-    while not answer["done"]:
-        flight, says = read_text(*[answer["observation"]["prompt"]] * 2).episode, list[str]()
-        solver = solver_of(flight)
-        while not flight.ended and len(says) < ahead:
-            action = solver.optimal_actions(flight)[0]
-            flight.step(action)
-            says.append(action.name)
-        answer = ask("step", " ".join(says))
-        total += answer["reward"]
-    return total
-
-
-@pytest.mark.parametrize("task", ["easy", "medium", "skyline_easy"])
-def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum(
-    socket: WebSocketTestSession, task: str
-) -> None:
-    for seed in split_seeds("test", 2):
-        assert flown_over_the_socket(socket, task, seed, 1) == solve(task, seed).score
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("task", [task.short_name for task in GENERATED])
-def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum_of_many_maps(
-    socket: WebSocketTestSession, task: str
-) -> None:
-    for seed in split_seeds("test", 100):
-        assert flown_over_the_socket(socket, task, seed, 8) == solve(task, seed).score
+    for seed in split_seeds("test", MAPS or (2 if task in ("easy", "skyline_easy") else 100)):
+        answer, total = ask("reset", {"task_name": task, "seed": seed, "prompt": "minimal"}), 0.0
+        while not answer["done"]:
+            flight, says = read_text(*[answer["observation"]["prompt"]] * 2).episode, list[str]()
+            solver = solver_of(flight)
+            while not flight.ended and len(says) < 8:
+                action = solver.optimal_actions(flight)[0]
+                flight.step(action)
+                says.append(action.name)
+            answer = ask("step", " ".join(says))
+            total += answer["reward"]
+        assert total == solve(task, seed).score
