@@ -92,10 +92,10 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     expect_step(phone, 0, 60)
     ground = phone.locator("#boards canvas").first
     whole = place()
-    for _ in range(2):
+    for _ in range(4):
         phone.get_by_role("button", name="Zoom in").tap()
     start = place()
-    assert start[2] > 1.5 * whole[2]
+    assert start[2] > 3 * whole[2]
     fly(phone)
     ended(phone)
     assert place()[:2] != start[:2]
@@ -109,6 +109,6 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     phone.get_by_role("button", name="Step", exact=True).tap()
     assert place() == moved
     phone.get_by_role("button", name="Follow the drone").tap()
-    for _ in range(2):
+    for _ in range(4):
         phone.get_by_role("button", name="Zoom out").tap()
     assert place() == whole
