@@ -1,10 +1,14 @@
 """The most expensive bodies and frames of each kind, generated from the JSON Schemas of the server."""
 
+import asyncio
 import json
+import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
 
+from fastapi import FastAPI
 from pydantic import TypeAdapter
+from starlette.types import Message
 
 from drone_env.server.json_routes import LARGE, LIMIT, SMALL
 from drone_env.server.live.commands import Command
@@ -136,3 +140,72 @@ def _example(schema: Schema, root: Schema) -> Any:
     if kind == "array":
         return [_example(schema.get("items", {}), root)] * schema.get("minItems", 1)
     return {"integer": 1, "number": 1.0, "boolean": True}.get(str(kind), "x")
+
+
+class Cost(NamedTuple):
+    """What one body or frame cost the event loop."""
+
+    seconds: float
+    name: str
+
+
+async def costs_of_routes(app: FastAPI) -> dict[str, list[Cost]]:
+    """The CPU time of the event loop for each body, by route; the application runs."""
+    description = app.openapi()
+    costs: dict[str, list[Cost]] = {}
+    for path, bodies in of_routes(description):
+        costs[path] = [await _body_cost(app, path, body) for body in bodies]
+    return costs
+
+
+async def costs_of_sockets(app: FastAPI) -> dict[str, list[Cost]]:
+    """The same for each frame, by WebSocket."""
+    return {path: await _frame_costs(app, path, frames) for path, frames in of_sockets().items()}
+
+
+async def _body_cost(app: FastAPI, path: str, body: Hostile) -> Cost:
+    messages = iter([{"type": "http.request", "body": body.content, "more_body": False}])
+
+    async def receive() -> Message:
+        return next(messages, {"type": "http.disconnect"})
+
+    async def send(message: Message) -> None:
+        if message.get("status", 0) >= 500 and message["status"] != 503:
+            raise AssertionError(f"{message['status']} for {path}, {body.name}")
+
+    headers = [(b"host", b"localhost"), (b"content-type", b"application/json"), (b"transfer-encoding", b"chunked")]
+    began = time.thread_time()
+    await app(_scope("http", path) | {"method": "POST", "headers": headers}, receive, send)
+    return Cost(time.thread_time() - began, body.name)
+
+
+async def _frame_costs(app: FastAPI, path: str, frames: list[Hostile]) -> list[Cost]:
+    costs: list[Cost] = []
+    given = 0
+    began = time.thread_time()
+
+    async def receive() -> Message:
+        nonlocal given, began
+        if given:
+            await asyncio.sleep(0)  # what the answer has left to other tasks of the connection
+            costs.append(Cost(time.thread_time() - began, "opening" if given == 1 else frames[given - 2].name))
+        given += 1
+        if given == 1:
+            return {"type": "websocket.connect"}
+        if given > len(frames) + 1:
+            return {"type": "websocket.disconnect", "code": 1000}
+        text = frames[given - 2].content.decode()
+        began = time.thread_time()
+        return {"type": "websocket.receive", "text": text}
+
+    async def send(_: Message) -> None:
+        pass
+
+    await app(_scope("websocket", path) | {"headers": [(b"host", b"localhost")], "subprotocols": []}, receive, send)
+    return costs
+
+
+def _scope(kind: str, path: str) -> dict[str, Any]:
+    addresses = {"client": ("127.0.0.1", 5000), "server": ("127.0.0.1", 8000)}
+    query = {"query_string": b"", "root_path": "", "scheme": "http", "http_version": "1.1", "raw_path": path.encode()}
+    return {"type": kind, "asgi": {"version": "3.0"}, "path": path, "state": {}, **addresses, **query}

@@ -3,11 +3,14 @@
     python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
 
 A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
-send 26 MB of requests and read nothing, 1,000 that send half a request, floods of pings and of one-byte fragments over
-WebSockets, fuzzed requests, and an end while nobody reads. It fails if `/health` took longer than 0.5 s or the event
-loop used more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than 5 ms; if the
-server had more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or left a
-traceback.
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with
+thousands of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read
+slowly or not at all, 100 addresses that draw maps while eight people fly, fuzzed requests, and an end while nobody
+reads. It fails if `/health` took longer than 0.5 s or the event loop used more than 0.2 CPU seconds before it
+answered; if a request or connection cost the loop more than 5 ms; if the server had more than 300 MB, or 400 MB with
+its worker processes; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
+
+Before that, in this process, the most expensive bodies and frames of each kind: none may take 5 ms of the event loop.
 
 The time of an answer is counted without that for which server or asker could have run while the machine was busy with
 others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
@@ -33,10 +36,14 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+from tests.api.hostile_bodies import costs_of_routes, costs_of_sockets
+from tests.api.hostile_maps import crowd
 from tests.api.serving import Server, serving
 
 MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH = 0.5, 0.2, 0.005
-MOST_MEGABYTES = 300
+MOST_MEGABYTES, MOST_MEGABYTES_IN_ALL = 300, 400
 HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
 PING, BEGIN, GO_ON = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
@@ -177,6 +184,34 @@ class Campaign:
             self.faults.append(f"{1000 - len(ended)} half requests stay")
         return f"{len(ended)} of 1,000 halves were ended within {time.monotonic() - began:.0f} s"
 
+    async def flood(self, frame: bytes, reads: bool, path: str = "/ws") -> str:
+        streams = [await self.open_socket(path) for _ in range(10)]
+        until = time.monotonic() + self.seconds
+        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams if reads]
+        if not reads:
+            for reader, _ in streams:
+                reader._transport.pause_reading()  # pyright: ignore
+        data = frame * (100_000 // len(frame))
+        taken = await asyncio.gather(*[self.push(writer, data, 10_000, until) for _, writer in streams])
+        for task in readers:
+            task.cancel()
+        abort(streams)
+        return f"{sum(taken) / len(frame):,.0f} frames taken from 10"
+
+    async def send_long_heads(self) -> str:
+        """Send requests with 6,500 headers, from 128 callers."""
+        headers = b"".join([b"a%04d: x\r\n" % number for number in range(6500)])
+        request = HEAD.format("GET /health").encode() + headers + b"\r\n"
+
+        async def ask(_: float) -> int:
+            reader, writer = await self.open(request)
+            with contextlib.suppress(OSError):  # the server may close before it has read everything
+                await reader.readline()
+            writer.transport.abort()
+            return 1
+
+        return await self.repeat(128, ask)
+
     async def send_small_frames(self, path: str, first: bytes, frame: bytes) -> str:
         """Send as many frames as the server takes, from 64 callers that connect again when it closes."""
 
@@ -190,6 +225,24 @@ class Campaign:
             return 1
 
         return await self.repeat(64, flood)
+
+    async def follow_requests(self) -> str:
+        """Read the request log with 296 callers while 8 others call."""
+        request = (HEAD.format("GET /terminal_logs") + "Accept: text/event-stream\r\n\r\n").encode()
+        streams = [await self.open(request) for _ in range(296)]
+        statuses = Counter([(await reader.readline())[9:12].decode() for reader, _ in streams])
+        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams]
+
+        async def ask(_: float) -> int:
+            reader, writer = await self.open((HEAD.format("GET /x") + "\r\n").encode())
+            await reader.readline()
+            writer.transport.abort()
+            return 1
+
+        note = await self.repeat(8, ask)
+        abort(streams)
+        await asyncio.gather(*readers, return_exceptions=True)
+        return f"readers by status: {dict(statuses)}; requests: {note}"
 
     async def repeat(self, callers: int, act: Callable[[float], Awaitable[int]]) -> str:
         """Have callers act until the time is over: how often they did, and what that cost the event loop."""
@@ -208,6 +261,21 @@ class Campaign:
         if each > MOST_LOOP_SECONDS_EACH:
             self.faults.append(f"each of {done:,} cost the event loop {each * 1000:.1f} ms")
         return f"{done:,} from {callers}, {each * 1000:.3f} ms of the event loop each"
+
+    async def read_slowly(self) -> str:
+        page = (HEAD.format("GET /") + "\r\n").encode() * 50
+        script = (HEAD.format("GET /openapi.json") + "\r\n").encode() * 50
+        streams = [await self.open(page if number % 2 else script, limit=16) for number in range(40)]
+        streams += [await self.open_socket("/live") for _ in range(10)]
+        for _, writer in streams[40:]:
+            writer.write(masked(b'{"type":"subscribe","topics":["requests","episodes"]}'))
+        until, read = time.monotonic() + self.seconds, 0
+        while time.monotonic() < until:
+            for reader, _ in streams[:40]:
+                read += len(await reader.read(1))
+            await asyncio.sleep(0.2)
+        abort(streams)
+        return f"{read} bytes read by 40, and none by 10 pages"
 
     async def fuzz(self, times: int, seed: int) -> str:
         chance = random.Random(seed)
@@ -229,6 +297,16 @@ class Campaign:
 
         await asyncio.gather(*[go_on() for _ in range(16)])
         return ", ".join(f"{status}: {number}" for status, number in sorted(seen.items()))
+
+    async def draw_maps(self) -> str:
+        before, during, most, seen = await crowd(self.server.url, self.server.process.pid, 2 * self.seconds)
+        times = [1000 * sorted(took)[int(0.99 * len(took))] for took in (before, during)]
+        answers = ", ".join(f"{what}: {number}" for what, number in sorted(seen.items()))
+        self.faults += [f"{what}, {number} times" for what, number in seen.items() if what.endswith(" 500")]
+        if most > MOST_MEGABYTES_IN_ALL:
+            self.faults.append(f"the server and its worker processes had {most:.0f} MB")
+        frames = f"a live frame takes {times[0]:.0f} ms before and {times[1]:.0f} ms meanwhile (p99)"
+        return f"{frames}; {most:.0f} MB with worker processes; {answers}"
 
     async def end(self) -> None:
         """End it while nobody reads."""
@@ -252,6 +330,23 @@ class Campaign:
         print(f"{'its log':34} {told.count(chr(10))} lines, {told.count('Traceback')} tracebacks", flush=True)
         if "Traceback" in told:
             self.faults.append(f"tracebacks in the log: {told[told.index('Traceback') :][:3000]}")
+
+
+async def measure_bodies(data: Path) -> list[str]:
+    """The CPU time that the event loop spends on the most expensive bodies and frames, in a server in this process."""
+    faults: list[str] = []
+    app = create_app(Settings(data=data))
+    async with app.router.lifespan_context(app):
+        # Twice, since whatever is first made then is counted the first time.
+        runs = [await costs_of_routes(app) | await costs_of_sockets(app) for _ in range(2)]
+    for path, first in runs[0].items():
+        costs = [min(pair) for pair in zip(first, runs[1][path], strict=True)]
+        worst = max(costs)
+        note = f"{1000 * worst.seconds:6.2f} ms at worst of {len(costs):4}, for {worst.name}"
+        print(f"{path:34} {note}", flush=True)
+        if worst.seconds > MOST_LOOP_SECONDS_EACH:
+            faults.append(f"{path}: {note}")
+    return faults
 
 
 def masked(payload: bytes, opcode: int = 1) -> bytes:
@@ -312,9 +407,17 @@ async def go(server: Server, given: argparse.Namespace) -> list[str]:
     await campaign.under("quiet", quiet)
     await campaign.under("requests sent, none read", campaign.pipeline())
     await campaign.under("half requests", campaign.send_halves())
+    await campaign.under("flood of frames", campaign.flood(masked(b'{"type":"mcp"}'), True))
+    await campaign.under("flood of frames, no answer read", campaign.flood(masked(b'{"type":"mcp"}'), False))
+    await campaign.under("flood of frames of pages", campaign.flood(masked(b'{"type":"pause"}'), True, "/live"))
+    await campaign.under("flood of pings, no answer read", campaign.flood(masked(b"x" * 100, 9), False))
+    await campaign.under("requests with 6,500 headers", campaign.send_long_heads())
     for path in ("/ws", "/live"):
         await campaign.under(f"pings to {path}", campaign.send_small_frames(path, PING, PING))
         await campaign.under(f"one-byte fragments to {path}", campaign.send_small_frames(path, BEGIN, GO_ON))
+    await campaign.under("readers of the request log", campaign.follow_requests())
+    await campaign.under("slow readers", campaign.read_slowly())
+    await campaign.under("100 draw maps while 8 people fly", campaign.draw_maps())
     await campaign.under(f"{given.fuzzed:,} fuzzed requests", campaign.fuzz(given.fuzzed, given.seed))
     await campaign.end()
     return campaign.faults
@@ -327,8 +430,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    with tempfile.TemporaryDirectory() as folder:
+        faults = asyncio.run(measure_bodies(Path(folder) / "here"))
     with tempfile.TemporaryDirectory() as folder, serving(Path(folder) / "data") as server:
-        faults = asyncio.run(go(server, given))
+        faults += asyncio.run(go(server, given))
     for fault in faults:
         print(f"FAULT: {fault}")
     return 1 if faults else 0
