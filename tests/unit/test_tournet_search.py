@@ -21,8 +21,9 @@ from tests.unit.tour_features import EVERY_TASK, HARD, features_of
 SEEDS = np.array([0, 2**53 - 1, 7, 2**52], np.int64)
 
 
-def flown(agent: TournetSearchAgent, seed: int) -> Episode:
-    agent.reset(seed)
+def flown(agent: TournetSearchAgent, seed: int, told: int | None = None) -> Episode:
+    """A flight over the map of a seed; the agent may be told another, by which it draws its plans."""
+    agent.reset(seed if told is None else told)
     return rollout(Episode(agent.task, seed=seed), agent.act)
 
 
@@ -81,7 +82,8 @@ def test_together_and_alone_it_flies_the_same_plans(name: str, network: Path, mo
         batch.step(together[-1])
     alone = [flown(TournetSearchAgent(task, network, plans=5), seed).actions for seed in seeds.tolist()]
     assert [np.stack(together)[: len(actions), i].tolist() for i, actions in enumerate(alone)] == alone
-    assert alone[0] != flown(TournetSearchAgent(task, network, plans=5), 1).actions
+    if task is HARD:
+        assert alone[2] != flown(TournetSearchAgent(task, network, plans=5), int(seeds[2]), told=1).actions
 
 
 def test_it_goes_on_from_wherever_it_is_put(network: Path) -> None:
