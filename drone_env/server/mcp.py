@@ -134,28 +134,23 @@ async def rpc(
 async def _call(
     shared: AppState, method: str, params: dict[str, Any], session: OpenEnvSession | None, named: str | None
 ) -> dict[str, Any]:
-    if method == "initialize":
-        version = params.get("protocolVersion")
-        return {
-            "protocolVersion": version if version in PROTOCOLS else PROTOCOLS[0],
-            "capabilities": {"tools": {}},
-            "serverInfo": {"name": ENV_NAME, "version": __version__},
-        }
     if method == "ping":
         return {}
     if method == "tools/list":
         return {"tools": _listed("inputSchema")}
     try:
-        if method == "openenv/session/create":
-            if session is not None:
-                return {"session_id": session.episode_id}
-            return {"session_id": (await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), flat_json))[0]}
+        if method in ("initialize", "openenv/session/create"):
+            if session is None:
+                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), flat_json)
+            opened = {"session_id": named if session is None else session.episode_id}
+            return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
         named = params.get("session_id", named)
-        if session is None and not isinstance(named, str):
+        if method in ("tools/call", "openenv/session/close") and session is None and not isinstance(named, str):
             raise InvalidValueError("session_id: send the one from openenv/session/create")
         if method == "tools/call":
             session = session or OpenEnvSession(shared, named)
             return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
+        # That of a connection ends with it.
         if method == "openenv/session/close" and session is None:
             await asyncio.to_thread(shared.sessions.end, str(named))
             return {"session_id": named, "closed": True}
@@ -164,6 +159,14 @@ async def _call(
     except (LookupError, InvalidValueError) as error:
         raise ToolError("invalid_args", str(error)) from None
     raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
+
+
+def _greeting(version: object) -> dict[str, Any]:
+    return {
+        "protocolVersion": version if version in PROTOCOLS else PROTOCOLS[0],
+        "capabilities": {"tools": {}},
+        "serverInfo": {"name": ENV_NAME, "version": __version__},
+    }
 
 
 def _listed(schema: str) -> list[dict[str, Any]]:

@@ -123,18 +123,17 @@ class OpenEnvSession:
     async def observation(self, episode: Episode, reward: float | None, **metadata: int) -> str:
         """Return an observation as JSON in OpenEnv's format, with the text that the reset named."""
         if self._prompt is None:
-            return openenv_json(episode, reward, **openenv_fields(episode, None, metadata))
-        # Text takes milliseconds, and some prompts compile code.
-        fields = await asyncio.to_thread(self._with_text, episode, metadata)
+            fields = self._fields(episode, metadata)
+        else:  # takes milliseconds, and some prompts compile code
+            fields = await asyncio.to_thread(self._fields, episode, metadata)
         return openenv_json(episode, reward, **fields)
 
-    def _with_text(self, episode: Episode, metadata: dict[str, int]) -> dict[str, Any]:
-        if self._text is not None:
-            flown = metadata.get("flown")
-            if flown is None:
-                self._feedback = full_text(self._text, episode)
-            elif flown:
-                self._feedback += f"\n{flown_text(episode, flown)}"
+    def _fields(self, episode: Episode, metadata: dict[str, int]) -> dict[str, Any]:
+        flown = metadata.get("flown")
+        if self._text is not None and flown is None:
+            self._feedback = full_text(self._text, episode)
+        elif self._text is not None and flown:
+            self._feedback += f"\n{flown_text(episode, flown)}"
         return openenv_fields(episode, self._prompt, metadata, self._feedback)
 
     async def _use(self, change: Callable[[Session], Result]) -> tuple[Episode, Result]:

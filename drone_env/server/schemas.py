@@ -49,7 +49,8 @@ class ResetOptions(Message):
     reward_profile: str | None = Field(
         default=None,
         max_length=100,
-        description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{ORIGINAL_PROFILE}`.",
+        description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{ORIGINAL_PROFILE}`; in OpenEnv sessions "
+        f"`{OPENENV_PROFILE}`.",
     )
     agent: AgentName | None = Field(default=None, description="Name of the agent in the records: one printable line.")
     episode_id: str | None = Field(default=None, max_length=255, description="Id of the episode in OpenEnv's state.")
@@ -73,12 +74,6 @@ class SessionReset(ResetOptions):
     """Options of a reset in an OpenEnv session."""
 
     default_profile: ClassVar[str] = OPENENV_PROFILE
-
-    reward_profile: str | None = Field(
-        default=None,
-        max_length=100,
-        description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{OPENENV_PROFILE}`.",
-    )
 
 
 class OpenEnvReset(SessionReset):
@@ -154,11 +149,9 @@ class RouteAction(Message):
         if not isinstance(data, dict):
             return {"direction": data}
         fields = cast(dict[str, Any], data)
-        for name, others in OTHER_FORMS.items():
-            if name in fields and "direction" not in fields:
-                kept = {key: value for key, value in fields.items() if key not in (name, *others)}
-                return {"direction": fields[name], **kept}
-        return fields
+        name = next((name for name in OTHER_FORMS if name in fields and "direction" not in fields), "direction")
+        ignored = OTHER_FORMS.get(name, set[str]())
+        return {"direction" if key == name else key: fields[key] for key in fields if key not in ignored}
 
 
 def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:
@@ -180,22 +173,12 @@ def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> 
     return sum(rewards), episode.steps - before
 
 
-class TextMessage(Message):
-    """A message in TextArena's format."""
-
-    sender_id: int
-    content: str
-    category: str
-
-
 class WireObservation(DroneObservation):
     """An observation with OpenEnv's fields."""
 
     reward: float | None = Field(default=None, description="Sum of the rewards of the step; null after a reset.")
     prompt: str = Field(default="", description="Rules and observation as text, if the reset named a prompt.")
-    messages: list[TextMessage] = Field(
-        default_factory=list[TextMessage], description="All text so far, on the paths for TextArena's clients."
-    )
+    messages: list[dict[str, Any]] = Field(default=[], description="All text so far, on paths that name a prompt.")
     metadata: dict[str, Any] = Field(
         default_factory=dict[str, Any],
         description="`reward_profile`, which pays; after a step also `flown`, the number of actions flown.",

@@ -107,6 +107,8 @@ def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_cli
         assert closed["result"] == {"session_id": session, "closed": True}
         socket.send_json({"type": "state"})
         assert socket.receive_json()["data"]["code"] == "EXECUTION_ERROR"
+    assert shared_client.post("/mcp", json=request("none")).json()["error"]["code"] == -32601
+    assert post(shared_client, "tools/call", name="look")["error"]["code"] == -32602
     for gone in (session, "none", "\ud800", "", 7):
         body = json.dumps(request("openenv/session/close", session_id=gone))
         answer = shared_client.post("/mcp", content=body, headers={"Content-Type": "application/json"})

@@ -113,13 +113,8 @@ async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()
     if isinstance(method, str) and method.startswith("notifications/"):
         return Response(status_code=202)
     answer = await rpc(shared, body, named=request.headers.get(SESSION_HEADER))
-    headers: dict[str, str] = {}
-    if method == "initialize" and "result" in answer:
-        opened = await rpc(shared, {**body, "method": "openenv/session/create"})
-        if "result" in opened:
-            headers[SESSION_HEADER] = opened["result"]["session_id"]
-        else:
-            answer = opened
+    greeted = method == "initialize" and "result" in answer
+    headers = {SESSION_HEADER: answer["result"]["session_id"]} if greeted else None
     return Response(to_json(answer), media_type="application/json", headers=headers)
 
 
