@@ -28,6 +28,7 @@ GOLDEN = {
     "think-1": "e27f2caaaba530af",
     "think-plan-1": "55169846dc0b242f",
     "fly-2": "d92d129353c1621d",
+    "route-1": "94a7fd43e4a4f32a",
 }
 
 

@@ -25,7 +25,7 @@ from drone_env.server.settings import Settings
 
 MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
 PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
-PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
+PROMPTS.extend(map(read_prompt, sorted(FOLDER.glob("tools/*.toml"))))
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
 EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
 ODD = [
