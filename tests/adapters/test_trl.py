@@ -1,5 +1,6 @@
 """The drone in TRL's own GRPOTrainer: `tools/verify.sh adapters`, as TRL is no part of the development tools."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,11 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
-from drone_env.llm.trl_environment import DroneEnvironment, training_maps
+from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
 
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
+ROUTE = '<tool_call>\n{{"name": "fly_route", "arguments": {{"directions": {}}}}}\n</tool_call>'
 
 
 def tokenizer() -> Any:
@@ -41,7 +43,8 @@ def paid(route: list[str]) -> float:
 
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("ignore")
-def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
+@pytest.mark.parametrize("plan", [None, "plan"])
+def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -> None:
     # Here, since their import warns.
     from transformers import Qwen2Config, Qwen2ForCausalLM
     from trl import GRPOConfig, GRPOTrainer
@@ -58,8 +61,12 @@ def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
     )
     best = [action.name for action in solve("easy", 14).actions]
     # What the model says in the four rollouts of its group, turn by turn; a finished one says no more.
-    routes = [best, best[:1], ["NORTH", *best], []]
-    said: list[list[str]] = [[CALL.format(direction) for direction in route] + ["Done."] for route in routes]
+    if plan:
+        said = [[json.dumps({"actions": best})], [best[0]], ["NORTH"], ["Done."]]
+    else:
+        routes = [[CALL.format(direction) for direction in route] for route in (best[:1], ["NORTH", *best], [])]
+        said = [[*route, "Done."] for route in [[ROUTE.format(json.dumps(best))], *routes]]
+    calls = sum(map(len, said)) - len(said)
 
     class Scripted(GRPOTrainer):
         """Answers by script; all else, from the tool's schema to the step of the optimiser, is TRL's."""
@@ -72,12 +79,13 @@ def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
             return [words.encode(f"{answer}<|im_end|>", add_special_tokens=False) for answer in answers], None
 
     asked: list[str] = []
-    data = training_maps("easy", 1).map(lambda row: {**row, "seed": 14})
+    data = training_maps("easy", 1, plan=plan).map(lambda row: {**row, "seed": 14})
     trainer = Scripted(
         model=Qwen2ForCausalLM(config),
         processing_class=words,
         train_dataset=data,
-        environment_factory=DroneEnvironment,
+        environment_factory=None if plan else DroneEnvironment,
+        reward_funcs=flight_reward,
         args=GRPOConfig(
             output_dir=str(tmp_path),
             per_device_train_batch_size=4,
@@ -95,11 +103,18 @@ def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
     before = [p.detach().clone() for p in trainer.model.parameters()]
     trainer.train()
     (log,) = [entry for entry in trainer.state.log_history if "reward" in entry]
-    # The flight with the wrong word is paid like the best one: it costs no step.
-    pay = [paid(best), paid(best[:1]), paid(best), paid([])]
-    assert log["rewards/DroneEnvironment/mean"] == pytest.approx(sum(pay) / 4)
-    assert log["tools/failure_frequency"] == pytest.approx(1 / sum(map(len, routes)))
+    # By tool calls the wrong word costs no step; as an answer it is unusable.
+    wrong = [] if plan else best
+    pay = [paid(route) for route in (best, best[:1], wrong, [])]
+    assert log["rewards/flight_reward/mean"] == pytest.approx(sum(pay) / 4)
+    success, steps = [True, False, not plan, False], [len(best), 1, len(wrong), 0]
+    assert (log["flight/success"], log["flight/steps"]) == (sum(success) / 4, sum(steps) / 4)
+    assert log["flight/score"] + log["flight/regret"] == pytest.approx(solve("easy", 14).score)
+    assert log["flight/unusable"] == (0.5 if plan else 0)
     assert any(bool((p != q).any()) for p, q in zip(before, trainer.model.parameters(), strict=True))
-    assert all('"name": "fly"' in text and '"enum": ["UP"' in text for text in asked)
+    if plan:
+        return
+    assert log["tools/failure_frequency"] == pytest.approx(1 / calls)
+    assert all('"name": "fly_route"' in text and '"enum": ["UP"' in text for text in asked)
     assert any("Mission accomplished" in text for text in asked)
     assert any("'NORTH' is no direction" in text for text in asked)
