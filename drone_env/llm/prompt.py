@@ -159,7 +159,7 @@ def plan_prompt(name: str) -> Prompt:
     """
     prompt = get_prompt(name)
     if not prompt.plan:
-        raise InvalidValueError(f"prompt {prompt.id} asks for one action, not for a route: choose another, such as plan")
+        raise InvalidValueError(f"prompt {prompt.id} asks for one action: choose one for a route, such as plan")
     return prompt
 
 
