@@ -1,7 +1,7 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
-from collections.abc import Awaitable, Callable
-from typing import Literal
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Literal, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -108,14 +108,16 @@ class TextEpisode:
             InvalidValueError: if it is anything else; nothing is flown then.
         """
         episode, most = self.episode, self.episode.task.max_steps
-        if not isinstance(directions, list | tuple) or not 0 < len(directions) <= most:
+        route = cast(Sequence[object], directions) if isinstance(directions, list | tuple) else ()
+        if not 0 < len(route) <= most:
             raise InvalidValueError(self.prompt.repair_text(f"A route is a list of 1 to {most} directions"))
-        unknown = [word for word in map(str, directions) if word not in Action.__members__]
+        words = list(map(str, route))
+        unknown = [word for word in words if word not in Action.__members__]
         if unknown:
             raise InvalidValueError(self.prompt.repair_text(f"{unknown[0][:40]!r} is no direction"))
         told: dict[str, None] = {}
-        for direction in directions:
-            episode.step(Action[direction])
+        for word in words:
+            episode.step(Action[word])
             told[episode.message] = None
             if episode.ended:
                 return " ".join(told)

@@ -110,7 +110,8 @@ def flight_reward(
     """
     flights: list[TextEpisode | None] = []
     if environments is not None:
-        flights += [one._started() if isinstance(one, DroneEnvironment) else None for one in environments]
+        flown_by: Callable[[DroneEnvironment], TextEpisode] = DroneEnvironment._started  # pyright: ignore[reportPrivateUsage]
+        flights += [flown_by(one) if isinstance(one, DroneEnvironment) else None for one in environments]
     elif "plan" not in columns:
         raise InvalidValueError("without environment_factory=DroneEnvironment the dataset is training_maps(plan=...)")
     else:
