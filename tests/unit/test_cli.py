@@ -136,7 +136,7 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         (["compare", "greedy", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),
         (["dataset", "--out", "set", "--maps", "0"], "at least 1"),
         (["dataset", "--out", "set", "--epsilon", "2"], "0 to 1"),
-        (["dataset", "--out", "set", "--formats", "csv"], "parquet, minari"),
+        (["dataset", "--out", "set", "--format", "csv"], "parquet, minari, chat, preference"),
         (["dataset", "--out", "set", "--agents", "greedy", "greedy"], "each once"),
         (["train", "--task", "all"], "add --network tournet"),
         (["train", "--reward-profile", "generous"], "allowed: aligned"),
