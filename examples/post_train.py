@@ -38,7 +38,7 @@ from drone_env.core.tasks import get_task
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.planning.optimal import solve, solver_of
-from drone_env.results.statistics import DIFFERENCES, SCORES, interval
+from drone_env.results.statistics import DIFFERENCES, SCORES, crossed, interval
 
 Stage = Literal["sft", "weak", "grpo", "evaluate"]
 Reward = Literal["score", "regret", "rank"]
@@ -379,7 +379,6 @@ def evaluate(options: Options) -> None:
     for folder in sorted(path.parent for path in options.out.glob("*/config.json")):
         flights[folder.name] = [Episode(options.task, seed=seed) for seed in seeds]
         fly(options, flights[folder.name], pilot(options, *load(options, folder)))
-    weak = np.array([flight.score for flight in flights["weak"]]) if "weak" in flights else None
     table: dict[str, Any] = {"optimum": {"score": list(interval(best, SCORES)), "ratio": 1.0}}
     for name, flown in flights.items():
         scores = np.array([flight.score for flight in flown])
@@ -390,10 +389,14 @@ def evaluate(options: Options) -> None:
             "ends": dict(Counter(flight.outcome.name for flight in flown)),
             "scores": scores.tolist(),
         }
-        if weak is not None and name.startswith("grpo"):
-            table[name]["minus_weak"] = list(interval(scores - weak, DIFFERENCES))
         print(f"{name:20} score {scores.mean():.4f} ratio {table[name]['ratio']:.3f}", table[name]["ends"], flush=True)
-    note(options, {"evaluation": table})
+    gains: dict[str, Any] = {}
+    for kind in options.rewards if "weak" in table else ():
+        runs = [np.array(row["scores"]) for name, row in table.items() if name.startswith(f"grpo-{kind}-")]
+        if runs:
+            gains[kind] = crossed(np.array(runs) - table["weak"]["scores"], DIFFERENCES)
+            print(f"{kind} minus weak, over {len(runs)} seeds and all maps: {gains[kind]}", flush=True)
+    note(options, {"evaluation": table, "gains": gains})
 
 
 def note(options: Options, more: dict[str, Any]) -> None:
