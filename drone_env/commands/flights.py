@@ -47,31 +47,3 @@ def prepare_file(option: str, path: Path) -> None:
     if path.is_dir():
         raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
-
-
-def prepare_film(path: Path | None) -> None:
-    """Check before the flight that the film of `--video` can be created; None for no film.
-
-    Raises:
-        InvalidValueError, OSError: if its suffix is unknown, and as `prepare_file`.
-    """
-    if path is None:
-        return
-    from drone_env.envs.film import check_film  # loads Pillow
-
-    check_film(path)
-    prepare_file("--video", path)
-
-
-def film(episode: Episode, path: Path | None) -> None:
-    """Write the film of `--video` and print its path on standard error; None for no film.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
-    if path is None:
-        return
-    from drone_env.envs.film import save_film  # loads Pillow
-
-    save_film(episode, path)
-    print(f"video: {path}", file=sys.stderr)

@@ -37,7 +37,7 @@ BLOCKS = {"building5": Cell.BUILDING, "tree1": Cell.TREE, "obstacle": Cell.OBSTA
 """Figures that the legend replaces by one cell of ground if the map is drawn by blocks."""
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, steps: they limit the cost of a picture
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
-FPS = 8  # steps of a film per second
+FPS = 8  # pictures per second of a window, and of a film of `RecordVideo`
 PANEL, TEXT = 46, 38  # widths of the panel and of its text, in hundredths of the picture's height
 CARD = 1200, 630  # pixels of a link preview
 ROOM = 0.24  # fraction of a card's width for the text

@@ -84,7 +84,7 @@ def outputs(data: Path) -> dict[str, list[str]]:
     }
     run = verified_run(model)
     write_report(run, report(run, Prices(10, 50)))
-    found |= {name: (model / name).read_text() for name in ("report.json", "report.md", "report.html")}
+    found |= {name: (model / name).read_text() for name in ("report.json", "report.md")}
     with TestClient(create_app(Settings(data=data))) as client:
         found |= {path: json.dumps(client.get(f"/{path}").json(), indent=1) for path in REQUESTS}
     shown: dict[str, list[str]] = {}
