@@ -1,16 +1,15 @@
 """Agents, which choose actions. `make_agent` makes one by its name."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.named import agent_named, moved_sb3_name, sb3_file
+from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.agents.planned import OptimalAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
-from drone_env.agents.tournet import TournetAgent, TournetSearchAgent
+from drone_env.agents.tournet import TournetAgent
 from drone_env.agents.weights_file import PATHQNET, TOURNET
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
@@ -28,8 +27,6 @@ class NetworkAgent(NamedTuple):
 NETWORK_AGENTS: dict[str, NetworkAgent] = {
     "pathqnet": NetworkAgent(PATHQNET, PathQNetAgent),
     "tournet": NetworkAgent(TOURNET, TournetAgent),
-    "tournet-search": NetworkAgent(TOURNET, TournetSearchAgent),
-    "tournet-search-64": NetworkAgent(TOURNET, partial(TournetSearchAgent, plans=64)),
 }
 """The agents with a network: a shipped one, or the one in a file as `NAME:FILE`."""
 AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
@@ -115,7 +112,6 @@ __all__ = [
     "PathQNetAgent",
     "RandomAgent",
     "TournetAgent",
-    "TournetSearchAgent",
     "elsewhere",
     "file_of",
     "make_agent",

@@ -54,9 +54,6 @@ OURS: dict[str, Pilot] = {
     ),
     "greedy": Pilot("Greedy", "Flies to the nearest parcel and looks no further."),
     "optimal": Pilot("Optimal", "Plans a best flight over the whole map and flies it."),
-    "tournet-search": Pilot(
-        "Tournet search", "Tries eight plans of Tournet before it starts, and flies the best.", "tournet-search"
-    ),
     "random": Pilot("Random", "Takes any action; the floor that everybody must beat."),
     HUMAN: Pilot("You", "Arrow keys or the pad; space waits."),
 }

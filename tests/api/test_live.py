@@ -43,14 +43,13 @@ def test_a_race_is_what_the_agents_fly(client: TestClient) -> None:
     assert stored == {pilot: frames[number][-1]["score"] for number, pilot in enumerate(pilots)}
 
 
-def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
+def test_tour_networks_fly_as_their_agents_do_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
     weights, data = tmp_path / "weights", tmp_path / "data"
     shipped, trained = put_tour(weights / "tournet_v1.safetensors"), put_tour(data / "tournet.safetensors", 1)
     put_network(get_task("hard"), weights)
     pilots = {
         "trained-tournet": f"tournet:{trained}",
         "tournet": f"tournet:{shipped}",
-        "tournet-search": f"tournet-search:{shipped}",
     }
     with TestClient(create_app(Settings(data=data, weights=weights))) as client:
         with client.websocket_connect("/live") as socket:
@@ -61,7 +60,7 @@ def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thin
         for number, agent in enumerate(pilots.values()):
             assert names(frames[number]) == directions(flown("hard", agent))
             assert {frame["q_values"] is not None for frame in frames[number][:-1]} == {True}
-        assert len({tuple(names(frames[number])) for number in range(3)}) == 3
+        assert len({tuple(names(frames[number])) for number in range(2)}) == 2
 
 
 def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settings: dict[str, Any]) -> None:
