@@ -7,10 +7,9 @@ from typing import SupportsIndex
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.envs.ansi import draw_text
+from drone_env.envs.ansi import draw_text, end_line, start_line, step_line
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
-from drone_env.results.log_lines import end_line, start_line, step_line
 
 
 def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], render: bool) -> None:

@@ -4,12 +4,12 @@ import sys
 import time
 
 from drone_env.core.actions import Action
+from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import RunFolder
 from drone_env.llm.text_episode import Flight
-from drone_env.results.log_lines import end_line, start_line, step_line
 from drone_env.results.store import Store
 
 LINE_SECONDS = 10.0
