@@ -449,7 +449,8 @@ def _session(connection: sqlite3.Connection, session_id: str) -> Session:
         if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
             raise SessionGoneError("this session has ended or was idle for too long: open a new one")
         raise NoSessionError("there is no such session: open one first")
-    return Session(**{**row, "actions": tuple(row["actions"].encode().translate(TO_NUMBERS))})
+    columns: dict[str, Any] = {**row, "actions": tuple(row["actions"].encode().translate(TO_NUMBERS))}
+    return Session(**columns)
 
 
 def _end(connection: sqlite3.Connection, session_id: str, now: float) -> None:

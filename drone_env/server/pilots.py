@@ -226,7 +226,7 @@ class Networks:
             return None if pilot == HUMAN else make_agent(pilot, task)
         found = self.network(pilot, task)
         with _folder_hidden(self.file(pilot, task)):
-            return NETWORK_AGENTS[kind].make(task, found) if isinstance(found, Path) else found
+            return NETWORK_AGENTS[kind](task, found) if isinstance(found, Path) else found
 
     def network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path:
         """Return the network of a pilot for a task: the PathQNet, or the file of a tour network.

@@ -146,7 +146,7 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert allowed in captured.err
-    assert len(wrap(captured.err, 80)) <= 2
+    assert len(wrap(captured.err, 80)) <= 3
     assert captured.out == ""
 
 
