@@ -1,4 +1,7 @@
-"""An episode as a picture: the city from above, and a panel with the status of the flight."""
+"""An episode as a picture: the city from above, and a panel with the status of the flight.
+
+`tools/draw_figures.py` makes the sprites of the figures from `art/figures.svg`, which the page also uses.
+"""
 
 import io
 import math
@@ -7,6 +10,7 @@ from collections.abc import Collection, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +21,10 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.tasks import TaskConfig
-from drone_env.envs.figures import Point, around, draw_figure, stroke, variety
 from drone_env.errors import InvalidValueError
 
+ART = Path(__file__).parent / "art"
+Point = tuple[float, float]
 _COLOURS = """
 backdrop #DCE6E6, card #FDFCF8, rail #E7EBE5, tint #F1F4EE, ink #24343B, muted #78878B, white #FFFFFF,
 good #55A27A, fair #E3A94B, low #DB6058, flight #6C83C6, trail #4C63B6, target #E0525F, lawn #CFDEBB, kerb #DDD8C6,
@@ -300,3 +305,29 @@ def _write(
 def _stamp(picture: Image.Image, name: str, cell: int, at: Point) -> None:
     figure = draw_figure(name, max(1, cell))
     picture.paste(figure, (round(at[0] - figure.width / 2), round(at[1] - figure.height / 2)), figure)
+
+
+def around(at: Point, across: float, down: float = 0.0) -> tuple[float, float, float, float]:
+    """The box around a point: left, top, right, bottom in pixels."""
+    return at[0] - across, at[1] - (down or across), at[0] + across, at[1] + (down or across)
+
+
+def variety(x: int, y: int) -> int:
+    """A pseudo-random number per cell, which varies the figures of one kind."""
+    return crc32(bytes((x % 256, y % 256))) >> 8
+
+
+def stroke(pen: ImageDraw.ImageDraw, points: Sequence[Point], width: float) -> None:
+    """Draw a white line with round ends and joints on a mask."""
+    wide = max(1, round(width))
+    pen.line(points, fill=255, width=wide)
+    for at in points:
+        pen.ellipse(around(at, (wide - 1) / 2), fill=255)
+
+
+@lru_cache(maxsize=256)
+def draw_figure(name: str, cell: int) -> Image.Image:
+    """A figure for cells of this size, with a margin of 0.4 cells for its shadow. Cached: do not draw on it."""
+    side = cell + 2 * math.ceil(0.4 * cell)
+    with Image.open(ART / f"{name}.png") as sprite:
+        return sprite.convert("RGBA").resize((side, side), Image.Resampling.BOX)
