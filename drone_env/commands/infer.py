@@ -181,7 +181,7 @@ def infer(
                 from drone_env.llm.verify import verified_run
 
                 run = verified_run(path)
-                reports.write_report(run, reports.report(run, options.prices, moves))
+                reports.write_report(run, reports.report(run, options, moves))
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise

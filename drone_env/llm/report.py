@@ -14,7 +14,7 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
-from drone_env.llm.limiter import Prices
+from drone_env.llm.limiter import Options
 from drone_env.llm.run_folder import RESULTS, FlightResult, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
 
 
-def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -> dict[str, Any]:
+def report(run: VerifiedRun, options: Options | None = None, moves: bool = True) -> dict[str, Any]:
     """The figures of a run as JSON values; unknown ones are null.
 
     Means are over maps: flights over the same map are averaged first. `score_ci95` (`results.statistics`) is null for
@@ -40,7 +40,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
 
     Args:
         run: The run.
-        prices: The prices of tokens.
+        options: Contain the prices of tokens.
         moves: Whether to analyse every move, which takes time.
     """
     config = run.config
@@ -84,7 +84,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         "unusable": Unusable.among(turns).to_dict(),
         "waits": sum(result.waits for result in run.results),
         "moves": _moves(run) if moves else None,
-        **_spending(run, prices),
+        **_spending(run, options),
         "maps": [
             {
                 "seed": seed,
@@ -173,7 +173,7 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     return {"labels": dict(counts), "decisive": decisive, "accuracy": best / decisive if decisive else None}
 
 
-def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
+def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
     answered = [call for call in run.calls if call.answer is not None]
     answers = [call.answer for call in answered if call.answer is not None]
     prompt = sum(answer.prompt_tokens or 0 for answer in answers)
@@ -186,7 +186,7 @@ def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
             "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in answers),
         },
         "tokens": {"prompt": prompt, "completion": completion},
-        "cost_usd": None if prices is None else prices.cost(prompt, completion),
+        "cost_usd": None if options is None else options.cost(prompt, completion),
         "latency_median": latencies[len(latencies) // 2] if latencies else None,
     }
 

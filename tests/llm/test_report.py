@@ -10,7 +10,7 @@ from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
 from drone_env.errors import InvalidValueError
-from drone_env.llm.limiter import Prices
+from drone_env.llm.limiter import Options
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
@@ -26,7 +26,7 @@ Start = Callable[..., Endpoint]
 def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     done = endpoint(pilot="greedy").infer("--task", "medium", "--episodes", "4", "--repeats", "2")
     assert done.status == 0, done.err
-    figures = report(verified_run(done.folder), Prices(10, 50))
+    figures = report(verified_run(done.folder), Options(price_prompt=10, price_completion=50))
     start = SPLITS["test"].start
     random, greedy, optimal = (
         summarise(run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")))
