@@ -11,10 +11,9 @@ campaigns() {
     tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py \
     tests/unit/test_training_run.py tests/unit/test_network.py
   DRONE_ENV_MUTATIONS=2500 $python -m pytest --timeout 36000 tests/unit/test_city_mutations.py
-  DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SCHEMA_EXAMPLES=200 \
-    $python -m pytest -m '' --timeout 36000 tests/api
+  DRONE_ENV_FRAMES=20000 DRONE_ENV_SCHEMA_EXAMPLES=200 $python -m pytest -m '' --timeout 36000 tests/api
   $python tests/api/hostile_callers.py
-  DRONE_ENV_KILLS=50 DRONE_ENV_LLM_ROUTES=100 $python -m pytest -m '' --timeout 36000 tests/llm
+  DRONE_ENV_LLM_ROUTES=100 DRONE_ENV_PROMPT_MAPS=100 $python -m pytest -m '' --timeout 36000 tests/llm
   DRONE_ENV_NGINX_SESSIONS=150 $python -m pytest --timeout 36000 tests/cluster/test_nginx.py
 }
 
@@ -26,7 +25,8 @@ coverage() {
 }
 
 mutants() {
-  $python tools/mutants.py
+  "$VENV/bin/uv" pip install --quiet --python $python 'cosmic-ray>=8.7'
+  $python tools/mutation.py
 }
 
 # environment NAME: a virtual environment beside the other, with PyTorch.

@@ -98,6 +98,7 @@ class Provenance(NamedTuple):
     """The provenance of these steps; None without a fork."""
 
     @classmethod
+    @lru_cache(maxsize=1024)
     def parse(cls, agent: str) -> Self:
         """The provenance that an `agent` contains; any text that has not its format is the name of a pilot."""
         match = PROVENANCE.fullmatch(agent)

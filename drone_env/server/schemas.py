@@ -5,9 +5,8 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, ConfigDict, Field, JsonValue, model_validator
 from typing_extensions import Self
 
-from drone_env.core.actions import Action
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
-from drone_env.models import MAX_SEED, Direction, DroneAction, DroneObservation, Message, Seed
+from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Message, Seed
 from drone_env.results.finished import check_agent
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
@@ -16,7 +15,6 @@ DESCRIPTION = (
     "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
     "exactly, so every score can be compared with the optimum of its map."
 )
-STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
 
 def examples(values: list[JsonValue]) -> Any:
@@ -72,25 +70,3 @@ class WireObservation(DroneObservation):
 
     reward: float | None = Field(default=None, description="Reward of the step; null after a reset.")
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
-
-
-class StepRequest(Message):
-    """One action: either flat (`direction`) or in OpenEnv's format (`action`)."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": STEPS})
-
-    direction: Direction | None = Field(default=None, description="The action; returns a `DroneObservation`.")
-    action: WireAction | None = Field(default=None, description="The action in OpenEnv's format; returns `StepResult`.")
-    timeout_s: float | None = Field(default=None, gt=0, description="Ignored; OpenEnv's clients send it.")
-    request_id: str | None = Field(default=None, max_length=255, description="Ignored; OpenEnv's clients send it.")
-
-    @model_validator(mode="after")
-    def _check_format(self) -> Self:
-        if (self.direction is None) == (self.action is None):
-            raise ValueError('send either {"direction": ...} or {"action": {"direction": ...}}')
-        return self
-
-    @property
-    def chosen(self) -> Action:
-        """The action."""
-        return Action[str(self.direction)] if self.action is None else self.action.action

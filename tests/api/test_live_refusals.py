@@ -47,23 +47,6 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestCl
         assert state["step_count"] == 1
 
 
-@pytest.mark.parametrize(("seed", "steps"), [(8, 0), (7, 2)])
-def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        header = {"X-Session-Id": page.start("greedy")[0]["opening"]["session"]}
-        page.until("values")
-        page.send("step")
-        page.until("frames")
-        client.post("/reset", headers=header, json={"seed": seed, "agent": "greedy"})
-        for _ in range(steps):
-            client.post("/step", headers=header, json={"direction": "WAIT"})
-        page.send("step")
-        message = json.loads(socket.receive_text())
-        assert (message["type"], message["code"]) == ("error", "session_gone")
-        assert client.get("/state", headers=header).json()["step_count"] == steps
-
-
 def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:

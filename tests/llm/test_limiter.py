@@ -191,12 +191,6 @@ def test_waits_are_random_below_a_bound_that_doubles(endpoint: Start) -> None:
     assert [failure.waited for failure in flown.calls[1].failures] == waits
 
 
-def test_what_the_endpoint_asks_for_is_waited(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 429, "headers": {"Retry-After": "120"}}]])
-    flown = fly(scripted.url, scripted.folder / "run")
-    assert (flown.turns, flown.clock.slept) == (["ok"] * 3, [120.0])
-
-
 @pytest.mark.parametrize(("asked", "requests", "slept"), [("0", 3, [0, 0]), (f"{MAX_WAIT + 1}", 1, [])])
 def test_when_a_failing_call_is_given_up(endpoint: Start, asked: str, requests: int, slept: list[float]) -> None:
     fault = {"status": 429, "headers": {"Retry-After": asked}}

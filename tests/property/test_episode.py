@@ -135,7 +135,11 @@ def test_what_holds_at_every_step(task: TaskConfig, seed: int, actions: list[int
         below = "delivered" if (x, y, True) in episode.parcels else Cell(city[y, x]).name.lower()
         assert observation_fields(episode)["cell_below"] == below
         assert episode.observation()["telemetry"][6:].tolist() == [float(name == below) for name in order]
-    assert episode_of(task, episode.observation()).under == episode.under
+    rebuilt = episode_of(task, episode.observation())
+    assert np.array_equal(rebuilt.grid(), episode.grid())
+    for name in ("under", "position", "steps", "battery_units", "deliveries_done", "score"):
+        assert getattr(rebuilt, name) == getattr(episode, name), name
+    assert sorted(rebuilt.parcels) == sorted(episode.parcels)
 
 
 @thorough

@@ -18,10 +18,8 @@ from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.planning.optimal import solve
-from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 
 
 def test_fly_to_the_byte_on_a_map_by_hand(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
@@ -52,14 +50,6 @@ def test_fly_without_a_seed_tells_the_map_it_flew(capsys: pytest.CaptureFixture[
     seed = int(re.search(r"map (\d+):", captured.err)[1])
     main(["fly", "--seed", str(seed)])
     assert capsys.readouterr().out == captured.out
-
-
-def test_evaluate_prints_only_json_on_request(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "--task", "hard", "--agents", "greedy", "--episodes", "5", "--json", "-"]) == 0
-    hard = json.loads(capsys.readouterr().out)["tasks"]["hard_delivery"]
-    maps = split_seeds("test", 5)
-    assert (hard["split"], hard["seeds"]) == ("test", [maps.start, maps.stop])
-    assert hard["agents"] == {"greedy": summarise(run_episodes(episodes_key("hard", "greedy", maps, "test")))}
 
 
 def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
