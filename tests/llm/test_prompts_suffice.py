@@ -22,7 +22,7 @@ from drone_env.planning.optimal import solve, solver_of
 
 MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
 PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
-PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
+PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-3.toml"))
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
 EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
 ODD = [
