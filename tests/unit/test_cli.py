@@ -156,7 +156,7 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert allowed in " ".join(captured.err.split())
-    assert len(wrap(captured.err, 80)) <= 2
+    assert len(wrap(captured.err, 80)) <= 3
     assert captured.out == ""
     assert list(tmp_path.iterdir()) == []
 
