@@ -70,7 +70,7 @@ class Options:
         if self.concurrency > MAX_CONCURRENCY or not self.backoff >= 0:
             raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}, --backoff 0 or more")
         if (self.price_prompt is None) != (self.price_completion is None):
-            raise InvalidValueError("--price-prompt needs --price-completion, and the other way round")
+            raise InvalidValueError("give --price-prompt and --price-completion together")
         if self.price_prompt is None and self.max_cost is not None:
             raise InvalidValueError("--max-cost needs --price-prompt and --price-completion")
         if not all(

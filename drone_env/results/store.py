@@ -298,7 +298,7 @@ class Store:
             if address is None:
                 session.address = None
             elif session.address != address:
-                raise NoSessionError("somebody has named this session meanwhile")
+                raise NoSessionError("this session has been named meanwhile: send its id")
             flight = session.flight
             yield session
             if session.flight != flight or session.finished:
