@@ -7,6 +7,7 @@ minute or two each, because changed kernels are compiled again. It prints the di
 is a gap: a fault may change nothing that users see.
 """
 
+# pyright: basic, reportMissingImports=false
 import argparse
 import os
 import random

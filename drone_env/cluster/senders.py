@@ -69,8 +69,7 @@ class ClusterEndpoint:
         ]
         if not self._actors:
             raise ClusterError("no node of the cluster offers a CPU")
-        self._rotation = list(self._actors)
-        self._count = itertools.count()
+        self._next = itertools.cycle(self._actors)
 
     async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
         """See `Endpoint.send`.
@@ -79,15 +78,12 @@ class ClusterEndpoint:
             TryFailedError: if there is no answer, or the node died.
             ClusterError: if a node differs from the driver, or fails.
         """
-        actor = self._rotation[next(self._count) % len(self._rotation)]
         try:
-            return await actor.send.remote(*self._first, messages, call_id, repeat)
+            return await next(self._next).send.remote(*self._first, messages, call_id, repeat)
         except RayTaskError as error:
             raise failure(error) from None
         except RayError as error:
-            # The last one stays: Ray restarts it.
-            if actor in self._rotation and len(self._rotation) > 1:
-                self._rotation.remove(actor)
+            # Ray restarts the actor, on another node if need be.
             raise TryFailedError(0, f"the node died: {type(error).__name__}", retried=True) from None
 
     async def close(self) -> None:

@@ -14,7 +14,7 @@ from drone_env.server.json_routes import SMALL
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.settings import Settings
-from tests.api.live_page import Page
+from tests.api.live_page import Page, open_page
 
 
 @pytest.mark.parametrize(
@@ -33,12 +33,11 @@ from tests.api.live_page import Page
     ],
 )
 def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
-    with shared_client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(shared_client) as page:
         (shown,) = page.start("greedy")
         page.until("values")
-        socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
-        message = json.loads(socket.receive_text())
+        page.socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
+        message = json.loads(page.socket.receive_text())
         assert (message["type"], message["code"]) == ("error", code)
         assert message["detail"]
         page.send("step")
@@ -50,16 +49,14 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestCl
 def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
+    with monkeypatch.context() as today, open_page(client) as page:
         today.setattr("drone_env.server.live.episodes.values_along", failing)
-        page = Page(socket)
         (shown,) = page.start("greedy")
-        refused = json.loads(socket.receive_text())
+        refused = json.loads(page.socket.receive_text())
         assert (refused["type"], refused["code"]) == ("error", "internal")
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["value"] is None
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.send("attach", sessions=[shown["opening"]["session"]])
         assert len(page.until("flights")["flights"][0]["frames"]) == 2
         assert len(page.until("values")["values"]) == 2
@@ -73,14 +70,13 @@ def failing(*_: object) -> None:
 def test_what_nobody_foresaw_ends_no_connection(
     client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.start("greedy")
         page.until("values")
         with monkeypatch.context() as today:
             today.setattr(LiveEpisode, "step", lambda _: {}["a fault"])
             page.send("step")
-            message = json.loads(socket.receive_text())
+            message = json.loads(page.socket.receive_text())
             assert (message["type"], message["code"]) == ("error", "internal")
             assert message["detail"] == "the server failed; its log says why"
         assert "KeyError: 'a fault'" in caplog.text
@@ -89,8 +85,7 @@ def test_what_nobody_foresaw_ends_no_connection(
 
 
 def test_news_of_the_server(client: TestClient, settings: dict[str, Any]) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         client.get("/health")
         page.send("subscribe", topics=["requests", "training", "episodes"])
         assert [request["path"] for request in page.until("requests")["requests"]] == ["/health"]

@@ -251,24 +251,3 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     flown = rows(tmp_path / "set")
     assert sorted({row["seed"] for row in flown}) == [SPLITS["test"].start + n for n in (4, 5, 6)]
     assert capsys.readouterr().out == f"{out}: {len(flown):,} steps of 3 flights over 3 maps\n"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "allowed"),
-    [
-        (["--maps", "0"], "at least 1"),
-        (["--epsilon", "2"], "0 to 1"),
-        (["--format", "csv"], "parquet, minari, chat, preference"),
-        (["--agents", "greedy", "greedy"], "each once"),
-        (["--agents", "ace"], "greedy, optimal, pathqnet, random"),
-        (["--format", "chat", "--split", "test"], "split train"),
-        (["--format", "chat", "--prompt", "minimal"], "one action"),
-        (["--format", "preference", "--agents", "greedy"], "equal regret"),
-    ],
-)
-def test_the_command_says_what_is_allowed(
-    arguments: list[str], allowed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dataset", "--out", str(tmp_path / "set"), *arguments]) == 2
-    assert allowed in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
