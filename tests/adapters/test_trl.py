@@ -51,15 +51,7 @@ def tiny_model(words: Any) -> Any:
     return Qwen2ForCausalLM(config)
 
 
-TRAINING = {
-    "max_steps": 1,
-    "learning_rate": 1.0,
-    "report_to": [],
-    "logging_steps": 1,
-    "use_cpu": True,
-    "bf16": False,
-    "save_strategy": "no",
-}
+TRAINING = {"max_steps": 1, "learning_rate": 1.0, "logging_steps": 1, "report_to": [], "use_cpu": True, "bf16": False}
 
 
 def paid(route: list[str]) -> float:
@@ -121,10 +113,9 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     wrong = [] if plan else best
     pay = [paid(route) for route in (best, best[:1], wrong, [])]
     assert log["rewards/flight_reward/mean"] == pytest.approx(sum(pay) / 4)
-    success, steps = [True, False, not plan, False], [len(best), 1, len(wrong), 0]
-    assert (log["flight/success"], log["flight/steps"]) == (sum(success) / 4, sum(steps) / 4)
+    means = [(1 if plan else 2) / 4, (len(best) + 1 + len(wrong)) / 4, 0.5 if plan else 0]
+    assert [log[f"flight/{name}"] for name in ("success", "steps", "unusable")] == means
     assert log["flight/score"] + log["flight/regret"] == pytest.approx(solve("easy", 14).score)
-    assert log["flight/unusable"] == (0.5 if plan else 0)
     assert any(bool((p != q).any()) for p, q in zip(before, trainer.model.parameters(), strict=True))
     if plan:
         return
@@ -146,28 +137,20 @@ def test_both_trainers_learn_from_the_datasets(turns: Any, tmp_path: Path, monke
     task = get_task("easy")
     config = DatasetConfig(task, range(4), "train", ["optimal", "random"], epsilon=0.0, turns=turns)
     build_dataset(config, tmp_path / "set", ("chat", "preference"))
-
-    def loaded(kind: str, name: str) -> Any:
-        return load_dataset(kind, data_files=str(tmp_path / "set" / name), split="train")
-
-    chat, lines = loaded("parquet", "chat.parquet"), loaded("json", "chat.jsonl")
-    pairs = loaded("parquet", "preference.parquet")
-    assert len(chat) == len(lines) == 8
-    assert pairs.column_names[:4] == ["prompt", "chosen", "rejected", "task" if turns == "plan" else "tools"]
+    kind, ends = ("json", "jsonl") if turns == "route" else ("parquet", "parquet")
+    files = (str(tmp_path / "set" / f"{name}.{ends}") for name in ("chat", "preference"))
+    chat, pairs = (load_dataset(kind, data_files=file, split="train") for file in files)
     schemas = [get_json_schema(tool) for tool in (DroneEnvironment.fly, DroneEnvironment.fly_route)]
-    assert turns == "plan" or json.loads(chat[0]["tools"]) == schemas
-    words, texts = tokenizer(), []
-    for data in (chat, lines):
-        shared: dict[str, Any] = {"processing_class": words, "train_dataset": data}
-        sft = SFTTrainer(tiny_model(words), SFTConfig(output_dir=str(tmp_path), max_length=8192, **TRAINING), **shared)
-        sft.train()
-        texts.append(words.decode(sft.train_dataset[0]["input_ids"]))
-        assert sft.state.log_history[0]["loss"] > 0
-    assert texts[0] == texts[1]
-    assert not {"null", "None"} & set(re.findall(r"\w+", texts[0]))
-    for action in chat[0]["actions"][0]:
-        assert f'"{action}"' in texts[0]
-    assert ("# Tools" in texts[0]) == (turns != "plan")
+    assert turns == "plan" or json.loads(chat[0]["tools"]) == json.loads(pairs[0]["tools"]) == schemas
+    words = tokenizer()
+    shared: dict[str, Any] = {"processing_class": words, "train_dataset": chat}
+    sft = SFTTrainer(tiny_model(words), SFTConfig(output_dir=str(tmp_path), max_length=8192, **TRAINING), **shared)
+    sft.train()
+    assert sft.state.log_history[0]["loss"] > 0
+    text = words.decode(sft.train_dataset[0]["input_ids"])
+    assert not {"null", "None"} & set(re.findall(r"\w+", text))
+    assert all(f'"{action}"' in text for action in chat[0]["actions"][0])
+    assert ("# Tools" in text) == (turns != "plan")
     shared = {"processing_class": words, "train_dataset": pairs}
     args = DPOConfig(output_dir=str(tmp_path), max_length=8192, **TRAINING)
     dpo = DPOTrainer(tiny_model(words), tiny_model(words), args, **shared)

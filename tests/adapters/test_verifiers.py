@@ -1,6 +1,5 @@
 """The drone as a taskset of verifiers, flown by its own `vf-eval`: `tools/verify.sh verifiers`."""
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,7 +10,7 @@ import pytest
 
 from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord, replay
-from tests.llm.conftest import Endpoint, environment
+from tests.llm.conftest import Endpoint, environment, json_lines
 
 pytest.importorskip("verifiers", reason="needs an environment of its own", exc_type=ImportError)
 Start = Callable[..., Endpoint]
@@ -21,19 +20,10 @@ def evaluated(endpoint: Endpoint, folder: Path, *arguments: str) -> list[dict[st
     """The traces of `vf-eval`."""
     where = ["--client.base-url", endpoint.url, "--client.api-key-var", "SCRIPTED_API_KEY", "--no-push", "--no-rich"]
     command = [str(Path(sys.executable).with_name("vf-eval")), "drone_delivery", "--model", "scripted", *where]
-    done = subprocess.run(
-        [*command, *arguments],
-        cwd=folder,
-        env=environment(SCRIPTED_API_KEY="sk-scripted"),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=280,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    variables = environment(SCRIPTED_API_KEY="sk-scripted")
+    subprocess.run([*command, *arguments], cwd=folder, env=variables, check=True, timeout=280)
     (path,) = folder.glob("outputs/*/traces.jsonl")
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    traces = [trace for line in lines for trace in line.get("traces", [line])]
+    traces = [trace for line in json_lines(path) for trace in line.get("traces", [line])]
     for trace in traces:
         assert trace["ok"], trace["errors"]
         assert sum(trace["info"]["turn_rewards"]) == pytest.approx(-trace["metrics"]["regret"])
@@ -43,10 +33,8 @@ def evaluated(endpoint: Endpoint, folder: Path, *arguments: str) -> list[dict[st
 
 def test_plans_in_one_turn(endpoint: Start, tmp_path: Path) -> None:
     traces = evaluated(endpoint(pilot="plan"), tmp_path, "--env.taskset.map-task", "hard", "--select.limit", "2")
-    by_seed = {trace["task"]["data"]["flight"][1]: trace for trace in traces}
-    assert {seed: trace["rewards"]["score"]["score"] for seed, trace in by_seed.items()} == {
-        seed: solve("hard", seed).score for seed in (0, 1)
-    }
+    scores = {trace["task"]["data"]["flight"][1]: trace["rewards"]["score"]["score"] for trace in traces}
+    assert scores == {seed: solve("hard", seed).score for seed in (0, 1)}
     assert all(trace["info"]["turn_rewards"] == [0] and trace["metrics"]["success"] == 1 for trace in traces)
 
 

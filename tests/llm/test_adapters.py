@@ -42,11 +42,9 @@ def test_an_answer_with_the_whole_route_is_paid_and_logged() -> None:
     answers = [json.dumps({"actions": best}), f"<think>Hm.</think>{best[0]}", "I would go up.", None]
     columns = {"task": "easy", "seed": 14, "plan": "plan-2", "reward_profile": "score"}
     logged: dict[str, float] = {}
-    pay = flight_reward(
-        [[{"role": "assistant", "content": answer}] for answer in answers],
-        log_metric=logged.__setitem__,
-        **{name: [value] * 4 for name, value in columns.items()},
-    )
+    completions = [[{"role": "assistant", "content": answer}] for answer in answers]
+    rows = {name: [value] * 4 for name, value in columns.items()}
+    pay = flight_reward(completions, log_metric=logged.__setitem__, **rows)
     assert pay == [0.99, 0.01, 0.01, 0.01]
     lost = solve("easy", 14).score - sum(pay) / 4
     means = {"score": sum(pay) / 4, "success": 1 / 4, "regret": lost, "steps": 4 / 4, "unusable": 2 / 4}
