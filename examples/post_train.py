@@ -18,13 +18,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
 import tyro
-from datasets import Dataset
+from datasets import Dataset, IterableDataset
 from tokenizers import Regex, Tokenizer, decoders, models, pre_tokenizers, trainers
 from transformers import AutoModelForCausalLM, AutoTokenizer, LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
 from trl import GRPOConfig, GRPOTrainer, SFTConfig, SFTTrainer
@@ -35,12 +36,14 @@ from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.llm.answers import Answer
-from drone_env.llm.prompt import get_prompt
+from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.planning.optimal import solve, solver_of
-from drone_env.results.statistics import DIFFERENCES, SCORES, interval
+from drone_env.results.statistics import DIFFERENCES, SCORES, crossed, interval
 
 Stage = Literal["sft", "weak", "grpo", "evaluate"]
 Reward = Literal["score", "regret", "rank"]
+Pilot = Callable[[list[list[Any]]], list[Action]]
+"""Answers many requests at once."""
 PHRASES = (
     r"(?:pad|parcel) (?:left|right) \d+ (?:up|down) \d+|cost \d+ via [A-Z]+|(?:battery|left) \d+"
     r"|(?:UP|DOWN|LEFT|RIGHT) [a-z]+|Below the drone: [a-z]+(?: pad)?|<[a-z]+>|\S+"
@@ -73,7 +76,6 @@ class Options:
         weak_maps: Number of train maps of the weaker model, from which GRPO starts.
         rewards: Rewards of GRPO to compare.
         grpo_seeds: Number of seeds of each reward.
-        grpo_maps: Number of train maps, after those of fine-tuning, whose states GRPO trains on.
         grpo_steps: Gradient steps of GRPO.
         grpo_batch: States per step.
         generations: Answers per state.
@@ -98,7 +100,6 @@ class Options:
     weak_maps: int = 2500
     rewards: tuple[Reward, ...] = ("score", "regret", "rank")
     grpo_seeds: int = 3
-    grpo_maps: int = 400
     grpo_steps: int = 50
     grpo_batch: int = 32
     generations: int = 8
@@ -108,42 +109,30 @@ class Options:
     test_maps: int = 1000
     quick: bool = False
 
+    @property
+    def answer_tokens(self) -> int:
+        """Length of an answer in tokens; the tiny model has a word and an end."""
+        return 8 if self.model else 2
+
 
 QUICK = {
-    "maps": 6, "weak_maps": 3, "batch": 32, "grpo_maps": 2, "grpo_steps": 1, "grpo_batch": 4, "generations": 4,
+    "maps": 6, "weak_maps": 3, "batch": 32, "grpo_steps": 1, "grpo_batch": 4, "generations": 4,
     "grpo_seeds": 1, "width": 32, "layers": 1, "test_maps": 3,
 }  # fmt: skip
 """Options of `--quick`."""
 
 
-def states(
-    options: Options, first: int, maps: int, choose: Callable[[list[list[Any]]], list[Action]] | None = None
-) -> Iterator[tuple[list[Any], Any, Episode]]:
-    """Yield each state of flights over train maps: the messages, Q* of each action, and a copy of the episode.
-
-    Args:
-        options: The options.
-        first: Index of the first map.
-        maps: Number of maps.
-        choose: The pilot of all flights. None: random optimal actions, with `mistakes`.
-    """
-    prompt, rng = get_prompt(options.prompt), np.random.default_rng([options.seed, first])
-    flights = [Episode(options.task, seed=seed) for seed in split_seeds("train", maps, first)]
-    # A solver per map takes memory: without a common pilot the maps are flown one by one.
-    for group in [flights] if choose else [[flight] for flight in flights]:
-        solvers = {id(flight): solver_of(flight) for flight in group}
-        while flying := [flight for flight in group if not flight.ended]:
-            values = [solvers[id(flight)].q_values(flight) for flight in flying]
-            messages = [prompt.messages(flight) for flight in flying]
-            yield from zip(messages, values, [flight.copy() for flight in flying], strict=True)
-            if choose:
-                actions = choose(messages)
-            elif rng.random() < options.mistakes:
-                actions = [Action(rng.integers(len(Action)))]
-            else:
-                actions = [best_of(values[0], rng)]
-            for flight, action in zip(flying, actions, strict=True):
-                flight.step(action)
+def states(options: Options, maps: int) -> Iterator[tuple[list[Any], Any]]:
+    """Yield each state of flights over train maps, flown by random optimal actions with `mistakes`: messages and Q*."""
+    prompt, rng = get_prompt(options.prompt), np.random.default_rng(options.seed)
+    for seed in split_seeds("train", maps):
+        flight = Episode(options.task, seed=seed)
+        solver = solver_of(flight)
+        while not flight.ended:
+            values = solver.q_values(flight)
+            yield prompt.messages(flight), values
+            wrong = rng.random() < options.mistakes
+            flight.step(Action(rng.integers(len(Action))) if wrong else best_of(values, rng))
 
 
 def best_of(values: Any, rng: np.random.Generator) -> Action:
@@ -156,7 +145,7 @@ def chat_data(options: Options, maps: int) -> Dataset:
     rng = np.random.default_rng(options.seed)
 
     def rows() -> Iterator[dict[str, Any]]:
-        for messages, values, _ in states(options, 0, maps):
+        for messages, values in states(options, maps):
             answer = {"role": "assistant", "content": best_of(values, rng).name}
             yield {"prompt": messages, "completion": [answer]}
 
@@ -255,10 +244,9 @@ def losses(trainer: Any) -> list[dict[str, float]]:
     return [{key: row[key] for key in kept if key in row} for row in trainer.state.log_history if "loss" in row]
 
 
-def pilot(options: Options, model: Any, tokenizer: Any, temperature: float = 0) -> Callable[[list[Any]], list[Action]]:
-    """Make a function that answers many requests at once. An unusable answer is a WAIT."""
+def pilot(options: Options, model: Any, tokenizer: Any) -> Pilot:
+    """Make a function that answers many requests at once, without sampling. An unusable answer is a WAIT."""
     prompt = get_prompt(options.prompt)
-    sampling = {"do_sample": True, "temperature": temperature, "top_k": 0} if temperature else {"do_sample": False}
 
     def choose(requests: list[Any]) -> list[Action]:
         texts = tokenizer.apply_chat_template(requests, add_generation_prompt=True, tokenize=False)
@@ -266,34 +254,48 @@ def pilot(options: Options, model: Any, tokenizer: Any, temperature: float = 0) 
         inputs.pop("token_type_ids", None)
         with torch.no_grad():
             answers = model.generate(
-                **inputs, max_new_tokens=2 if not options.model else 8, pad_token_id=tokenizer.pad_token_id, **sampling
+                **inputs, max_new_tokens=options.answer_tokens, pad_token_id=tokenizer.pad_token_id, do_sample=False
             )
         answers = tokenizer.batch_decode(answers[:, inputs["input_ids"].shape[1] :], skip_special_tokens=True)
-        read = [prompt.read_answer(Answer(text=text)).actions for text in answers]
-        return [actions[0] if actions else Action.WAIT for actions in read]
+        return [action_of(prompt, text) for text in answers]
 
     return choose
 
 
-def reward_of(options: Options, kind: Reward) -> Callable[..., list[float]]:
-    """The reward of an answer, as `GRPOTrainer` calls it; `values` and `scores` are columns of the dataset.
+def action_of(prompt: Prompt, text: str) -> Action:
+    """The action of an answer; WAIT if it is unusable, as in `drone-env infer`."""
+    actions = prompt.read_answer(Answer(text=text)).actions
+    return actions[0] if actions else Action.WAIT
 
-    - `score`: the score at the end if the agent `greedy` flies on after this answer: no planner is necessary;
+
+def fly(options: Options, flights: Sequence[Episode], choose: Pilot) -> None:
+    """Fly all flights to their ends."""
+    prompt = get_prompt(options.prompt)
+    while flying := [flight for flight in flights if not flight.ended]:
+        for flight, action in zip(flying, choose([prompt.messages(flight) for flight in flying]), strict=True):
+            flight.step(action)
+
+
+def reward_of(options: Options, kind: Reward, choose: Pilot) -> Callable[..., list[float]]:
+    """The reward of an answer, as `GRPOTrainer` calls it; `values` and `flown` are columns of the dataset.
+
+    - `score`: the score at the end if the model itself flies on after this answer, without sampling: no planner is
+      necessary; 0 for all answers to a request if they are the same, which GRPO ignores anyway;
     - `regret`: Q* of the action minus V*, which only an exact oracle can pay;
     - `rank`: 1 for the best actions of this state, 0 for the worst ones; equal actions share a rank.
-
-    An answer that is no action pays what the worst action pays.
     """
     prompt = get_prompt(options.prompt)
 
-    def reward(completions: list[Any], values: list[list[float]], scores: list[list[float]], **_: Any) -> list[float]:
-        pay = []
-        for completion, of_state, at_end in zip(completions, values, scores, strict=True):
-            actions = prompt.read_answer(Answer(text=completion[0]["content"])).actions
-            q = np.round(of_state, 12)
-            kinds = {"score": at_end, "regret": q - q.max(), "rank": rank(q)}
-            pay.append(float(kinds[kind][actions[0]] if actions else min(kinds[kind])))
-        return pay
+    def reward(completions: list[Any], values: list[list[float]], flown: list[list[int]], **_: Any) -> list[float]:
+        actions = [action_of(prompt, completion[0]["content"]) for completion in completions]
+        if kind != "score":
+            pay = {"regret": lambda q: q - q.max(), "rank": rank}[kind]
+            return [float(pay(np.round(q, 12))[action]) for q, action in zip(values, actions, strict=True)]
+        keys = [(*start, int(action)) for start, action in zip(flown, actions, strict=True)]
+        different = Counter(key[:-1] for key in set(keys))
+        flights = {key: Episode(options.task, seed=key[0]).fly(key[1:]) for key in set(keys) if different[key[:-1]] > 1}
+        fly(options, list(flights.values()), choose)
+        return [flights[key].score if key in flights else 0.0 for key in keys]
 
     reward.__name__ = kind
     return reward
@@ -305,69 +307,64 @@ def rank(q: Any) -> Any:
     return places / max(1, places.max())
 
 
-def score_after(episode: Episode, action: Action) -> float:
-    """The score at the end if this action is flown, and the agent `greedy` flies on."""
-    flight, greedy = episode.copy(), GreedyAgent(episode.task)
-    flight.step(action)
-    while not flight.ended:
-        flight.step(greedy.act(flight.observation()))
-    return flight.score
+def visited(options: Options, seed: int, choose: Pilot, ended: list[float]) -> Iterator[dict[str, Any]]:
+    """Yield the states that a model visits on train maps while it learns: each flight's state, then each one's next.
 
-
-def grpo_data(options: Options, model: Any, tokenizer: Any) -> Dataset:
-    """States that the weak model itself visits, with the value of each action and the score after it."""
-    choose = pilot(options, model, tokenizer, temperature=1)
-    rows = [
-        {
-            "prompt": messages,
-            "values": [float(value) for value in values],
-            "scores": [score_after(episode, action) for action in Action],
-        }
-        for messages, values, episode in states(options, options.maps, options.grpo_maps, choose)
-    ]
-    return Dataset.from_list(rows)
+    Args:
+        options: The options.
+        seed: Seed of the maps.
+        choose: The model's pilot.
+        ended: Gets the score of each flight that ended.
+    """
+    prompt = get_prompt(options.prompt)
+    seeds = split_seeds("train", 1 << 20, options.maps + (seed << 20))
+    flights = [Episode(options.task, seed=seeds[number]) for number in range(options.grpo_batch)]
+    fresh = iter(seeds[options.grpo_batch :])
+    solvers = [solver_of(flight) for flight in flights]
+    while True:
+        messages = [prompt.messages(flight) for flight in flights]
+        for request, flight, solver in zip(messages, flights, solvers, strict=True):
+            yield {
+                "prompt": request,
+                "values": [float(value) for value in solver.q_values(flight)],
+                "flown": [flight.seed, *flight.actions],
+            }
+        for number, action in enumerate(choose(messages)):
+            flights[number].step(action)
+            if flights[number].ended:
+                ended.append(flights[number].score)
+                flights[number] = Episode(options.task, seed=next(fresh))
+                solvers[number] = solver_of(flights[number])
 
 
 def reinforce(options: Options) -> None:
-    """Train the weak model by GRPO: each reward, each seed."""
-    torch.manual_seed(options.seed)
-    started = time.process_time()
-    data = grpo_data(options, *load(options, options.out / "weak"))
-    cost: dict[str, Any] = {"grpo-data": {"states": len(data), "cpu_s": time.process_time() - started}}
+    """Train the weak model by GRPO on the states that it visits: each reward, each seed."""
     for seed in range(options.seed, options.seed + options.grpo_seeds):
         for kind in options.rewards:
-            made, out = time.process_time(), options.out / f"grpo-{kind}-{seed}"
+            started, out = time.process_time(), options.out / f"grpo-{kind}-{seed}"
             model, tokenizer = load(options, options.out / "weak")
+            choose, ended = pilot(options, model, tokenizer), list[float]()
             args = GRPOConfig(
                 **common(options, out, seed),
                 per_device_train_batch_size=options.grpo_batch * options.generations,
                 num_generations=options.generations,
-                max_completion_length=2 if not options.model else 8,
+                max_completion_length=options.answer_tokens,
                 max_steps=options.grpo_steps,
                 learning_rate=options.grpo_lr,
+                warmup_steps=options.grpo_steps // 10,
                 temperature=1.0,
+                shuffle_dataset=False,  # all flights move on together
             )
             trainer = GRPOTrainer(
                 model=model,
-                reward_funcs=reward_of(options, kind),
+                reward_funcs=reward_of(options, kind, choose),
                 args=args,
-                train_dataset=data,
+                train_dataset=IterableDataset.from_generator(partial(visited, options, seed, choose, ended)),
                 processing_class=tokenizer,
             )
             trainer.train()
             trainer.save_model(str(out))
-            cost[out.name] = {"cpu_s": time.process_time() - made, "log": losses(trainer)}
-    note(options, cost)
-
-
-def fly(options: Options, choose: Callable[[list[Any]], list[Action]]) -> list[Episode]:
-    """Fly the test maps."""
-    prompt = get_prompt(options.prompt)
-    flights = [Episode(options.task, seed=seed) for seed in split_seeds("test", options.test_maps)]
-    while flying := [flight for flight in flights if not flight.ended]:
-        for flight, action in zip(flying, choose([prompt.messages(flight) for flight in flying]), strict=True):
-            flight.step(action)
-    return flights
+            note(options, {out.name: {"cpu_s": time.process_time() - started, "log": losses(trainer), "ended": ended}})
 
 
 def evaluate(options: Options) -> None:
@@ -380,8 +377,8 @@ def evaluate(options: Options) -> None:
         while not flight.ended:
             flight.step(greedy.act(flight.observation()))
     for folder in sorted(path.parent for path in options.out.glob("*/config.json")):
-        flights[folder.name] = fly(options, pilot(options, *load(options, folder)))
-    weak = np.array([flight.score for flight in flights["weak"]]) if "weak" in flights else None
+        flights[folder.name] = [Episode(options.task, seed=seed) for seed in seeds]
+        fly(options, flights[folder.name], pilot(options, *load(options, folder)))
     table: dict[str, Any] = {"optimum": {"score": list(interval(best, SCORES)), "ratio": 1.0}}
     for name, flown in flights.items():
         scores = np.array([flight.score for flight in flown])
@@ -392,10 +389,14 @@ def evaluate(options: Options) -> None:
             "ends": dict(Counter(flight.outcome.name for flight in flown)),
             "scores": scores.tolist(),
         }
-        if weak is not None and name.startswith("grpo"):
-            table[name]["minus_weak"] = list(interval(scores - weak, DIFFERENCES))
         print(f"{name:20} score {scores.mean():.4f} ratio {table[name]['ratio']:.3f}", table[name]["ends"], flush=True)
-    note(options, {"evaluation": table})
+    gains: dict[str, Any] = {}
+    for kind in options.rewards if "weak" in table else ():
+        runs = [np.array(row["scores"]) for name, row in table.items() if name.startswith(f"grpo-{kind}-")]
+        if runs:
+            gains[kind] = crossed(np.array(runs) - table["weak"]["scores"], DIFFERENCES)
+            print(f"{kind} minus weak, over {len(runs)} seeds and all maps: {gains[kind]}", flush=True)
+    note(options, {"evaluation": table, "gains": gains})
 
 
 def note(options: Options, more: dict[str, Any]) -> None:
@@ -411,7 +412,6 @@ def main(stages: tyro.conf.Positional[tuple[Stage, ...]], options: tyro.conf.Omi
     if options.quick:
         options = replace(options, **QUICK)
     options.out.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(2) if options.device == "cpu" else None
     chosen: Sequence[Stage] = stages or ("sft", "weak", "grpo", "evaluate")
     if "sft" in chosen:
         fine_tune(options, "sft", options.maps)

@@ -43,6 +43,14 @@ adapters() {
   "$VENV/adapters/bin/python" -m pytest tests/adapters
 }
 
+# verifiers fits no environment with the other adapters.
+verifiers() {
+  [[ -x $VENV/verifiers/bin/python ]] || $python -m venv "$VENV/verifiers"
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/verifiers/bin/python" --editable '.[llm]' \
+    --editable integrations/verifiers 'pytest>=8.3' 'pytest-timeout>=2.3'
+  "$VENV/verifiers/bin/python" -m pytest tests/adapters/test_verifiers.py
+}
+
 # Source distribution and wheel in empty environments of each Python.
 wheels() {
   $python tests/package/installed.py
@@ -59,7 +67,7 @@ other_python() {
   make test VENV="$VENV/$OTHER_PYTHON" PYTHON="$OTHER_PYTHON"
 }
 
-(($#)) || set -- campaigns coverage mutants adapters wheels lowest other_python
+(($#)) || set -- campaigns coverage mutants adapters verifiers wheels lowest other_python
 for campaign in "$@"; do
   "$campaign"
 done

@@ -1,4 +1,4 @@
-"""`examples/post_train.py` with TRL's trainers, at its smallest sizes: `tools/verify.sh adapters`."""
+"""`examples/post_train.py` and its notebook with TRL, at their smallest sizes: `tools/verify.sh adapters`."""
 
 import json
 import os
@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from tools.docs_notebook import run
 
 ROOT = Path(__file__).parents[2]
 
@@ -22,3 +24,12 @@ def test_the_example_trains_by_both_trainers_and_evaluates(tmp_path: Path) -> No
     assert results["sft"]["answers"] > results["weak"]["answers"] > 0
     for row in results["evaluation"].values():
         assert 0.01 <= row["score"][0] <= results["evaluation"]["optimum"]["score"][0]
+
+
+@pytest.mark.timeout(600)
+def test_the_cells_of_its_notebook_run_without_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    notebook = json.loads((ROOT / "examples" / "post_train.ipynb").read_text(encoding="utf-8"))
+    *_, outputs = run(notebook, tmp_path)
+    assert {"optimum", "greedy", "sft", "weak", "grpo-regret-0"} <= set("".join(outputs[0]["text"]).split())

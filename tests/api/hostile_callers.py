@@ -374,31 +374,47 @@ PATHS = """
 /static/js/main.js /ws /
 """
 SHORT = 'null true 0 -1 1e400 NaN 18446744073709551616 "" "easy" "UP" [] {} "\\ud800" {"a":1,"a":2} "🚁"'
-VALUES = [
-    *SHORT.split(),
-    '{"direction":"UP"}',
-    '{"task_name":"easy","seed":1}',
-    '"' + "x" * 3000 + '"',
-    "[" * 40 + "]" * 40,
-    "{" * 2000,
-    "1" * 5000,
-]
-METHODS = "GET HEAD POST PUT DELETE OPTIONS BREW"
+VALUES = [*SHORT.split(), '{"direction":"UP"}', '"' + "x" * 3000 + '"', "[" * 40 + "]" * 40, "{" * 2000, "1" * 5000]
+POSTED = "/reset /step /predict /replay /annotate /values /mcp"
+BODIES = '{"direction":"UP"} {"direction":"WAIT"} {"task_name":"easy","seed":1} {"task_name":"skyline_hard"}'
+FIELDS = "direction task_name seed agent reward_profile task grid record jsonrpc method id"
 
 
 def fuzzed(chance: random.Random) -> bytes:
-    """A request of which some bytes were changed, inserted or left out. What waits for more gets it.
-
-    Wrong fields and queries come from Schemathesis, in test_schema.py.
-    """
+    """A request that nobody would send, or nearly one."""
+    path = chance.choice(PATHS.split())
+    if chance.random() < 0.3:
+        path += (
+            chance.choice(("?", "/", "%00", "?limit=", "?before=-1", "//", "/..", "%ff")) + chance.choice(VALUES)[:50]
+        )
+    method = "POST" if path in POSTED.split() else "GET"
+    if chance.random() < 0.15:
+        method = chance.choice(("GET", "POST", "DELETE", "PUT", "HEAD", "OPTIONS", "BREW"))
     body = chance.choice(VALUES).encode()
-    head = f"{chance.choice(METHODS.split())} {chance.choice(PATHS.split())} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
-    head += f"Content-Type: application/json\r\nX-Step-Count: {chance.choice(VALUES)[:500]}\r\n"
-    request = bytearray(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
-    for _ in range(chance.randrange(8)):
-        at = chance.randrange(len(request))
-        request[at : at + chance.randrange(3)] = chance.randbytes(chance.randrange(3))
-    return bytes(request) + b"\r\n\r\n" + b" " * 100
+    if chance.random() < 0.5:
+        body = chance.choice(["", *BODIES.split()]).encode()
+    elif chance.random() < 0.7:
+        pairs = (f'"{chance.choice(FIELDS.split())}":{chance.choice(VALUES)}' for _ in range(chance.randrange(4)))
+        body = ("{" + ",".join(pairs) + "}").encode()
+    # Most come as far as what they ask for: what stops them before that is tried by few.
+    rarely = chance.random() < 0.1
+    host = chance.choice(("x" * 300, "evil.example", "")) if rarely else chance.choice(("127.0.0.1", "localhost"))
+    kind = chance.choice(("text/plain", "x")) if chance.random() < 0.1 else "application/json"
+    headers = [f"Content-Length: {len(body)}", f"Host: {host}", f"Content-Type: {kind}"]
+    for name in chance.sample(("X-Step-Count", "Authorization", "Cookie", "Accept"), 1):
+        headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
+    for name in ("X-Session-Id", "Origin", "Expect"):
+        if chance.random() < 0.05:
+            headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
+    text = " ".join((method, path.replace(" ", "%20"), "HTTP/1.1")) + "\r\n" + "\r\n".join(headers) + "\r\n\r\n"
+    request = bytearray(text.encode() + body)
+    if chance.random() < 0.25:
+        for _ in range(chance.randrange(1, 8)):
+            at = chance.randrange(len(request))
+            request[at : at + chance.randrange(3)] = chance.randbytes(chance.randrange(3))
+        # What waits for more gets it.
+        request += b"\r\n\r\n" + b" " * 100
+    return bytes(request)
 
 
 async def go(server: Server, given: argparse.Namespace) -> list[str]:

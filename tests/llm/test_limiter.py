@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.limiter import Options, Prices, RateLimiter
+from drone_env.llm.limiter import Options, RateLimiter
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 
@@ -175,7 +175,7 @@ def test_what_is_no_limit_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidValueError):
         Options(**wrong)
     with pytest.raises(InvalidValueError, match="prices must be 0 or more"):
-        Prices(1, -1)
+        Options(price_prompt=1, price_completion=-1)
 
 
 def test_waits_are_random_below_a_bound_that_doubles(endpoint: Start) -> None:

@@ -25,12 +25,9 @@ def flies(name: str, task: TaskConfig) -> bool:
     return not name.startswith("tournet") or SHIPPED.is_file()
 
 
-MANY = [("tournet-search-64", "skyline_hard"), ("tournet-search-64", "city_small")]
-PAIRS = [
-    (name, task) for name in AGENTS for task in SMALL.values() if flies(name, task) and (name, task.id) not in MANY
-]
-"""Agents with the tasks that they can fly; the search with more plans differs by their number alone."""
-FEWER = {"pathqnet": 9, "tournet": 5, "tournet-search": 4, "tournet-search-64": 2}
+PAIRS = [(name, task) for name in AGENTS for task in SMALL.values() if flies(name, task)]
+"""Agents with the tasks that they can fly."""
+FEWER = {"pathqnet": 9, "tournet": 5}
 """How many maps those fly that take their time."""
 
 
@@ -87,7 +84,7 @@ def test_where_no_tour_network_is_shipped_the_message_says_what_to_do(
         make_agent("tournet", "easy")
 
 
-@pytest.mark.parametrize("name", ["greedy", "optimal", "tournet", "tournet-search"])
+@pytest.mark.parametrize("name", ["greedy", "optimal", "tournet"])
 def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
     task = get_task("skyline_easy")
     agent, batch = make_agent(name, task), Batch(task, 3)

@@ -136,8 +136,11 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         (["compare", "greedy", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),
         (["dataset", "--out", "set", "--maps", "0"], "at least 1"),
         (["dataset", "--out", "set", "--epsilon", "2"], "0 to 1"),
-        (["dataset", "--out", "set", "--formats", "csv"], "parquet, minari"),
+        (["dataset", "--out", "set", "--format", "csv"], "parquet, minari, chat, preference"),
         (["dataset", "--out", "set", "--agents", "greedy", "greedy"], "each once"),
+        (["dataset", "--out", "set", "--format", "chat", "--split", "test"], "split train"),
+        (["dataset", "--out", "set", "--format", "chat", "--prompt", "minimal"], "one action"),
+        (["dataset", "--out", "set", "--format", "preference", "--agents", "greedy", "--maps", "1"], "equal regret"),
         (["train", "--task", "all"], "add --network tournet"),
         (["train", "--reward-profile", "generous"], "allowed: aligned"),
         (["train", "--replay-size", "1000000000000000"], "out of memory"),
@@ -156,7 +159,7 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert allowed in " ".join(captured.err.split())
-    assert len(wrap(captured.err, 80)) <= 2
+    assert len(wrap(captured.err, 80)) <= 3
     assert captured.out == ""
     assert list(tmp_path.iterdir()) == []
 

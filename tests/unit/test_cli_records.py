@@ -54,10 +54,21 @@ def test_replay_of_an_unfinished_flight_counts_the_waiting(tmp_path: Path, capsy
 def test_a_flight_is_the_same_recorded_or_flown_first(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     analysis = analyse_flight(load_record(flight))
     as_json = json.dumps(analysis.to_dict(), indent=2)
-    for options, shown in (([], analysis.to_text()), (["--json"], as_json)):
+    flown = "--task", "medium", "--agent", "random", "--seed", "7"
+    for options, shown in (([], "best moves of"), (["--json"], f"{as_json}\n")):
         assert main(["analyse-flight", str(flight), *options]) == 0
-        assert main(["analyse-flight", "--task", "medium", "--agent", "random", "--seed", "7", *options]) == 0
-        assert capsys.readouterr() == (f"{shown}\n" * 2, "")
+        recorded = capsys.readouterr()
+        assert shown in recorded.out
+        assert main(["analyse-flight", *flown, *options]) == 0
+        assert capsys.readouterr() == recorded
+
+
+def test_an_unfinished_flight_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_record(record_of(Episode("easy", seed=14).fly([4, 4]), "someone"), tmp_path / "short.json")
+    assert main(["analyse-flight", str(tmp_path / "short.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "Unfinished after 2 steps: counted as if it had waited to the end" in shown
+    assert "stop" in shown
 
 
 @pytest.fixture

@@ -24,10 +24,10 @@ FLOORS = [
     {"envs"},
     {"agents"},
     {"results"},
-    {"datasets", "rl"},
+    {"rl"},
     {"client", "openenv_client"},
     {"llm"},
-    {"server"},
+    {"datasets", "server"},
     {"cluster"},
     {"commands", "cli"},
 ]
