@@ -121,11 +121,7 @@ class TextEpisode:
             told[episode.message] = None
             if episode.ended:
                 return " ".join(told)
-        below = below_text(episode.task, NAMES[episode.under])
-        return (
-            f"{' '.join(told)} Position: {episode.position}. Battery: {episode.battery_units} units. "
-            f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
-        ) + (f" {below}." if below else "")
+        return f"{' '.join(told)} {status_text(episode)}"
 
     @property
     def score(self) -> float:
@@ -149,6 +145,15 @@ class TextEpisode:
     def rewards(self) -> list[float]:
         """The reward of each step."""
         return list(self.episode.rewards)
+
+
+def status_text(episode: Episode) -> str:
+    """Where the drone is now, as the answer to a tool call."""
+    below = below_text(episode.task, NAMES[episode.under])
+    return (
+        f"Position: {episode.position}. Battery: {episode.battery_units} units. "
+        f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
+    ) + (f" {below}." if below else "")
 
 
 class Flight(TextEpisode):

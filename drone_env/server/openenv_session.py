@@ -7,8 +7,9 @@ from typing import Any, TypeVar
 
 from drone_env.core.episode import NOT_STARTED, Episode
 from drone_env.errors import EpisodeError
-from drone_env.llm.prompt import Prompt, below_text, get_prompt
-from drone_env.models import NAMES, openenv_json
+from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.text_episode import status_text
+from drone_env.models import openenv_json
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.map_choice import DEFAULT_TASK, start_episode
 from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
@@ -25,14 +26,7 @@ def full_text(prompt: Prompt, episode: Episode) -> str:
 
 def flown_text(episode: Episode, flown: int) -> str:
     """Return the text after a step: what happened, and where the drone is now."""
-    below = below_text(episode.task, NAMES[episode.under])
-    return " ".join(
-        [
-            f"{flown} steps flown. {episode.message} Position: {episode.position}. Step: {episode.steps}.",
-            f"Battery: {episode.battery_units} units. Nearest parcel: {episode.target}.",
-            f"Delivered: {episode.deliveries_done} of {episode.task.deliveries}.{below and f' {below}.'}",
-        ]
-    )
+    return f"Flown: {flown}. {episode.message} Step: {episode.steps}. {status_text(episode)}"
 
 
 def openenv_fields(

@@ -80,7 +80,7 @@ def test_a_client_of_text_flies_where_the_url_names_task_and_prompt(server: Serv
             assert not result.done
             result = env.step(f"[{word}]")
             last, told = told, result.observation["messages"][0]["content"]
-            assert told.startswith(f"{last}\n1 steps flown. ")
+            assert told.startswith(f"{last}\nFlown: 1. ")
         assert (result.reward, result.done) == (solve("hard", 7).score, True)
         again = env.step("[UP]").observation["messages"][0]["content"]
         assert again == told
