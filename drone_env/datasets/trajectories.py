@@ -16,7 +16,7 @@ from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
@@ -75,6 +75,8 @@ class DatasetConfig:
     @property
     def text_prompt(self) -> Prompt:
         """The prompt of conversations."""
+        with needs("data"):
+            import jinja2  # noqa: F401  # pyright: ignore[reportUnusedImport] - reading a prompt would name another extra
         return plan_prompt(self.prompt) if self.turns == "plan" else tools_prompt()
 
     def as_json(self) -> dict[str, Any]:
