@@ -225,9 +225,8 @@ The first {MAPS:,} test maps of each task, which training never sees. Shares are
 
 ## What it is not for
 
-It decides one way at a time: where a few milliseconds more are no matter, `tournet-search` tries whole plans, and the
-exact solver finds the best there is. It flies tasks of one's own as well; how well is known of these six, and of the
-sizes that docs/learning.md names.
+It decides one path at a time; the exact solver finds the best flight. It flies your own tasks too: docs/learning.md has
+the scores on tasks with other numbers.
 """
 
 

@@ -195,17 +195,19 @@ def flat_json(episode: Episode, _: float | None = None) -> str:
     return _observation_json(episode, observation_numbers(episode)) + "}"
 
 
-def openenv_json(episode: Episode, reward: float | None) -> str:
+def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
     """Return the observation in OpenEnv's format, with `reward` and `done` outside.
 
     Args:
         episode: The episode.
         reward: The reward of the last step, None after a reset.
+        more: Further fields of the observation. OpenEnv repeats `metadata` outside of it, unless it is empty.
     """
     numbers = observation_numbers(episode)
-    done = numbers.pop("done")
-    observation = _observation_json(episode, numbers)
-    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
+    done, metadata = numbers.pop("done"), more.get("metadata")
+    observation = f"{_observation_json(episode, numbers)},{_json({'metadata': {}, **more})[1:]}"
+    outside = {"reward": reward, "done": done, **({"metadata": metadata} if metadata else {})}
+    return f'{{"observation":{observation},{_json(outside)[1:]}'
 
 
 def _json(value: object) -> str:

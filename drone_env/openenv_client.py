@@ -17,7 +17,8 @@ class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, DroneState]):
             while not result.done:
                 result = env.step(DroneAction(direction="RIGHT"))
 
-    Options of `reset`: `seed`, `episode_id`, `task_name`, `reward_profile`, `agent`, or `split` and `index`.
+    Options of `reset`: `seed`, `episode_id`, `task_name`, `reward_profile`, `prompt`, `agent`, or `split` and `index`.
+    The `metadata` of a result contains `reward_profile`, `flown` after a step, `prompt`, and `messages`.
     """
 
     def _step_payload(self, action: object) -> dict[str, Any]:
@@ -26,9 +27,10 @@ class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, DroneState]):
         return action.model_dump()
 
     def _parse_result(self, payload: dict[str, Any]) -> StepResult[DroneObservation]:
-        fields = {name: value for name, value in payload["observation"].items() if name != "metadata"}
+        fields = dict(payload["observation"])
+        metadata = fields.pop("metadata") | {name: fields.pop(name) for name in ("prompt", "messages")}
         observation = DroneObservation(**fields, done=payload["done"])
-        return StepResult(observation=observation, reward=payload["reward"], done=payload["done"])
+        return StepResult(observation=observation, reward=payload["reward"], done=payload["done"], metadata=metadata)
 
     def _parse_state(self, payload: dict[str, Any]) -> DroneState:
         return DroneState.model_validate(payload)

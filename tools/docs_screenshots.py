@@ -131,7 +131,8 @@ def main() -> None:
         data = Path(folder) / "data"
         agents = ("random", "tournet", "greedy")
         fill(data, [flown("skyline_medium", seed, agent) for seed in range(FLIGHTS // len(agents)) for agent in agents])
-        with serving(data) as server, launched(chromium) as browser, Tabs(browser, server.url) as tabs:
+        with serving(data) as server, launched(chromium) as browser:
+            tabs = Tabs(browser, server.url)
             for take in (alone, fork, layers, several, city, drawing, pages):
                 take(tabs)
             if tabs.complaints:

@@ -47,16 +47,9 @@ def kinds() -> str:
 
 def environments() -> str:
     """Every task under its Gymnasium id."""
-    head = ["Gymnasium id", "grid", "parcels", "steps", "battery", "telemetry"]
+    head = ["Gymnasium id", "grid", "telemetry"]
     rows = [
-        [
-            f"`{task.gym_id}`",
-            f"{task.width} x {task.height}",
-            str(task.deliveries),
-            str(task.max_steps),
-            str(task.battery_capacity),
-            f"{task.telemetry_size} values",
-        ]
+        [f"`{task.gym_id}`", f"{task.width} x {task.height}", f"{task.telemetry_size} values"]
         for task in TASKS.values()
     ]
     return table([head, *rows])

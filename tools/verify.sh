@@ -11,10 +11,9 @@ campaigns() {
     tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py \
     tests/unit/test_training_run.py tests/unit/test_network.py
   DRONE_ENV_MUTATIONS=2500 $python -m pytest --timeout 36000 tests/unit/test_city_mutations.py
-  DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SCHEMA_EXAMPLES=200 \
-    $python -m pytest -m '' --timeout 36000 tests/api
+  DRONE_ENV_FRAMES=20000 DRONE_ENV_SCHEMA_EXAMPLES=200 $python -m pytest -m '' --timeout 36000 tests/api
   $python tests/api/hostile_callers.py
-  DRONE_ENV_KILLS=50 DRONE_ENV_LLM_ROUTES=100 $python -m pytest -m '' --timeout 36000 tests/llm
+  DRONE_ENV_LLM_ROUTES=100 DRONE_ENV_PROMPT_MAPS=100 $python -m pytest -m '' --timeout 36000 tests/llm
   DRONE_ENV_NGINX_SESSIONS=150 $python -m pytest --timeout 36000 tests/cluster/test_nginx.py
 }
 
@@ -26,7 +25,8 @@ coverage() {
 }
 
 mutants() {
-  $python tools/mutants.py
+  "$VENV/bin/uv" pip install --quiet --python $python 'cosmic-ray>=8.7'
+  $python tools/mutation.py
 }
 
 # environment NAME: a virtual environment beside the other, with PyTorch.
@@ -35,12 +35,21 @@ environment() {
   "$VENV/$1/bin/python" -m pip install --quiet --no-compile "$TORCH"
 }
 
-# The tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
+# OpenEnv's stock clients; then the tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
 adapters() {
+  $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
   "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,trl]' \
     'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
+}
+
+# verifiers fits no environment with the other adapters.
+verifiers() {
+  [[ -x $VENV/verifiers/bin/python ]] || $python -m venv "$VENV/verifiers"
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/verifiers/bin/python" --editable '.[llm]' \
+    --editable integrations/verifiers 'pytest>=8.3' 'pytest-timeout>=2.3'
+  "$VENV/verifiers/bin/python" -m pytest tests/adapters/test_verifiers.py
 }
 
 # Source distribution and wheel in empty environments of each Python.
@@ -59,7 +68,7 @@ other_python() {
   make test VENV="$VENV/$OTHER_PYTHON" PYTHON="$OTHER_PYTHON"
 }
 
-(($#)) || set -- campaigns coverage mutants adapters wheels lowest other_python
+(($#)) || set -- campaigns coverage mutants adapters verifiers wheels lowest other_python
 for campaign in "$@"; do
   "$campaign"
 done

@@ -1,42 +1,24 @@
 """Agents, which choose actions. `make_agent` makes one by its name."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.named import agent_named, moved_sb3_name, sb3_file
+from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.agents.planned import OptimalAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
-from drone_env.agents.tournet import TournetAgent, TournetSearchAgent
-from drone_env.agents.weights_file import PATHQNET, TOURNET
+from drone_env.agents.tournet import TournetAgent
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 
-
-class NetworkAgent(NamedTuple):
-    """A kind of agent with a network."""
-
-    network: str
-    """The network of its file, as `weights_file.network_of` returns it."""
-    make: Callable[..., Agent]
-    """Makes the agent from the task and the file; None for the shipped file."""
-
-
-NETWORK_AGENTS: dict[str, NetworkAgent] = {
-    "pathqnet": NetworkAgent(PATHQNET, PathQNetAgent),
-    "tournet": NetworkAgent(TOURNET, TournetAgent),
-    "tournet-search": NetworkAgent(TOURNET, TournetSearchAgent),
-    "tournet-search-64": NetworkAgent(TOURNET, partial(TournetSearchAgent, plans=64)),
-}
-"""The agents with a network: a shipped one, or the one in a file as `NAME:FILE`."""
+NETWORK_AGENTS: dict[str, Callable[..., Agent]] = {"pathqnet": PathQNetAgent, "tournet": TournetAgent}
+"""The agents with a network, made from a task and a file: the shipped one, or that of `NAME:FILE`."""
 AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
     "optimal": OptimalAgent,
-    **{name: agent.make for name, agent in NETWORK_AGENTS.items()},
+    **NETWORK_AGENTS,
 }
 """The factory of each agent, by its name."""
 SHIPPED_AGENTS = tuple(AGENTS)
@@ -95,7 +77,7 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
     network = network_file(name)
     if network is not None:
         agent, file = network
-        return NETWORK_AGENTS[agent].make(task, file)
+        return NETWORK_AGENTS[agent](task, file)
     if name in list(AGENTS):
         return AGENTS[name](task)
     made = agent_named(name, task)
@@ -115,7 +97,6 @@ __all__ = [
     "PathQNetAgent",
     "RandomAgent",
     "TournetAgent",
-    "TournetSearchAgent",
     "elsewhere",
     "file_of",
     "make_agent",

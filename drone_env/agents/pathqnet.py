@@ -138,8 +138,8 @@ class PathQNetAgent(StatelessAgent):
         path = shipped_network(task) if network is None else network
         if network is None and not path.is_file():
             raise UnsupportedTaskError(
-                f"no network is shipped for {task.id!r}: train one (drone-env train --task {task.short_name}) and name "
-                f"its file with --checkpoint (data/{task.short_name}.safetensors)"
+                f"no network is shipped for {task.id!r}: name the file of one with --checkpoint, "
+                f"or train one first (drone-env train --task {task.short_name})"
             )
         self._network = load_network(path)
         takes = self._network.metadata["telemetry_size"]

@@ -1,7 +1,8 @@
 """`drone-env analyse-flight`: the exact regret of each move of a flight."""
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -11,6 +12,10 @@ from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed, warn_abo
 from drone_env.commands.printing import print_json
 from drone_env.core.episode import Episode, rollout
 from drone_env.errors import InvalidValueError
+from drone_env.results.tables import Table, number, percent, print_table
+
+if TYPE_CHECKING:
+    from drone_env.results import analysis
 
 File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
@@ -54,4 +59,35 @@ def analyse_flight(
     if json:
         print_json(analysed.to_dict())
     else:
-        print(analysed.to_text())
+        _print(analysed)
+
+
+def _print(flight: "analysis.FlightAnalysis") -> None:
+    """Print a table of the moves, one of the labels, and the score."""
+    from drone_env.results.analysis import MARKS
+
+    moves = [
+        (f"{m.step}", m.action.name, m.mark, f"{m.position}", m.event.name.lower(), *_loss(m)) for m in flight.moves
+    ]
+    labels = [
+        (label, f"{count}", number(math.fsum(m.regret for m in flight.moves if m.label == label), ".5f"), mark)
+        for (label, count), mark in zip(flight.counts.items(), MARKS.values(), strict=True)
+    ]
+    if flight.giving_up is not None:
+        mark = MARKS[flight.giving_up.label]
+        moves.append(("", "stop", mark, "", "unfinished", *_loss(flight.giving_up)))
+        labels.append(("giving up", "", f"{flight.giving_up.regret:.5f}", mark))
+    head = ("step", "move", "", "to", "event", "value", "regret", "better")
+    print_table(Table(f"{flight.task.id}, map {flight.seed}, flown by {flight.agent}", head, moves), width=120, names=8)
+    print_table(Table("", ("move", "count", "lost", "mark"), labels), width=120, names=1)
+    if flight.giving_up is not None:
+        print(f"Unfinished after {len(moves) - 1} steps: counted as if it had waited to the end")
+    print(f"Score {flight.score:.4f}, optimum {flight.optimum:.4f}, regret {flight.regret:.5f}")
+    print(f"Accuracy {percent(flight.accuracy)}: {flight.decisive_best} best moves of {flight.decisive} that mattered")
+
+
+def _loss(lost: "analysis.Move | analysis.GivingUp") -> tuple[str, str, str]:
+    """Return value, regret and better moves; empty without regret."""
+    if not lost.regret:
+        return f"{lost.value:.4f}", "", ""
+    return f"{lost.value:.4f}", f"{lost.regret:.5f}", ", ".join(action.name for action in lost.best_actions)

@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-
 from drone_env.commands.arguments import ProfileName, Split, TaskName
 from drone_env.commands.flights import prepare_file
 from drone_env.commands.printing import print_json, progress_bar
@@ -14,7 +12,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.results.tables import Table, number, print_table, table_console
+from drone_env.results.tables import Table, number, print_table
 
 
 def audit(
@@ -88,26 +86,17 @@ RETURNS = {
 
 
 def _print(report: dict[str, Any], replay: Path | None) -> None:
-    console = table_console(120)
     shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
-    console.print(
-        f"{escape(report['reward'])} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps",
-        style="bold",
-    )
-    returns = report["mean_returns"]
+    title = f"{report['reward']} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps"
+    returns, worst = report["mean_returns"], report["worst"]
     rows = [(RETURNS[name], number(value, ".3f")) for name, value in returns.items()]
     better = [i for i, name in enumerate(returns) if name != "maximiser" and returns[name] > returns["honest"] + 1e-9]
-    print_table(Table("", ("flight", "mean return"), rows), width=120, names=1, alarming=better)
-    console.print(
-        f"The flight that earns most scores {report['mean_score']:.4f} on average; "
-        f"the optimum is {report['mean_optimal_score']:.4f}."
+    print_table(Table(title, ("flight", "mean return"), rows), width=120, names=1, alarming=better)
+    print(
+        f"The flight that earns most scores {report['mean_score']:.4f} on average; the optimum is "
+        f"{report['mean_optimal_score']:.4f}.\nIt scores the optimum on {report['share_aligned']:.1%} of the maps.\n"
+        f"Verdict: {report['verdict']}"
     )
-    console.print(f"It scores the optimum on {report['share_aligned']:.1%} of the maps.")
-    verdict = report["verdict"]
-    console.print(f"Verdict: [bold {'green' if verdict == 'aligned' else 'red'}]{verdict}[/]")
-    worst = report["worst"]
-    if verdict == "exploitable":
-        console.print(
-            f"Worst map: {worst['seed']}, {worst['score']:.4f} where {worst['optimal_score']:.4f} can be had"
-            + (f"; its flight is in {escape(str(replay))}" if replay else "")
-        )
+    if report["verdict"] == "exploitable":
+        where = f"; its flight is in {replay}" if replay else ""
+        print(f"Worst map: {worst['seed']}, {worst['score']:.4f} where {worst['optimal_score']:.4f} can be had{where}")

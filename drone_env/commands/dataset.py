@@ -1,7 +1,7 @@
-"""`drone-env dataset`: states, actions and their exact values."""
+"""`drone-env dataset`: states, actions and their exact values; conversations."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -12,7 +12,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 
-FormatNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="parquet|minari")]
+FormatNames = Annotated[tuple[str, ...], tyro.conf.arg(name="format", metavar="parquet|minari|chat|preference")]
 
 
 def dataset(
@@ -25,6 +25,8 @@ def dataset(
     epsilon: float = 0.1,
     reward_profile: ProfileName = DEFAULT_PROFILE,
     formats: FormatNames = ("parquet", "minari"),
+    turns: Literal["plan", "step", "route"] = "plan",
+    prompt: str = "plan",
 ) -> None:
     """Write a dataset of flights with the exact values of every step.
 
@@ -33,7 +35,12 @@ def dataset(
     steps.parquet, a Minari dataset and a README.md that explains the columns. If an error occurs, nothing is left.
     Needs the extra `data`.
 
+    For language models, `--format chat` writes flights as conversations, and `preference` pairs of them, better one
+    first: JSONL and Parquet as TRL's trainers read them.
+
     Example: drone-env dataset --task hard --maps 1000 --out hard-steps
+
+    Example: drone-env dataset --format chat --turns route --agents optimal --epsilon 0 --out easy-chat
 
     Args:
         out: The folder to make, in one that exists.
@@ -45,7 +52,9 @@ def dataset(
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: A reward profile, or a TOML file with one. V*, Q* and regret are in score and do not depend on
             it.
-        formats: One or both. A flight takes about 45 to 80 KB in Minari, a step about 25 bytes in Parquet.
+        formats: One or more. A flight takes about 45 to 80 KB in Minari, a step about 25 bytes in Parquet.
+        turns: In conversations: the plan in one answer, or a tool call for each step, or for each route to a parcel.
+        prompt: The prompt of plans: name, id or file.
     """
     from drone_env.datasets.build import build_dataset  # slow to load
     from drone_env.datasets.trajectories import DatasetConfig
@@ -53,7 +62,8 @@ def dataset(
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
     warn_about_pickles(agents)
-    config = DatasetConfig(get_task(task), split_seeds(split, maps, offset), split, agents, epsilon, reward_profile)
+    seeds = split_seeds(split, maps, offset)
+    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, turns, prompt)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
         rows = build_dataset(config, out, formats, on_map=advance)
     print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")

@@ -7,10 +7,9 @@ from typing import SupportsIndex
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.envs.ansi import draw_text
+from drone_env.envs.ansi import draw_text, end_line, start_line, step_line
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
-from drone_env.results.log_lines import end_line, start_line, step_line
 
 
 def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], render: bool) -> None:
@@ -47,31 +46,3 @@ def prepare_file(option: str, path: Path) -> None:
     if path.is_dir():
         raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
-
-
-def prepare_film(path: Path | None) -> None:
-    """Check before the flight that the film of `--video` can be created; None for no film.
-
-    Raises:
-        InvalidValueError, OSError: if its suffix is unknown, and as `prepare_file`.
-    """
-    if path is None:
-        return
-    from drone_env.envs.film import check_film  # loads Pillow
-
-    check_film(path)
-    prepare_file("--video", path)
-
-
-def film(episode: Episode, path: Path | None) -> None:
-    """Write the film of `--video` and print its path on standard error; None for no film.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
-    if path is None:
-        return
-    from drone_env.envs.film import save_film  # loads Pillow
-
-    save_film(episode, path)
-    print(f"video: {path}", file=sys.stderr)

@@ -6,7 +6,7 @@ from pathlib import Path
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName, warn_about_pickles
-from drone_env.commands.flights import film, log_flight, prepare_file, prepare_film
+from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.errors import InvalidValueError
@@ -19,7 +19,6 @@ def fly(
     reward_profile: ProfileName = ORIGINAL_PROFILE,
     render: bool = False,
     picture: Path | None = None,
-    video: Path | None = None,
     record: Path | None = None,
 ) -> None:
     """Fly one map and print its log lines.
@@ -36,7 +35,6 @@ def fly(
         reward_profile: A reward profile, or a TOML file with one.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file.
-        video: Save a film of the flight to this GIF file.
         record: Save the flight to this JSON file, for `replay` and `analyse-flight`, or append it to this .jsonl file.
     """
     episode = Episode(task, reward_profile)
@@ -46,7 +44,6 @@ def fly(
         if picture.suffix != ".png":
             raise InvalidValueError(f"--picture takes a file that ends in .png, got {picture}")
         prepare_file("--picture", picture)
-    prepare_film(video)
     if record is not None:
         prepare_file("--record", record)
     episode.reset(seed)
@@ -56,7 +53,6 @@ def fly(
 
         save_picture(episode, picture)
         print(f"picture: {picture}", file=sys.stderr)
-    film(episode, video)
     if record is not None:
         # Loads Pydantic, which only a record needs.
         from drone_env.results.record import record_of, save_record

@@ -86,7 +86,7 @@ def infer(
             --server, that server stores them.
         out: The run folder. Default: a new folder in llm/ of the data folder.
         resume: Continue the run in --out, under the same configuration.
-        report: Verify the whole run and write report.md, report.json and report.html into its folder.
+        report: Verify the whole run and write report.json and report.md into its folder.
         moves: Count blunders and other moves in the report, by the exact value of every state.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations
             must equal the one here.
@@ -106,7 +106,7 @@ def infer(
         from drone_env.llm.endpoint import Endpoint
         from drone_env.llm.image import running_image
         from drone_env.llm.limiter import RateLimiter
-        from drone_env.llm.progress import ConsoleObserver
+        from drone_env.llm.progress import Progress
         from drone_env.llm.prompt import get_prompt
     from pydantic import ValidationError
 
@@ -173,20 +173,20 @@ def infer(
         else:
             sender = Endpoint(config, token, options.timeout)
         limiter = RateLimiter(options)
-        observer = ConsoleObserver(config, limiter.budget, folder, store)
+        progress = Progress(config, limiter.budget, folder, store)
         try:
-            result = asyncio.run(runner.run(config, folder, sender, limiter, observer))
+            result = asyncio.run(runner.run(config, folder, sender, limiter, progress))
             if report:
                 from drone_env.llm import report as reports
                 from drone_env.llm.verify import verified_run
 
                 run = verified_run(path)
-                reports.write_report(run, reports.report(run, options.prices, moves))
+                reports.write_report(run, reports.report(run, options, moves))
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
         finally:
-            if errors := observer.not_stored:
+            if errors := progress.not_stored:
                 missing = f"{len(errors)} flights are not in the store: {errors[0]}"
                 print(f"{missing}; to add them, {to_resume}", file=sys.stderr)
         for line in [*runner.summary_lines(result), f"run: {path}"]:

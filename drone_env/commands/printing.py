@@ -4,7 +4,6 @@ import json
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from textwrap import wrap
 from typing import Any
 
 from rich.console import Console
@@ -12,21 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.errors import UnknownNameError
 
-WIDTH = 80
-"""Columns of a terminal of unknown width."""
-
 
 def print_error(error: object) -> None:
-    """Print an error on standard error; shorten a long list of allowed names to fit two lines of 80 columns."""
-    text = f"drone-env: {error}"
-    if isinstance(error, UnknownNameError):
-        text += ", CITY.toml" if error.kind == "task" else ""  # only commands accept a file
-        start, _, names = text.partition("allowed: ")
-        listed = names.split(", ")
-        while len(wrap(text, WIDTH)) > 2 and len(listed) > 1:
-            listed.pop()
-            text = f"{start}allowed: {', '.join(listed)} and {names.count(', ') + 1 - len(listed)} more"
-    print(text, file=sys.stderr)
+    """Print an error on standard error."""
+    also = ", CITY.toml" if isinstance(error, UnknownNameError) and error.kind == "task" else ""  # for commands alone
+    print(f"drone-env: {error}{also}", file=sys.stderr)
 
 
 def print_json(report: dict[str, Any]) -> None:
@@ -35,12 +24,14 @@ def print_json(report: dict[str, Any]) -> None:
 
 
 @contextmanager
-def progress_bar(name: str, total: int) -> Generator[Callable[..., None], None, None]:
+def progress_bar(name: str, total: int, done: int = 0) -> Generator[Callable[..., None], None, None]:
     """Show a bar on standard error if it is a terminal; yields `advance(n=1, name=None)`."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.file.isatty()) as progress:
-        bar = progress.add_task(name, total=total)
+    # Averaged over minutes: episodes of a training end in bursts, and validations take time.
+    hidden = not console.file.isatty()
+    with Progress(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=300) as progress:
+        bar = progress.add_task(name, total=total, completed=done)
 
         def advance(advance: int = 1, name: str | None = None) -> None:
             progress.update(bar, advance=advance, description=name)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from drone_env.commands.arguments import ChosenProfile
-from drone_env.commands.flights import film, log_flight, prepare_film
+from drone_env.commands.flights import log_flight
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
@@ -22,7 +22,6 @@ def replay(
     source: Source,
     verify: bool = False,
     render: bool = False,
-    video: Path | None = None,
     reward: ChosenProfile = None,
 ) -> int:
     """Fly recorded flights again, verify every reward and the score to the last bit, and print their log lines.
@@ -38,20 +37,14 @@ def replay(
         verify: Print one line per flight instead of the log. Exits with 1 if a record does not fit its flight, or its
             task, version or profile is unknown.
         render: Show the map after every step; ignored with --verify.
-        video: Save the only flight as a film to this .gif file.
         reward: Pay by another profile, or by a TOML file with one. Its rewards are not compared with the record.
     """
     # Loads Pydantic, which only records need.
     from drone_env.results import record as records
 
     profile = None if reward is None else get_reward_profile(reward)
-    prepare_film(video)
-    found, failed = _records(source), False
-    if video is not None:
-        found = list(found)
-        if len(found) != 1:
-            raise InvalidValueError(f"--video takes one flight, and {source} contains {len(found)}")
-    for name, record in found:
+    failed = False
+    for name, record in _records(source):
         if verify and profile is not None and profile.id != record.reward_profile:
             raise InvalidValueError(
                 f"--verify compares the rewards of {record.reward_profile!r}, so --reward cannot be {profile.id!r}"
@@ -64,7 +57,6 @@ def replay(
             print(f"{'wrong' if isinstance(error, InvalidValueError) else 'unknown'}: {name}: {error}", flush=True)
             failed = True
             continue
-        film(episode, video)
         if verify:
             rewards, ended = f"{len(record.rewards)} rewards", "" if record.ended else ", unfinished"
             print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")

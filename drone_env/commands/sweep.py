@@ -11,7 +11,6 @@ from drone_env.commands.arguments import TaskName
 from drone_env.errors import InvalidValueError, needs
 from drone_env.files import data_folder
 
-Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
 Values = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="set", metavar="NAME=VALUE,VALUE...")]
 
 
@@ -20,7 +19,6 @@ def sweep(
     preset: Literal["fast", "original"] = "fast",
     values: Values = (),
     seeds: int = 3,
-    samples: Whole = None,
     early_stopping: bool = True,
     test_maps: int = 1000,
     out: Path | None = None,
@@ -38,10 +36,8 @@ def sweep(
     Args:
         task: The task, by its short name, id or grader.
         preset: The preset of all other settings.
-        values: A setting of training (`drone-env train --help` lists all) and its values. Several make a grid. With
-            --samples also `lr=loguniform(1e-5,1e-3)` or `gamma=uniform(0.9,0.99)`.
+        values: A setting of training (`drone-env train --help` lists all) and its values. Several make a grid.
         seeds: Number of seeds that each setting is trained with.
-        samples: Sample this many settings (Optuna's TPE) instead of training the whole grid.
         early_stopping: Stop settings with low validation scores early (Hyperband).
         test_maps: Number of test maps that each finished network flies.
         out: The folder of the sweep. The default is sweep/ in DRONE_ENV_DATA, or runs/sweep without that.
@@ -52,14 +48,14 @@ def sweep(
         from optuna.trial import TrialState
 
         from drone_env.rl import sweep as sweeps
-    pairs = [sweeps.distribution_of(text) for text in values]
+    pairs = [sweeps.values_of(text) for text in values]
     space = dict(pairs)
     if len(space) < len(pairs):
         raise InvalidValueError("a setting is set twice: list all its values in one --set")
-    config = sweeps.SweepConfig(task, preset, space, samples, seeds, early_stopping, test_maps)
+    config = sweeps.SweepConfig(task, preset, space, seeds, early_stopping, test_maps)
     if dry_run:
-        print(f"{samples or len(config.settings)} settings with {seeds} seeds each")
-        for setting in config.settings if samples is None else ():
+        print(f"{len(config.settings)} settings with {seeds} seeds each")
+        for setting in config.settings:
             print(config.label(setting))
         return 0
     folder = data_folder("sweep") if out is None else out

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
-from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from drone_env.commands.arguments import TASK, ProfileName, TaskName
+from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.envs.registry import task_argument
@@ -165,7 +164,7 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
     from drone_env.rl.run import TrainingRun, summary
 
     run = TrainingRun(trainer, data or data_folder(), results or data_folder("results"), fresh)
-    unit, total, console = run.unit, run.total, Console(stderr=True)
+    unit, total = run.unit, run.total
 
     def log(message: str) -> None:
         print(message, file=sys.stderr, flush=True)
@@ -177,14 +176,12 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
         return 0
     if run.resumed:
         log(f"going on from {run.checkpoint}: {run.done} of {total} {unit}")
-    columns = TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn()
-    # Averaged over minutes: episodes end in bursts, and validations take time.
-    bars = Progress(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=300)
-    with bars, run.stopping_on_interrupt():
-        bar = bars.add_task(run.name, total=total, completed=run.done)
+    shown = run.done
+    with progress_bar(run.name, total, shown) as advance, run.stopping_on_interrupt():
         for line in run.train():
-            bars.update(bar, completed=run.done, description=f"{run.name}  {summary(line)}")
-            if not console.is_terminal and run.done % run.trainer.config.validation_every == 0:
+            advance(run.done - shown, f"{run.name}  {summary(line)}")
+            shown = run.done
+            if not sys.stderr.isatty() and run.done % run.trainer.config.validation_every == 0:
                 log(f"{run.done}/{total} {unit}  {summary(line)}")
     if run.stopped:
         command = "the same command without --fresh" if fresh else "the same command"

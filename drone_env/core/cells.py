@@ -28,9 +28,9 @@ class CellKind(NamedTuple):
 
 CELL_KINDS: dict[Cell, CellKind] = {
     Cell.ROAD: CellKind("road", "🛣", "free flight"),
-    Cell.BUILDING: CellKind("building", "🏢", "collision reward while above it"),
-    Cell.TREE: CellKind("tree", "🌳", "collision reward while above it"),
-    Cell.OBSTACLE: CellKind("obstacle", "🚧", "obstacle reward while above it"),
+    Cell.BUILDING: CellKind("building", "🏢", "extra battery or no way through in some tasks, else as road"),
+    Cell.TREE: CellKind("tree", "🌳", "extra battery or no way through in some tasks, else as road"),
+    Cell.OBSTACLE: CellKind("obstacle", "🚧", "extra battery or no way through in some tasks, else as road"),
     Cell.DELIVERY: CellKind("delivery", "📦", "fly here to deliver the parcel"),
     Cell.DELIVERED: CellKind("delivered", "✅", "this parcel has been delivered"),
     Cell.DRONE: CellKind("drone", "🚁", "where the drone is; hides the cell below"),

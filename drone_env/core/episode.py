@@ -1,6 +1,5 @@
 """One episode: its state, and the actions that change it by the `rules`."""
 
-import copy
 import secrets
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -159,7 +158,13 @@ class Episode:
 
     def copy(self) -> "Episode":
         """An independent copy."""
-        return copy.copy(self)
+        copied = Episode.__new__(type(self))
+        vars(copied).update(vars(self))
+        copied._grid_array, copied._state_array = self._grid_array.copy(), self._state_array.copy()
+        copied._grid = view(copied._grid_array)
+        copied._state = view(copied._state_array) if self.started else _NO_EPISODE
+        copied._path = self._path.copy()
+        return copied
 
     def waited_out(self) -> "Episode":
         """A copy that waits until its end."""

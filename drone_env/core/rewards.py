@@ -15,7 +15,7 @@ from drone_env.errors import InvalidTaskError, UnknownNameError
 DEFAULT_PROFILE = "aligned"
 """The default of `Episode`, Gymnasium, training, datasets, `play`, `audit`, Inspect and TRL."""
 ORIGINAL_PROFILE = "tiered"
-"""The default of HTTP, OpenEnv, `fly`, `infer` and `inference.py`, as in the original project."""
+"""The default of flat HTTP, the page, `fly`, `infer` and `inference.py`, as in the original project."""
 
 STRIDE = 2 * MAX_SIDE
 """Entries of a potential table per number of deliveries. Distances are smaller."""

@@ -1,4 +1,4 @@
-"""`build_dataset`: write flights as one Parquet file and as a Minari dataset."""
+"""`build_dataset`: write flights as rows of steps, as a Minari dataset, as conversations and as pairs of these."""
 
 # pyarrow declares no types.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,12 +20,14 @@ import numpy.typing as npt
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
+from drone_env.datasets.chat import COLUMNS as CHAT
+from drone_env.datasets.chat import row_writer
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
 from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
-FORMATS = ("parquet", "minari")
+FORMATS = ("parquet", "minari", *CHAT)
 PARQUET_FILE, MINARI_FOLDER = "steps.parquet", "minari"
 ROWS_PER_GROUP = 1 << 14
 """Minimum number of rows in memory before they are written."""
@@ -45,27 +48,30 @@ class Column:
 
 
 def build_dataset(
-    config: DatasetConfig, out: Path, formats: Sequence[str] = FORMATS, on_map: Callable[[], object] = lambda: None
+    config: DatasetConfig, out: Path, formats: Sequence[str], on_map: Callable[[], object] = lambda: None
 ) -> int:
     """Fly and write a dataset. If an error occurs, nothing is left.
 
     Args:
         config: The configuration.
         out: The folder to make, in an existing one; it may exist if it is empty.
-        formats: `parquet`, `minari` or both.
+        formats: Any of `FORMATS`.
         on_map: Called after each map.
 
     Returns:
         The number of rows.
 
     Raises:
-        InvalidValueError: if a format is unknown, none is named, or the folder is not empty or cannot be made.
+        InvalidValueError: if a format is unknown, none is named, the folder is not empty or cannot be made, or
+            conversations are not of the split `train`.
         MissingPackageError: if a format's package is not installed.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
     if not formats or set(formats) - set(FORMATS):
         raise InvalidValueError(f"formats must be one or more of {', '.join(FORMATS)}; got {', '.join(formats)}")
+    if set(formats) & CHAT.keys() and config.split != "train":
+        raise InvalidValueError(f"{' and '.join(CHAT)} are data to train on: choose the split train")
     if not out.name or not out.parent.is_dir():
         raise InvalidValueError(f"a dataset needs a folder in an existing one, got {str(out)!r}")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
@@ -86,6 +92,7 @@ def _write(config: DatasetConfig, folder: Path, formats: Sequence[str], on_map: 
     """Write all flights, whole ones in each row group, and return the number of rows."""
     writers: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]]
     writers = {"parquet": _parquet_writer, "minari": _minari_writer}
+    writers |= {name: partial(row_writer, name) for name in CHAT}
     rows, batch = 0, list[Trajectory]()
     with ExitStack() as stack:
         writes = [stack.enter_context(writers[name](folder, config)) for name in dict.fromkeys(formats)]
@@ -114,6 +121,8 @@ def _readme(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
         rows=rows,
         parquet=PARQUET_FILE,
         minari=MINARI_FOLDER,
+        chat={name: meanings for name, meanings in CHAT.items() if name in formats},
+        prompt=config.text_prompt,
         dataset_id=config.minari_id,
         about=json.dumps(config.as_json(), indent=2),
     )

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,8 @@ from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, needs
+from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
 from drone_env.results.evaluate import episodes_key
@@ -35,11 +36,14 @@ class DatasetConfig:
         agents: The agents, in this order on each map.
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: The reward profile.
+        turns: In conversations: the `plan` in one answer, or a tool call for each `step`, or for each `route` to a
+            parcel.
+        prompt: In conversations with a plan: the prompt.
 
     Raises:
-        UnknownNameError: if there is no such split, agent or reward profile.
+        UnknownNameError: if there is no such split, agent, reward profile or prompt.
         InvalidValueError: if the seeds are empty, out of range or outside the split, the agents are empty or repeated,
-            or epsilon is not in [0, 1].
+            epsilon is not in [0, 1], or the prompt does not ask for a route.
     """
 
     task: TaskConfig
@@ -48,6 +52,8 @@ class DatasetConfig:
     agents: Sequence[str] = ("optimal", "greedy", "random")
     epsilon: float = 0.1
     reward_profile: str = DEFAULT_PROFILE
+    turns: Literal["plan", "step", "route"] = "plan"
+    prompt: str = "plan"
 
     def __post_init__(self) -> None:
         if not self.agents or len(set(self.agents)) < len(self.agents):
@@ -66,6 +72,13 @@ class DatasetConfig:
         """The id of the dataset in Minari."""
         return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
 
+    @property
+    def text_prompt(self) -> Prompt:
+        """The prompt of conversations."""
+        with needs("data"):
+            import jinja2  # noqa: F401  # pyright: ignore[reportUnusedImport] - reading a prompt would name another extra
+        return plan_prompt(self.prompt) if self.turns == "plan" else tools_prompt()
+
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as JSON values, with the version of this package."""
         made = {name: make_agent(name, self.task) for name in self.agents}
@@ -79,6 +92,10 @@ class DatasetConfig:
             "agents": [{"config_hash": key.config_hash, **made[key.agent].config} for key in keys],
             "epsilon": float(self.epsilon),
             "reward_profile": asdict(get_reward_profile(self.reward_profile)),
+            "task_digest": self.task.digest,
+            "turns": self.turns,
+            "prompt": self.text_prompt.id,
+            "prompt_digest": self.text_prompt.digest,
             "package_version": __version__,
         }
         return json.loads(json.dumps(config, default=str))

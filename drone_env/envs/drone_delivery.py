@@ -72,18 +72,14 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
 
         Args:
             seed: In [0, 2^53). If the first reset has no seed, it draws a train map at random.
-            options: May contain `reward_profile`, which then applies to this and all later episodes.
+            options: There are none.
 
         Raises:
-            InvalidValueError: if the seed is out of range or an option does not exist.
-            UnknownNameError: if the reward profile does not exist.
+            InvalidValueError: if the seed is out of range, or there are options.
         """
-        options = dict(options or {})
-        named = options.pop("reward_profile", None)
-        profile = None if named is None else chosen_profile(named)
         if options:
-            raise InvalidValueError(f"unknown reset options {list(options)}; allowed: reward_profile")
-        self.episode.reset(seed, reward_profile=profile)
+            raise InvalidValueError(f"reset takes no options, got {list(options)}")
+        self.episode.reset(seed)
         super().reset(seed=None if seed is None else self.episode.seed)
         if self.render_mode == "human":
             self.render()

@@ -1,4 +1,7 @@
-"""An episode as a picture: the city from above, and a panel with the status of the flight."""
+"""An episode as a picture: the city from above, and a panel with the status of the flight.
+
+`tools/draw_figures.py` makes the sprites of the figures from `art/figures.svg`, which the page also uses.
+"""
 
 import io
 import math
@@ -7,6 +10,7 @@ from collections.abc import Collection, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +21,10 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.tasks import TaskConfig
-from drone_env.envs.blocks import draw_blocks, is_joined
-from drone_env.envs.figures import Point, around, draw_figure, stroke, variety
 from drone_env.errors import InvalidValueError
 
+ART = Path(__file__).parent / "art"
+Point = tuple[float, float]
 _COLOURS = """
 backdrop #DCE6E6, card #FDFCF8, rail #E7EBE5, tint #F1F4EE, ink #24343B, muted #78878B, white #FFFFFF,
 good #55A27A, fair #E3A94B, low #DB6058, flight #6C83C6, trail #4C63B6, target #E0525F, lawn #CFDEBB, kerb #DDD8C6,
@@ -33,11 +37,9 @@ STATUS = {
     Outcome.BATTERY_DEAD: ("Battery empty", "low"),
     Outcome.OUT_OF_STEPS: ("Out of steps", "fair"),
 }
-BLOCKS = {"building5": Cell.BUILDING, "tree1": Cell.TREE, "obstacle": Cell.OBSTACLE}
-"""Figures that the legend replaces by one cell of ground if the map is drawn by blocks."""
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, steps: they limit the cost of a picture
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
-FPS = 8  # steps of a film per second
+FPS = 8  # pictures per second of a window, and of a film of `RecordVideo`
 PANEL, TEXT = 46, 38  # widths of the panel and of its text, in hundredths of the picture's height
 CARD = 1200, 630  # pixels of a link preview
 ROOM = 0.24  # fraction of a card's width for the text
@@ -149,7 +151,7 @@ def _city(task: TaskConfig, attribution: str, seed: int, size: int) -> Image.Ima
     city, layout = generate_city_map(task, seed), _layout(task, size)
     width = layout.city + round(size * PANEL / 100)
     picture = Image.new("RGB", (width + width % 2, size), PALETTE["backdrop"])
-    _lay_map(picture, layout, city.grid, task.impassable, is_joined(task))
+    _lay_map(picture, layout, city.grid, task.impassable)
     _stamp(picture, "start", layout.draw_figure(), layout.centre(*city.start))
     _lay_panel(picture, layout, task, seed)
     _lay_attribution(picture, layout, task.height, attribution)
@@ -164,14 +166,10 @@ def _lay_attribution(picture: Image.Image, layout: Layout, rows: int, words: str
         _write(ImageDraw.Draw(picture), (left, bottom), words, height, "muted", "la", layout.city - 2 * left)
 
 
-def _lay_map(
-    picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell], joined: bool
-) -> None:
+def _lay_map(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell]) -> None:
     """Draw the ground, its figures, and the numbers of columns and rows."""
     fine = 3 if layout.size <= 1000 else 2
-    unit, base = layout.cell * fine, layout.rim * fine
-    ground = draw_blocks(grid, unit, base, fine) if joined else _draw_streets(grid, unit, base)
-    ground = ground.reduce(fine)
+    ground = _draw_streets(grid, layout.cell * fine, layout.rim * fine).reduce(fine)
     at, radius = (layout.left - layout.rim, layout.top - layout.rim), 2.2 * layout.rim
     _lay(picture, (*at, at[0] + ground.width, at[1] + ground.height), ground, radius)
     rows, columns = grid.shape
@@ -181,11 +179,11 @@ def _lay_map(
         _write(pen, (layout.centre(x, 0)[0], at[1] - height / 2), str(x), height, "muted", "ms")
     for y in range(0, rows, every):
         _write(pen, (at[0] - height / 2, layout.centre(0, y)[1]), str(y), height, "muted", "rm")
-    size = max(layout.cell, layout.size // 45) if joined else layout.cell
     for (y, x), kind in np.ndenumerate(grid):
-        if kind in (Cell.ROAD, Cell.DELIVERY) or (joined and kind != Cell.PAD):
+        if kind in (Cell.ROAD, Cell.DELIVERY):
             continue
         some, middle = variety(x, y), layout.centre(x, y)
+        size = max(layout.cell, layout.size // 45) if kind == Cell.PAD else layout.cell
         number = {Cell.BUILDING: some % 8, Cell.TREE: some % 4}.get(Cell(kind), "")
         _stamp(picture, f"{CELL_KINDS[Cell(kind)].name}{number}", size, middle)
         if kind in closed:
@@ -221,18 +219,12 @@ def _lay_panel(picture: Image.Image, layout: Layout, task: TaskConfig, seed: int
     _write(pen, layout.panel(0, 15.2), f"map {seed}", 2.4 * u, "muted", width=TEXT * u)
     for y, name in ((22.8, "Score x 100"), (37.5, "Battery"), (47.5, "Steps"), (56.5, "Delivered")):
         _write(pen, layout.panel(0, y), name, 2.5 * u, "muted")
-    joined = is_joined(task)
     figures = ["building5", "tree1", "obstacle", "parcel", "delivered", "target"]
-    figures += ["pad"] * (task.pads > 0) + ["no_entry"] * (bool(task.impassable) and not joined)
+    figures += ["pad"] * (task.pads > 0) + ["no_entry"] * bool(task.impassable)
     for i, figure in enumerate(figures):
         x, y = i % 3 * 13.1, 92.3 - 4.5 * ((len(figures) - 1) // 3 - i // 3)
         side, middle = round((2.2 if figure == "target" else 3.2) * u), layout.panel(x + 1.6, y)
-        if joined and figure in BLOCKS:
-            one = np.array([[BLOCKS[figure]]], np.uint8)
-            block = draw_blocks(one, 3 * round(0.8 * side), round(0.4 * side), 3, PALETTE["card"]).reduce(3)
-            picture.paste(block, (round(middle[0] - block.width / 2), round(middle[1] - block.height / 2)))
-        else:
-            _stamp(picture, figure, side, middle)
+        _stamp(picture, figure, side, middle)
         _write(pen, layout.panel(x + 3.9, y), figure.rstrip("15").replace("_", " "), 1.95 * u, "muted", "lm", 8.6 * u)
 
 
@@ -313,3 +305,29 @@ def _write(
 def _stamp(picture: Image.Image, name: str, cell: int, at: Point) -> None:
     figure = draw_figure(name, max(1, cell))
     picture.paste(figure, (round(at[0] - figure.width / 2), round(at[1] - figure.height / 2)), figure)
+
+
+def around(at: Point, across: float, down: float = 0.0) -> tuple[float, float, float, float]:
+    """The box around a point: left, top, right, bottom in pixels."""
+    return at[0] - across, at[1] - (down or across), at[0] + across, at[1] + (down or across)
+
+
+def variety(x: int, y: int) -> int:
+    """A pseudo-random number per cell, which varies the figures of one kind."""
+    return crc32(bytes((x % 256, y % 256))) >> 8
+
+
+def stroke(pen: ImageDraw.ImageDraw, points: Sequence[Point], width: float) -> None:
+    """Draw a white line with round ends and joints on a mask."""
+    wide = max(1, round(width))
+    pen.line(points, fill=255, width=wide)
+    for at in points:
+        pen.ellipse(around(at, (wide - 1) / 2), fill=255)
+
+
+@lru_cache(maxsize=256)
+def draw_figure(name: str, cell: int) -> Image.Image:
+    """A figure for cells of this size, with a margin of 0.4 cells for its shadow. Cached: do not draw on it."""
+    side = cell + 2 * math.ceil(0.4 * cell)
+    with Image.open(ART / f"{name}.png") as sprite:
+        return sprite.convert("RGBA").resize((side, side), Image.Resampling.BOX)

@@ -31,22 +31,6 @@ class StoppedError(DroneEnvError):
 
 
 @dataclass(frozen=True)
-class Prices:
-    """US dollars per million tokens."""
-
-    prompt: float
-    completion: float
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.prompt < float("inf") and 0 <= self.completion < float("inf")):
-            raise InvalidValueError("prices must be 0 or more US dollars per million tokens")
-
-    def cost(self, prompt_tokens: int, completion_tokens: int) -> float:
-        """The price of tokens in US dollars."""
-        return (prompt_tokens * self.prompt + completion_tokens * self.completion) / 1e6
-
-
-@dataclass(frozen=True)
 class Options:
     """Speed and budget of a run, which do not change its results. Limits include the earlier parts of a resumed run.
 
@@ -86,16 +70,19 @@ class Options:
         if self.concurrency > MAX_CONCURRENCY or not self.backoff >= 0:
             raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}, --backoff 0 or more")
         if (self.price_prompt is None) != (self.price_completion is None):
-            raise InvalidValueError("--price-prompt needs --price-completion, and the other way round")
-        if self.prices is None and self.max_cost is not None:
+            raise InvalidValueError("give --price-prompt and --price-completion together")
+        if self.price_prompt is None and self.max_cost is not None:
             raise InvalidValueError("--max-cost needs --price-prompt and --price-completion")
+        if not all(
+            0 <= price < float("inf") for price in (self.price_prompt, self.price_completion) if price is not None
+        ):
+            raise InvalidValueError("prices must be 0 or more US dollars per million tokens")
 
-    @property
-    def prices(self) -> Prices | None:
-        """The prices of tokens; None if they are unknown."""
+    def cost(self, prompt_tokens: int, completion_tokens: int) -> float | None:
+        """The price of tokens in US dollars; None if it is unknown."""
         if self.price_prompt is None or self.price_completion is None:
             return None
-        return Prices(self.price_prompt, self.price_completion)
+        return (prompt_tokens * self.price_prompt + completion_tokens * self.price_completion) / 1e6
 
 
 class Budget:
@@ -122,8 +109,7 @@ class Budget:
     @property
     def cost(self) -> float | None:
         """US dollars spent; None if prices are unknown."""
-        prices = self._options.prices
-        return None if prices is None else prices.cost(self.prompt_tokens, self.completion_tokens)
+        return self._options.cost(self.prompt_tokens, self.completion_tokens)
 
     def count(self, call: "Call") -> None:
         """Count the tokens of a call."""

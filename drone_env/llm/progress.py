@@ -1,13 +1,14 @@
-"""Progress of a run on standard error: a line every ten seconds, and each wait."""
+"""What a run prints: the log lines of each flight, a line of progress every ten seconds, and each wait."""
 
 import sys
 import time
 
+from drone_env.core.actions import Action
+from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import RunFolder
-from drone_env.llm.runner import Observer, log_text
 from drone_env.llm.text_episode import Flight
 from drone_env.results.store import Store
 
@@ -16,7 +17,7 @@ LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
 
 
-class ConsoleObserver(Observer):
+class Progress:
     """Prints the log lines of each flight to standard output, together, and everything else to standard error.
 
     Args:
@@ -67,3 +68,18 @@ class ConsoleObserver(Observer):
         self._flights += 1
         if flight.status != "finished":
             print(f"map {flight.episode.seed}: {flight.status}: {flight.error}", file=sys.stderr)
+
+
+def log_text(flight: Flight, model: str) -> str:
+    """The log lines of a flight, each with its newline.
+
+    The error of a step is the outcome of the unusable answer. A flight that stopped early has fewer steps, and its
+    score is that of waiting to the end.
+    """
+    episode = flight.episode
+    lines = [start_line(episode.task, model)]
+    for number, (step, error) in enumerate(zip(episode.path, flight.step_errors, strict=True), 1):
+        done = episode.ended and number == episode.steps
+        lines.append(step_line(number, Action(step.action), step.reward, done, error))
+    lines.append(end_line(flight.success, flight.score, flight.rewards))
+    return "".join(f"{line}\n" for line in lines)

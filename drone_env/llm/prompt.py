@@ -146,6 +146,23 @@ def get_prompt(name: str) -> Prompt:
     return read_prompt(FOLDER / f"{max(versions, key=lambda id_: int(id_.rpartition('-')[2]))}.toml")
 
 
+def tools_prompt() -> Prompt:
+    """The prompt of flights by tool calls: see `TextEpisode.fly`."""
+    return read_prompt(FOLDER / "tools" / "fly-3.toml")
+
+
+def plan_prompt(name: str) -> Prompt:
+    """A prompt that asks for the whole route, as `get_prompt` finds it.
+
+    Raises:
+        InvalidValueError: if it asks for one action.
+    """
+    prompt = get_prompt(name)
+    if not prompt.plan:
+        raise InvalidValueError(f"prompt {prompt.id} asks for one action: choose one for a route, such as plan")
+    return prompt
+
+
 def read_prompt(path: Path) -> Prompt:
     """Read a prompt from its file.
 

@@ -1,6 +1,5 @@
 """The report of a run: scores with the optimum of each map and the scores of other agents on the same maps."""
 
-import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
@@ -13,8 +12,9 @@ import numpy as np
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
+from drone_env.files import write_json, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
-from drone_env.llm.limiter import Prices
+from drone_env.llm.limiter import Options
 from drone_env.llm.run_folder import RESULTS, FlightResult, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
 
 
-def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -> dict[str, Any]:
+def report(run: VerifiedRun, options: Options | None = None, moves: bool = True) -> dict[str, Any]:
     """The figures of a run as JSON values; unknown ones are null.
 
     Means are over maps: flights over the same map are averaged first. `score_ci95` (`results.statistics`) is null for
@@ -40,7 +40,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
 
     Args:
         run: The run.
-        prices: The prices of tokens.
+        options: Contain the prices of tokens.
         moves: Whether to analyse every move, which takes time.
     """
     config = run.config
@@ -84,7 +84,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         "unusable": Unusable.among(turns).to_dict(),
         "waits": sum(result.waits for result in run.results),
         "moves": _moves(run) if moves else None,
-        **_spending(run, prices),
+        **_spending(run, options),
         "maps": [
             {
                 "seed": seed,
@@ -173,7 +173,7 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     return {"labels": dict(counts), "decisive": decisive, "accuracy": best / decisive if decisive else None}
 
 
-def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
+def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
     answered = [call for call in run.calls if call.answer is not None]
     answers = [call.answer for call in answered if call.answer is not None]
     prompt = sum(answer.prompt_tokens or 0 for answer in answers)
@@ -186,34 +186,34 @@ def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
             "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in answers),
         },
         "tokens": {"prompt": prompt, "completion": completion},
-        "cost_usd": None if prices is None else prices.cost(prompt, completion),
+        "cost_usd": None if options is None else options.cost(prompt, completion),
         "latency_median": latencies[len(latencies) // 2] if latencies else None,
     }
 
 
 def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
-    """Write `report.json`, `report.md` and `report.html` into the run's folder, each whole or not at all.
+    """Write `report.json` and `report.md` into the run's folder, each whole or not at all.
 
     Raises:
         OSError: if they cannot be written.
     """
-    from drone_env.results.pages import render, write_pages
+    from drone_env.results.pages import render
 
-    config = figures["config"]
+    config, verdict = figures["config"], figures["verdict"]
     first, last = config["seeds"][0], config["seeds"][1] - 1
     maps = f"Map {first}" if first == last else f"Maps {first} to {last}"
     repeats = "one flight each" if config["repeats"] == 1 else f"{config['repeats']} flights each"
-    values = {
-        "figures": figures,
-        "tables": [table for table in _tables(figures) if table.rows],
-        "title": f"{config['model']} on {config['task']}, prompt {config['prompt']}",
-        "maps": f"{maps} ({config['split']}), {repeats}.",
-        "verdict": figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"],
-        "score": _score(figures),
-        "unusable": unusable_of(figures),
-    }
-    pages = {f"report.{name.partition('.')[2]}": render(name, **values) for name in ("llm.md", "llm.html")}
-    write_pages(run.path, figures, pages)
+    text = render(
+        "llm.md",
+        figures=figures,
+        tables=[table for table in _tables(figures) if table.rows],
+        title=f"{config['model']} on {config['task']}, prompt {config['prompt']}",
+        maps=f"{maps} ({config['split']}), {repeats}.",
+        verdict=verdict.upper() if verdict == "invalid" else verdict,
+        unusable=unusable_of(figures),
+    )
+    write_json(run.path / "report.json", figures)
+    write_text(run.path / "report.md", text)
 
 
 def _tables(figures: dict[str, Any]) -> list[Table]:
@@ -226,16 +226,10 @@ def _tables(figures: dict[str, Any]) -> list[Table]:
         Table("Answers", ("outcome", "requests for actions"), [(name, str(n)) for name, n in figures["turns"].items()]),
         Table("Moves", ("move", "count"), [(label, str(n)) for label, n in moves["labels"].items()]),
         Table("Spent", (), _spent(figures)),
-        Table("Configuration", (), _configuration(figures["config"], figures["models"])),
         Table(
             "Not finished",
             ("map", "flight over it", "status", "why"),
             [(str(f["seed"]), str(f["repeat"] + 1), f["status"], f["error"] or "") for f in figures["not_finished"]],
-        ),
-        Table(
-            "Maps",
-            ("map", "scores", "optimum", "delivered all", "steps", "WAIT in place"),
-            [_map(of_map) for of_map in figures["maps"]],
         ),
     ]
 
@@ -270,29 +264,3 @@ def _spent(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("cost in US dollars", number(figures["cost_usd"])),
         ("median seconds for an answer", number(figures["latency_median"], ".2f")),
     ]
-
-
-def _configuration(config: dict[str, Any], models: dict[str, int]) -> list[tuple[str, str]]:
-    sampling = ", ".join(
-        f"{name} {json.dumps(value)}" for name, value in config["sampling"].items() if value not in (None, {})
-    )
-    return [
-        ("model", config["model"]),
-        ("model that the endpoint names", ", ".join(name for name in models if name) or "none"),
-        ("endpoint", config["base_url"]),
-        ("task", f"{config['task']} version {config['task_version']}, rewards {config['reward_profile']}"),
-        ("prompt", f"{config['prompt']} ({config['prompt_digest']}), last steps shown: {config['history']}"),
-        ("answers asked for as", config["answers"]),
-        ("sampling", sampling or "the endpoint's own"),
-    ]
-
-
-def _map(of_map: dict[str, Any]) -> tuple[str, ...]:
-    return (
-        str(of_map["seed"]),
-        ", ".join(map(number, of_map["scores"])),
-        number(of_map["optimum"]),
-        f"{of_map['success']} of {len(of_map['scores'])}",
-        ", ".join(map(str, of_map["steps"])),
-        str(of_map["waits"]),
-    )

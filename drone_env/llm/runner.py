@@ -9,17 +9,16 @@ from dataclasses import dataclass
 from typing import Literal, NoReturn, Protocol
 from urllib.parse import urlsplit
 
-from drone_env.core.actions import Action
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import TURN_KINDS, Answer, ChatMessage, TurnKind, Unusable
 from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
 from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
+from drone_env.llm.progress import Progress
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, RunFolder, results_of
 from drone_env.llm.text_episode import CallFailedError, Flight, fly
 from drone_env.llm.transcript import Call, Failure, Transcript, digest
-from drone_env.results.log_lines import end_line, start_line, step_line
 from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
@@ -39,19 +38,6 @@ class Sender(Protocol):
 
     async def close(self) -> None:
         """Close all connections."""
-
-
-class Observer:
-    """Callbacks of a run; these do nothing."""
-
-    def on_call(self) -> None:
-        """Called after each call."""
-
-    def on_wait(self, seconds: float, reason: str) -> None:
-        """Called before the wait that follows a failed try."""
-
-    def on_flight(self, flight: Flight) -> None:
-        """Called at the end of each flight."""
 
 
 @dataclass(frozen=True)
@@ -99,18 +85,18 @@ class Calls:
         endpoint: Sends the requests.
         transcript: Gets every call.
         limiter: Decides when a request is sent.
-        observer: Callbacks.
+        progress: Shows the progress.
     """
 
     def __init__(
-        self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, observer: Observer
+        self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, progress: Progress
     ) -> None:
         self._url = config.base_url
         self._bodies = request_bodies(config)
         self._endpoint = endpoint
         self._transcript = transcript
         self._limiter = limiter
-        self._observer = observer
+        self._progress = progress
 
     async def ask(self, flight: Flight) -> Answer:
         """The answer to the next call of a flight.
@@ -149,7 +135,7 @@ class Calls:
             )
             self._limiter.budget.count(call)
             self._transcript.append(call)
-            self._observer.on_call()
+            self._progress.on_call()
 
         try:
             answer, began = await self._send(flight, failures)
@@ -184,7 +170,7 @@ class Calls:
             if not again:
                 raise failed
             attempt = f"attempt {len(failures)} of {options.tries} failed"
-            self._observer.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
+            self._progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
             await limiter.clock.sleep(wait)
 
     def _give_up(self, failed: TryFailedError) -> NoReturn:
@@ -198,7 +184,7 @@ class Calls:
 
 
 async def run(
-    config: RunConfig, folder: RunFolder, endpoint: Sender, limiter: RateLimiter, observer: Observer
+    config: RunConfig, folder: RunFolder, endpoint: Sender, limiter: RateLimiter, progress: Progress
 ) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
@@ -207,7 +193,7 @@ async def run(
         folder: Its folder.
         endpoint: Sends the requests; it is closed.
         limiter: Decides when a request is sent; it must be new.
-        observer: Callbacks.
+        progress: Shows the progress.
 
     Raises:
         OSError: if the folder cannot be written to.
@@ -219,7 +205,7 @@ async def run(
         for call in transcript.calls:
             limiter.budget.requests += call.requests
             limiter.budget.count(call)
-        calls = Calls(config, endpoint, transcript, limiter, observer)
+        calls = Calls(config, endpoint, transcript, limiter, progress)
 
         async def worker() -> None:
             for number in numbers:
@@ -229,7 +215,7 @@ async def run(
                 # A flight that reached a limit before its first answer has not begun.
                 if flight.begun or flight.status != "budget_stop":
                     flights.append(flight)
-                    observer.on_flight(flight)
+                    progress.on_flight(flight)
                 limiter.check_running()
 
         workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, limiter.options.concurrency))]
@@ -246,21 +232,6 @@ async def run(
             folder.write_flights(flights)
     fatal = None if limiter.fatal is None else str(limiter.fatal)
     return RunResult(config, *verdict_of(config.flights, [flight.status for flight in flights], fatal), flights)
-
-
-def log_text(flight: Flight, model: str) -> str:
-    """The log lines of a flight, each with its newline.
-
-    The error of a step is the outcome of the unusable answer. A flight that stopped early has fewer steps, and its
-    score is that of waiting to the end.
-    """
-    episode = flight.episode
-    lines = [start_line(episode.task, model)]
-    for number, (step, error) in enumerate(zip(episode.path, flight.step_errors, strict=True), 1):
-        done = episode.ended and number == episode.steps
-        lines.append(step_line(number, Action(step.action), step.reward, done, error))
-    lines.append(end_line(flight.success, flight.score, flight.rewards))
-    return "".join(f"{line}\n" for line in lines)
 
 
 def summary_lines(result: RunResult) -> list[str]:

@@ -1,17 +1,18 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
-from collections.abc import Awaitable, Callable
-from typing import Literal
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Literal, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import DroneEnvError, EpisodeError
+from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, TurnKind
 from drone_env.llm.limiter import LimitReachedError
-from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.transcript import CallKey
+from drone_env.models import NAMES
 
 Status = Literal["finished", "errored", "budget_stop"]
 
@@ -97,6 +98,31 @@ class TextEpisode:
             self.messages = self.prompt.messages(episode, self._steps[-self._history :] if self._history else ())
         return self.messages
 
+    def fly(self, directions: object) -> str:
+        """Fly a tool call instead of an answer; returns what happened, and where the drone is now.
+
+        Args:
+            directions: A list of 1 to `max_steps` names of actions. Those after the end of the flight are not flown.
+
+        Raises:
+            InvalidValueError: if it is anything else; nothing is flown then.
+        """
+        episode, most = self.episode, self.episode.task.max_steps
+        route = cast(Sequence[object], directions) if isinstance(directions, list | tuple) else ()
+        if not 0 < len(route) <= most:
+            raise InvalidValueError(self.prompt.repair_text(f"A route is a list of 1 to {most} directions"))
+        words = list(map(str, route))
+        unknown = [word for word in words if word not in Action.__members__]
+        if unknown:
+            raise InvalidValueError(self.prompt.repair_text(f"{unknown[0][:40]!r} is no direction"))
+        told: dict[str, None] = {}
+        for word in words:
+            episode.step(Action[word])
+            told[episode.message] = None
+            if episode.ended:
+                return " ".join(told)
+        return f"{' '.join(told)} {status_text(episode)}"
+
     @property
     def score(self) -> float:
         """The graded score; before the end, the score of waiting from here on."""
@@ -119,6 +145,15 @@ class TextEpisode:
     def rewards(self) -> list[float]:
         """The reward of each step."""
         return list(self.episode.rewards)
+
+
+def status_text(episode: Episode) -> str:
+    """Where the drone is now, as the answer to a tool call."""
+    below = below_text(episode.task, NAMES[episode.under])
+    return (
+        f"Position: {episode.position}. Battery: {episode.battery_units} units. "
+        f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
+    ) + (f" {below}." if below else "")
 
 
 class Flight(TextEpisode):

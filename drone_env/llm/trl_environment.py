@@ -1,12 +1,13 @@
-"""An environment for TRL's GRPOTrainer: the model flies by calling the tool `fly`.
+"""Post-training with TRL's GRPOTrainer: the model flies by calling tools, or plans the whole route in one answer.
 
 from trl import GRPOConfig, GRPOTrainer
-from drone_env.llm.trl_environment import DroneEnvironment, training_maps
+from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 
 trainer = GRPOTrainer(
     model="Qwen/Qwen3-0.6B",
-    train_dataset=training_maps("easy", maps=1000),
+    train_dataset=training_maps("easy", maps=1000),  # plan="plan": one answer, without environment_factory
     environment_factory=DroneEnvironment,
+    reward_funcs=flight_reward,
     args=GRPOConfig(max_completion_length=4096, num_generations=8),
 )
 """
@@ -14,55 +15,50 @@ trainer = GRPOTrainer(
 # TRL's datasets are not installed where types are checked.
 # pyright: reportUnknownVariableType=false, reportUnknownParameterType=false
 
+from collections.abc import Callable, Sequence
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from drone_env.core.actions import Action
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, needs
-from drone_env.llm.prompt import FOLDER, below_text, read_prompt
+from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
 from drone_env.llm.text_episode import TextEpisode
-from drone_env.models import NAMES, Direction
+from drone_env.models import Direction
 
 if TYPE_CHECKING:
     from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
-PROMPT = read_prompt(FOLDER / "tools" / "fly-2.toml")
-
 
 class DroneEnvironment:
-    """One drone. TRL creates one per rollout, resets it for each map, and offers its tool `fly` to the model.
+    """One drone. TRL creates one per rollout, resets it for each map, and offers `fly` and `fly_route` to the model.
 
-    TRL treats every public method except `reset` and `get_reward` as a tool.
-
-    Args:
-        reward_profile: The rewards of the steps, undiscounted: their shaping gets the discount 1.
-
-    Raises:
-        UnknownNameError: if there is no such profile.
+    TRL treats every public method except `reset` as a tool, and shows the model the errors that they raise.
     """
 
-    def __init__(self, reward_profile: str = DEFAULT_PROFILE) -> None:
-        self._reward_profile = profile_for_discount(get_reward_profile(reward_profile), 1)
-        self._flight: TextEpisode | None = None
+    def __init__(self) -> None:
+        self._flown: TextEpisode | None = None
 
-    def reset(self, task: str | None = None, seed: int | None = None, **columns: Any) -> str:
+    def reset(
+        self, task: str | None = None, seed: int | None = None, reward_profile: str = DEFAULT_PROFILE, **columns: Any
+    ) -> str:
         """Start a flight and return its first observation, which TRL appends to the prompt's last message.
 
         Args:
             task: The task: id, short name or grader.
             seed: The map, from the dataset: all rollouts of a group fly the same one.
+            reward_profile: The rewards of the steps.
             columns: All other columns of the row, such as `prompt`.
 
         Raises:
-            UnknownNameError: if there is no such task.
+            UnknownNameError: if there is no such task or profile.
             InvalidValueError: if the row names no task and seed, or the seed is not in [0, 2^53).
         """
         if task is None or seed is None:
             raise InvalidValueError("each row of the dataset needs the columns task and seed: see training_maps()")
-        self._flight = TextEpisode(task, seed, PROMPT, self._reward_profile)
-        return self._flight.messages[1]["content"]
+        self._flown = _flight(task, seed, tools_prompt(), reward_profile)
+        return self._flown.messages[1]["content"]
 
     def fly(self, direction: Direction) -> str:
         """Fly the drone one step, or wait for one.
@@ -73,50 +69,112 @@ class DroneEnvironment:
         Returns:
             What happened, and where the drone is now.
         """
-        if str(direction) not in Action.__members__:
-            # TRL shows this error to the model and counts it.
-            raise InvalidValueError(PROMPT.repair_text(f"{str(direction)[:40]!r} is no direction"))
-        episode = self._started().episode
-        episode.step(Action[direction])
-        if episode.ended:
-            return episode.message
-        below = below_text(episode.task, NAMES[episode.under])
-        return (
-            f"{episode.message} Position: {episode.position}. Battery: {episode.battery_units} units. "
-            f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
-        ) + (f" {below}." if below else "")
+        return self._started().fly([direction])
 
-    def get_reward(self) -> float:
-        """The sum of the flight's rewards; an unfinished flight counts as waiting to its end.
+    def fly_route(self, directions: list[Direction]) -> str:
+        """Fly the drone several steps.
 
-        Raises:
-            EpisodeError: before the first reset.
+        Args:
+            directions: The steps in order: UP is y - 1, DOWN y + 1, LEFT x - 1, RIGHT x + 1; WAIT stays.
+
+        Returns:
+            What happened, and where the drone is now.
         """
-        return self._started().episode.waited_out().reward_total
+        return self._started().fly(directions)
 
     def _started(self) -> TextEpisode:
-        if self._flight is None:
+        if self._flown is None:
             raise EpisodeError("no flight: call reset() first")
-        return self._flight
+        return self._flown
 
 
-def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") -> "Dataset":
-    """The first maps of a split as a dataset for TRL: columns `prompt` (a conversation), `task` and `seed`.
+def flight_reward(
+    completions: Sequence[Sequence[dict[str, Any]]],
+    environments: Sequence[object] | None = None,
+    log_metric: Callable[[str, float], None] | None = None,
+    **columns: Sequence[Any],
+) -> list[float | None]:
+    """The sum of each flight's rewards, undiscounted; an unfinished flight counts as waiting to its end.
+
+    Logs the means of score, success, regret, steps, and of unusable plans, as `flight/score` and so on.
+
+    Args:
+        completions: The conversations after the prompt. Without environments each is one answer with the route.
+        environments: The environments that flew; None is returned for those of other classes.
+        log_metric: TRL's logger.
+        columns: The columns of `training_maps`; all others are ignored.
+
+    Raises:
+        InvalidValueError: if there is no environment, and the columns name no plan.
+        EpisodeError: if an environment was never reset.
+    """
+    flights: list[TextEpisode | None] = []
+    if environments is not None:
+        flown_by: Callable[[DroneEnvironment], TextEpisode] = DroneEnvironment._started  # pyright: ignore[reportPrivateUsage]
+        flights += [flown_by(one) if isinstance(one, DroneEnvironment) else None for one in environments]
+    elif "plan" not in columns:
+        raise InvalidValueError("without environment_factory=DroneEnvironment the dataset is training_maps(plan=...)")
+    else:
+        rows = zip(*(columns[name] for name in ("task", "seed", "plan", "reward_profile")), strict=True)
+        for completion, row in zip(completions, rows, strict=True):
+            flight = _flight(*row)
+            flight.answer(str(completion[-1].get("content") or ""))
+            flights.append(flight)
+    flown = [flight for flight in flights if flight is not None]
+    measured: dict[str, list[float | None]] = {
+        "score": [flight.score for flight in flown],
+        "success": [flight.success for flight in flown],
+        "regret": [flight.regret for flight in flown],
+        "steps": [flight.episode.steps for flight in flown],
+        "unusable": [flight.attempt == 2 for flight in flown],
+    }
+    for name, values in measured.items():
+        known = [value for value in values if value is not None]
+        if log_metric and known:
+            log_metric(f"flight/{name}", fmean(known))
+    return [flight and flight.episode.waited_out().reward_total for flight in flights]
+
+
+def training_maps(
+    task: str = "easy",
+    maps: int = 1000,
+    split: str = "train",
+    plan: str | None = None,
+    reward_profile: str = DEFAULT_PROFILE,
+) -> "Dataset":
+    """The first maps of a split as a dataset for TRL.
+
+    Columns: `prompt` (a conversation), `task`, `seed` and `reward_profile`; with a plan, also `plan`.
 
     Args:
         task: The task: id, short name or grader.
         maps: Number of maps.
         split: `train`, or `validation` for an evaluation; keep the test maps for the end.
+        plan: A prompt that asks for the whole route in one answer, such as `plan`. None: flights by tool calls.
+        reward_profile: The rewards of the steps.
 
     Raises:
-        UnknownNameError: if there is no such task or split.
-        InvalidValueError: if `maps` is out of range.
+        UnknownNameError: if there is no such task, split, prompt or profile.
+        InvalidValueError: if `maps` is out of range, or the prompt does not ask for a route.
         MissingPackageError: if `datasets`, which comes with TRL, is not installed.
     """
     with needs("trl"):
         from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     config = get_task(task)
     seeds = list(split_seeds(split, maps))
-    # `reset` returns the user's message, which depends on the map.
-    prompt = [TextEpisode(config, seeds[0], PROMPT).messages[0], {"role": "user", "content": ""}]
-    return Dataset.from_dict({"prompt": [prompt] * len(seeds), "task": [config.id] * len(seeds), "seed": seeds})
+    shared = {"task": config.id, "reward_profile": reward_profile}
+    if plan is None:
+        # `reset` returns the user's message, which depends on the map.
+        system = _flight(task, seeds[0], tools_prompt(), reward_profile).messages[0]
+        prompts = [[system, {"role": "user", "content": ""}]] * len(seeds)
+    else:
+        chosen = plan_prompt(plan)
+        shared["plan"] = chosen.id if chosen.own is None else plan
+        prompts = [_flight(task, seed, chosen, reward_profile).messages for seed in seeds]
+    columns = {name: [value] * len(seeds) for name, value in shared.items()}
+    return Dataset.from_dict({"prompt": prompts, "seed": seeds, **columns})
+
+
+def _flight(task: str, seed: int, prompt: Prompt | str, reward_profile: str) -> TextEpisode:
+    """A flight whose rewards are undiscounted: their shaping gets the discount 1."""
+    return TextEpisode(task, seed, prompt, profile_for_discount(get_reward_profile(reward_profile), 1))

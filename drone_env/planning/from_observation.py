@@ -105,11 +105,9 @@ def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemet
     """
     n, height, width = len(grids), task.height, task.width
     if grids.shape != (n, height, width) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
-        raise InvalidValueError(
-            f"observations of {task.id!r} are grids uint8[N, {height}, {width}] and telemetry "
-            f"float32[N, {task.telemetry_size}]; got {grids.dtype}{list(grids.shape)} and "
-            f"{telemetry.dtype}{list(telemetry.shape)}"
-        )
+        expected = f"grids uint8[N, {height}, {width}] and telemetry float32[N, {task.telemetry_size}]"
+        got = " and ".join(f"{array.dtype}{list(array.shape)}" for array in (grids, telemetry))
+        raise InvalidValueError(f"observations of {task.id!r} are {expected}; got {got}")
     if (grids >= N_CELL_KINDS).any():
         raise InvalidValueError(f"the kinds of cells are 0 to {N_CELL_KINDS - 1}, got {grids.max()}")
 

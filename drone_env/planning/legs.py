@@ -327,8 +327,8 @@ def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: i
     between_pads = pads * (parcels + pads) * units * steps << parcels
     if between_pads > MAX_BETWEEN_PADS:
         raise TooLargeError(
-            f"the exact values of a map of {task.id!r} with {pads} pads would take {between_pads / 1e9:.0f} billion "
-            f"comparisons; {MAX_BETWEEN_PADS / 1e9:.0f} billion are allowed"
+            f"solving a map of {task.id!r} with {pads} pads takes {between_pads / 1e9:.0f} billion comparisons; "
+            f"{MAX_BETWEEN_PADS / 1e9:.0f} billion are allowed"
         )
     _, ranked = ranked_scores(task)
     require_memory("the exact values", task, ranked.itemsize * rows * (steps + 1))

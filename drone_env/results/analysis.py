@@ -8,7 +8,6 @@ neighbours in `FlightAnalysis.values`, and the exact regrets add up to optimum -
 once, so their sum may differ in the last digits; `FlightAnalysis.regret` is optimum - score, rounded once.
 """
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
@@ -190,36 +189,6 @@ class FlightAnalysis:
             "giving_up": self.giving_up and _plain(vars(self.giving_up)),
         }
 
-    def to_text(self) -> str:
-        """Return the analysis for a terminal: a title, one line per move, the moves by label, score and accuracy."""
-        rows = [
-            (
-                label,
-                str(count),
-                math.fsum(move.regret for move in self.moves if move.label == label),
-                bool(count) * mark,
-            )
-            for (label, count), mark in zip(self.counts.items(), MARKS.values(), strict=True)
-        ]
-        lines = [f"{self.task.id}, map {self.seed}, flown by {self.agent}", "", HEADING, *map(_line, self.moves)]
-        if self.giving_up is not None:
-            rows.append(("giving up", "", self.giving_up.regret, MARKS[self.giving_up.label]))
-            lines.append(_line(self.giving_up))
-        lines += ["", f"{'':<10} {'moves':>6}  {'lost':>7}"]
-        lines += [f"{name:<10} {count:>6}  {lost:7.5f}  {mark}".rstrip() for name, count, lost, mark in rows]
-        lines += ["", f"Score {self.score:.4f}, optimum {self.optimum:.4f}, regret {self.regret:.5f}"]
-        if self.giving_up is not None:
-            lines.append(f"Unfinished after {len(self.moves)} steps: counted as if it had waited to the end")
-        if self.accuracy is None:
-            lines.append("Accuracy -: there was no move on which anything could be lost")
-        else:
-            best = f"{self.decisive_best} best moves of {self.decisive}"
-            lines.append(f"Accuracy {self.accuracy:.1%}: {best} on which anything could be lost")
-        return "\n".join(lines)
-
-
-HEADING = f"{'step':>4}  {'move':<8} {'to':>8}  {'event':<12}  {'value':>6}  {'regret':>7}  better"
-
 
 def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solver] | None" = None) -> FlightAnalysis:
     """Verify a recorded flight and return the regret of every move.
@@ -295,22 +264,6 @@ def _move(flight: Episode, values: list[float]) -> Move:
         best_actions=best_actions,
         margin=margin,
         mark=ONLY_MOVE if only else MARKS[label],
-    )
-
-
-def _line(lost: Move | GivingUp) -> str:
-    """Return one line below `HEADING`."""
-    if isinstance(lost, Move):
-        move, mark, event = lost.action.name, lost.mark, lost.event.name.lower()
-        number, to = str(lost.step), str(lost.position)
-    else:
-        move, mark, event = "stop", MARKS[lost.label], "unfinished"
-        number, to = "", ""
-    regret, better = "", ""
-    if lost.regret > 0:
-        regret, better = f"{lost.regret:.5f}", ", ".join(action.name for action in lost.best_actions)
-    return (
-        f"{number:>4}  {f'{move:<5} {mark}':<8} {to:>8}  {event:<12}  {lost.value:6.4f}  {regret:>7}  {better}".rstrip()
     )
 
 

@@ -122,7 +122,7 @@ class Database:
             if _identity(file) != opened:
                 raise StoreError(
                     f"store {self.path}: {file} was deleted, moved or replaced while it was in use: "
-                    "nothing more is kept until it is back, or the server is started again"
+                    "put it back, or start the server again"
                 )
 
     def close(self) -> None:
@@ -173,8 +173,8 @@ class Database:
         query = "SELECT rules FROM own_tasks WHERE task = ? AND task_version = ? AND rules != ?"
         for (rules,) in connection.execute(query, (*name, task.digest)):
             raise StoreError(
-                f"store {self.path} keeps flights of another task {task.id!r} (rules {rules}, now {task.digest}): "
-                "give a changed city or task another name, or use another data folder"
+                f"store {self.path} has flights of another task {task.id!r} (rules {rules}, now {task.digest}): "
+                "rename the changed task, or use another data folder"
             )
 
     def _connect(self, busy_seconds: float) -> sqlite3.Connection:

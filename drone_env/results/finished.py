@@ -48,8 +48,8 @@ class StoredEpisode(Message):
         task, profile = episode.task, episode.reward_profile
         if get_task(task.id, task.version) != task or get_reward_profile(profile.id) != profile:
             raise InvalidValueError(
-                f"task {task.id!r} or reward profile {profile.id!r} differ from the registered ones, so nobody could "
-                "replay the episode"
+                f"{task.id!r} or reward profile {profile.id!r} is not the registered one, so it cannot be replayed: "
+                "register it under another name"
             )
         return cls(
             id=episode_id,

@@ -167,7 +167,7 @@ def stored_results(
         if task not in (None, key.task):
             continue
         if most is not None and n > most:
-            raise TooLargeError(f"{n} maps are more than the {most} that are looked at here")
+            raise TooLargeError(f"it has {n} maps; at most {most} are ranked here")
         get_task(key.task, key.version)
         repeats = range(config.repeats.get(f"{key.agent} on {key.task}", 1))
         chunks = [key._replace(repeat=repeat) for repeat in repeats]
@@ -219,5 +219,5 @@ def _load(path: Path, key: EpisodesKey) -> Results | None:
             raise ValueError("seeds, scores, steps, deliveries or success are out of range")
     except (ValueError, KeyError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
         reason = str(error).removeprefix(f"{path} ")
-        raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {reason}") from None
+        raise InvalidValueError(f"{path} is damaged ({reason}): delete it, and its maps are flown again") from None
     return results

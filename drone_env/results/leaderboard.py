@@ -78,7 +78,7 @@ def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
     for results in repeats:
         known = np.array_equal(results.optimal_scores, best, equal_nan=True)
         if not known or (results.scores > best).any():
-            raise InvalidValueError(f"{agent} on {key.task}: these are no scores, or not of these maps")
+            raise InvalidValueError(f"{agent} on {key.task}: these scores are impossible on these maps")
     figures = summarise(*repeats)
     scores, success, steps = (
         np.array([getattr(results, name) for results in repeats]).T for name in ("scores", "success", "steps")

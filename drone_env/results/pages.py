@@ -1,7 +1,6 @@
-"""Pages from the templates in this package. All values are escaped."""
+"""Markdown from the templates in this package. All values are escaped."""
 
 import re
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -9,28 +8,15 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from drone_env.files import write_json, write_text
-from drone_env.results.tables import Table, markdown_table, number, percent
+from drone_env.results.tables import Table, markdown_table, number
 
 TEMPLATES = Path(__file__).with_name("templates")
 ENTITIES = {letter: f"&#{ord(letter)};" for letter in "|`*\\"} | {"&": "&amp;", "<": "&lt;"}
 
 
 def render(template: str, **values: Any) -> str:
-    """Render a template in `templates/` as HTML or Markdown, by its suffix."""
-    html, markdown = _environments()
-    return (html if template.endswith(".html") else markdown).get_template(template).render(values)
-
-
-def write_pages(folder: Path, figures: Mapping[str, Any], pages: Mapping[str, str]) -> None:
-    """Write figures as `report.json`, and pages by file name. A partial file is never left.
-
-    Raises:
-        OSError: if they cannot be written.
-    """
-    write_json(folder / "report.json", figures)
-    for name, text in pages.items():
-        write_text(folder / name, text)
+    """Render a template in `templates/`."""
+    return _environment().get_template(template).render(values)
 
 
 def as_markdown(text: object) -> str:
@@ -43,17 +29,17 @@ def as_markdown(text: object) -> str:
 
 
 @lru_cache(maxsize=1)
-def _environments() -> tuple[Environment, Environment]:
-    html = Environment(
+def _environment() -> Environment:
+    markdown = Environment(
         loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
         undefined=StrictUndefined,
+        finalize=as_markdown,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    html.filters.update(number=number, percent=percent, table=_markdown_table)
-    return html, html.overlay(autoescape=False, finalize=as_markdown)
+    markdown.filters.update(number=number, table=_markdown_table)
+    return markdown
 
 
 def _markdown_table(table: Table) -> Markup:

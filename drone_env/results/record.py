@@ -118,8 +118,8 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
     terrain = terrain_digest(task)
     if record.terrain != terrain:
         raise InvalidValueError(
-            f"the record is of another city than {record.task!r} is now (terrain {record.terrain}, now {terrain}): "
-            "replay it with the original file, and give a changed city another name"
+            f"the record is of another city {record.task!r} (terrain {record.terrain}, now {terrain}): "
+            "replay it with the original file, and rename the changed city"
         )
     episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
     yield episode

@@ -1,25 +1,13 @@
-"""Sessions: a map and the actions flown so far, from which the episode is flown again.
-
-The functions at the end read and write the row of a session, inside a transaction of the store.
-"""
+"""Sessions: a map and the actions flown so far, from which the episode is flown again."""
 
 import re
 import secrets
-import sqlite3
 from dataclasses import dataclass, field
-from typing import Any
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
-from drone_env.errors import NoSessionError, SessionGoneError
 from drone_env.results.finished import StoredEpisode, check_agent
 
-FINISHED_SECONDS = 30.0
-"""A finished session is not evicted for this long: its owner still needs the score."""
-GONE_SECONDS = 7 * 24 * 3600.0
-TO_DIGITS = bytes.maketrans(bytes(range(10)), b"0123456789")
-TO_NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
-"""The store writes actions as digits; these tables translate bytes of numbers to digits and back."""
 EPISODE_ID = re.compile(r"[0-9a-f]{16}")
 """Form of the id of a stored episode."""
 Flight = tuple[str, int, int, str]
@@ -133,58 +121,3 @@ def flight_of(episode: Episode) -> Flight:
 def new_episode_id() -> str:
     """Return a new id for a finished episode."""
     return secrets.token_hex(8)
-
-
-def session_row(connection: sqlite3.Connection, session_id: str) -> Session:
-    """Read a session.
-
-    Raises:
-        NoSessionError: if there never was such a session.
-        SessionGoneError: if it has ended or expired.
-    """
-    # Ids are ASCII, and SQLite rejects lone surrogates.
-    known = session_id if session_id.isascii() else ""
-    row = connection.execute("SELECT * FROM sessions WHERE id = ?", (known,)).fetchone()
-    if row is None:
-        if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
-            raise SessionGoneError("this session has ended or was idle for too long: open a new one")
-        raise NoSessionError("there is no such session: open one first")
-    columns: dict[str, Any] = {**row}
-    columns["actions"] = tuple(row["actions"].encode().translate(TO_NUMBERS))
-    return Session(**columns)
-
-
-def update_session(connection: sqlite3.Connection, session: Session, now: float) -> None:
-    """Write a session and count it as used now."""
-    connection.execute(
-        "UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent, "
-        "reward_profile = :reward_profile, actions = :actions, episode_id = :episode_id, touched_at = :now, "
-        "address = :address WHERE id = :id",
-        {**vars(session), "actions": bytes(session.actions).translate(TO_DIGITS).decode(), "now": now},
-    )
-
-
-def end_session(connection: sqlite3.Connection, session_id: str, now: float) -> None:
-    """Delete a session and remember that it is gone."""
-    connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
-    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, now))
-
-
-def end_finished(connection: sqlite3.Connection, now: float) -> bool:
-    """End the finished session that was idle longest, if it may be evicted. Return whether there was one."""
-    row = connection.execute(
-        "SELECT id FROM sessions WHERE episode_id IS NOT NULL AND touched_at <= ? ORDER BY touched_at LIMIT 1",
-        (now - FINISHED_SECONDS,),
-    ).fetchone()
-    if row is not None:
-        end_session(connection, row["id"], now)
-    return row is not None
-
-
-def end_idle(connection: sqlite3.Connection, now: float, idle_seconds: float) -> list[str]:
-    """End the sessions that are idle for this long and return their ids. Forget those that are gone for a week."""
-    idle = connection.execute("SELECT id FROM sessions WHERE touched_at <= ?", (now - idle_seconds,)).fetchall()
-    for (session_id,) in idle:
-        end_session(connection, session_id, now)
-    connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
-    return [session_id for (session_id,) in idle]

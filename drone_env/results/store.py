@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
+from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, SessionGoneError, UnknownNameError
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
     SELECT_BY_MAP,
@@ -34,16 +34,7 @@ from drone_env.results.memory_view import MemoryView
 from drone_env.results.optima import Map, Optima, Submit
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.results.result import Results
-from drone_env.results.sessions import (
-    Session,
-    end_finished,
-    end_idle,
-    end_session,
-    flight_of,
-    new_episode_id,
-    session_row,
-    update_session,
-)
+from drone_env.results.sessions import Session, flight_of, new_episode_id
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
@@ -54,6 +45,19 @@ MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
 SELECT_STORED = "SELECT number, episode FROM episodes"
 COUNT = "SELECT count(*) FROM sessions"
+IDLE = "SELECT id FROM sessions WHERE touched_at <= ?"
+UPDATE = """
+    UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent,
+        reward_profile = :reward_profile, actions = :actions, episode_id = :episode_id, touched_at = :now,
+        address = :address
+    WHERE id = :id
+"""
+FINISHED_SECONDS = 30.0
+"""A finished session is not evicted for this long: its owner still needs the score."""
+GONE_SECONDS = 7 * 24 * 3600.0
+TO_DIGITS = bytes.maketrans(bytes(range(10)), b"0123456789")
+TO_NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
+"""The store writes actions as digits; these tables translate bytes of numbers to digits and back."""
 
 
 class Store:
@@ -259,8 +263,12 @@ class Store:
         with self._database.writing() as connection:
             self._database.check_task(connection, episode.task, claim=True)
             (taken,) = connection.execute(COUNT).fetchone()
-            if taken >= capacity and not end_finished(connection, now):
-                raise CapacityError(f"all {capacity} sessions are taken: try again later")
+            if taken >= capacity:
+                query = f"{IDLE} AND episode_id IS NOT NULL ORDER BY touched_at LIMIT 1"
+                finished = connection.execute(query, (now - FINISHED_SECONDS,)).fetchone()
+                if finished is None:
+                    raise CapacityError(f"all {capacity} sessions are taken: try again later")
+                _end(connection, finished["id"], now)
             # An address has at most one unnamed session.
             connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
             connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
@@ -286,18 +294,19 @@ class Store:
             StoreError: if the store stays busy for 30 s, cannot be written, or the same thread is already in a block.
         """
         with self._database.writing() as connection:
-            session = session_row(connection, session_id)
+            session = _session(connection, session_id)
             if address is None:
                 session.address = None
             elif session.address != address:
-                raise NoSessionError("somebody has named this session meanwhile")
+                raise NoSessionError("this session has been named meanwhile: send its id")
             flight = session.flight
             yield session
             if session.flight != flight or session.finished:
                 self._database.check_task(connection, get_task(session.task, session.task_version), claim=True)
             for stored in session.finished:
                 insert_episode(connection, stored)
-            update_session(connection, session, self._clock())
+            actions = bytes(session.actions).translate(TO_DIGITS).decode()
+            connection.execute(UPDATE, {**vars(session), "actions": actions, "now": self._clock()})
         self._noted(session.finished)
 
     def keep(self, session: Session) -> None:
@@ -318,7 +327,7 @@ class Store:
             StoreError: if the store cannot be read.
         """
         with self._database.reading() as connection:
-            return session_row(connection, session_id)
+            return _session(connection, session_id)
 
     def unnamed_session(self, address: str) -> str | None:
         """Return the session that the callers of an address share; None if there is none, or somebody has named it.
@@ -338,8 +347,8 @@ class Store:
             StoreError: if it could not be written.
         """
         with self._database.writing() as connection:
-            session_row(connection, session_id)
-            end_session(connection, session_id, self._clock())
+            _session(connection, session_id)
+            _end(connection, session_id, self._clock())
 
     def touch_sessions(self, session_ids: Iterable[str]) -> None:
         """Count sessions as used now; this does not bring back sessions that are gone.
@@ -359,8 +368,13 @@ class Store:
         Raises:
             StoreError: if it could not be written.
         """
+        now = self._clock()
         with self._database.writing() as connection:
-            return end_idle(connection, self._clock(), idle_seconds)
+            idle: list[str] = [id_ for (id_,) in connection.execute(IDLE, (now - idle_seconds,))]
+            for session_id in idle:
+                _end(connection, session_id, now)
+            connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
+        return idle
 
     def count_sessions(self) -> int:
         """Return the number of open sessions.
@@ -419,6 +433,30 @@ class Store:
 
     def _newer(self, after: int, n: int) -> list[tuple[int, str]]:
         return [tuple(row) for row in self._read(f"{SELECT_STORED} WHERE number > ? {NEWEST}", (after, n))[::-1]]
+
+
+def _session(connection: sqlite3.Connection, session_id: str) -> Session:
+    """Read a session.
+
+    Raises:
+        NoSessionError: if there never was such a session.
+        SessionGoneError: if it has ended or expired.
+    """
+    # Ids are ASCII, and SQLite rejects lone surrogates.
+    known = session_id if session_id.isascii() else ""
+    row = connection.execute("SELECT * FROM sessions WHERE id = ?", (known,)).fetchone()
+    if row is None:
+        if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
+            raise SessionGoneError("this session has ended or was idle for too long: open a new one")
+        raise NoSessionError("there is no such session: open one first")
+    columns: dict[str, Any] = {**row, "actions": tuple(row["actions"].encode().translate(TO_NUMBERS))}
+    return Session(**columns)
+
+
+def _end(connection: sqlite3.Connection, session_id: str, now: float) -> None:
+    """Delete a session and remember that it is gone."""
+    connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
+    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, now))
 
 
 def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:

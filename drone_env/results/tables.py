@@ -34,11 +34,6 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
 
 
-def table_console(width: int) -> Console:
-    """Return a console on standard output; `width` applies if it is not a terminal."""
-    return Console(width=None if sys.stdout.isatty() else width, highlight=False)
-
-
 def print_table(
     table: Table,
     width: int,
@@ -65,4 +60,4 @@ def print_table(
     for i, (row, following) in enumerate(zip(table.rows, [*table.rows[1:], ("",)], strict=True)):
         end = sections and row[0] != following[0]
         shown.add_row(*map(escape, row), end_section=end, style="red" if i in alarming else None)
-    table_console(width).print(shown)
+    Console(width=None if sys.stdout.isatty() else width, highlight=False).print(shown)

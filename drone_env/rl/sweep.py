@@ -13,10 +13,9 @@ marked as running and whose lock is free: the next process continues it from its
 import itertools
 import math
 import multiprocessing
-import re
 import sys
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -26,10 +25,10 @@ from typing import Annotated, Any, get_type_hints
 import numpy as np
 import optuna
 from filelock import FileLock, Timeout
-from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import CategoricalDistribution
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import Trial, TrialState
-from pydantic import ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
@@ -46,7 +45,6 @@ from drone_env.rl.run import TrainingRun
 NOT_SET = ("task", "seed", "num_threads", "gpu", "checkpoint_episodes", "checkpoint_seconds")
 """Settings of training that `--set` does not take: other options of the command decide them."""
 ALIASES = {"lr": "learning_rate"}
-RANGE = re.compile(r"(uniform|loguniform)\(([^,()]+),([^,()]+)\)")
 COMPARED = ("episodes", "validation_every", "validation_maps", "log_every")
 """Settings that all trials must share for pruning: they decide when and how validation scores are measured."""
 LOCK_SECONDS = 60.0
@@ -61,15 +59,13 @@ class SweepConfig:
 
     Raises:
         UnknownNameError: if there is no such task or reward profile.
-        InvalidValueError: if a value is out of range, a range has no `samples`, or settings cannot be compared early.
+        InvalidValueError: if a value is out of range, or settings cannot be compared early.
     """
 
     task: str
     preset: str
-    space: dict[str, Any]
-    """Optuna's distribution of each varied setting."""
-    samples: PositiveInt | None
-    """Number of settings to sample; None for the whole grid."""
+    space: dict[str, list[Any]]
+    """The values of each setting; several make a grid."""
     seeds: Annotated[int, Field(ge=1, le=1000)]
     """Each setting is trained with the seeds 0 to seeds - 1."""
     early_stopping: bool
@@ -78,19 +74,16 @@ class SweepConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        for name, distribution in self.space.items():
-            if self.samples is None and not isinstance(distribution, CategoricalDistribution):
-                raise InvalidValueError(f"{name} is a range: add --samples N, the number of settings to sample")
-            if self.early_stopping and name in COMPARED and len(_limits(distribution)) > 1:
+        for name, values in self.space.items():
+            if self.early_stopping and name in COMPARED and len(values) > 1:
                 raise InvalidValueError(f"settings with different {name} cannot be compared: add --no-early-stopping")
         for setting in self.settings:
             self.training(setting, 0)
 
     @property
     def settings(self) -> list[dict[str, Any]]:
-        """The whole grid; for sampled settings, all combinations of the limits of the ranges."""
-        axes = map(_limits, self.space.values())
-        return [dict(zip(self.space, values, strict=True)) for values in itertools.product(*axes)]
+        """The grid."""
+        return [dict(zip(self.space, values, strict=True)) for values in itertools.product(*self.space.values())]
 
     def training(self, setting: Mapping[str, Any], seed: int) -> TrainConfig:
         """The training of a setting with a seed."""
@@ -105,24 +98,15 @@ class SweepConfig:
 
     def identity(self) -> dict[str, Any]:
         """The configuration as JSON values, with the task's rules."""
-        space = {name: optuna.distributions.distribution_to_json(values) for name, values in self.space.items()}
-        return self.training({}, 0).identity() | vars(self) | {"task": get_task(self.task).id, "space": space}
+        return self.training({}, 0).identity() | vars(self) | {"task": get_task(self.task).id}
 
     def label(self, setting: Mapping[str, Any]) -> str:
         """A setting in words: the values that differ between settings."""
-        varied = [name for name, distribution in self.space.items() if len(_limits(distribution)) > 1]
-        return " ".join(f"{name}={setting[name]}" for name in varied)
+        return " ".join(f"{name}={setting[name]}" for name, values in self.space.items() if len(values) > 1)
 
 
-def _limits(distribution: BaseDistribution) -> Sequence[Any]:
-    if isinstance(distribution, CategoricalDistribution):
-        return distribution.choices
-    assert isinstance(distribution, (IntDistribution, FloatDistribution))
-    return distribution.low, distribution.high
-
-
-def distribution_of(text: str) -> tuple[str, BaseDistribution]:
-    """Parse `NAME=VALUE,VALUE...`, `NAME=uniform(LOW,HIGH)` or `NAME=loguniform(LOW,HIGH)`.
+def values_of(text: str) -> tuple[str, list[Any]]:
+    """Parse `NAME=VALUE,VALUE...`.
 
     Raises:
         UnknownNameError: if training has no such setting.
@@ -137,16 +121,10 @@ def distribution_of(text: str) -> tuple[str, BaseDistribution]:
     if name not in types:
         raise UnknownNameError("setting", given, [*types, *ALIASES])
     parse = TypeAdapter[Any](types[name], config=ConfigDict(allow_inf_nan=False)).validate_strings
-    ranges = {int: IntDistribution, float: FloatDistribution}
     try:
-        if match := RANGE.fullmatch("".join(values.split())):
-            if types[name] not in ranges:
-                raise ValueError("only numbers have ranges")
-            return name, ranges[types[name]](parse(match[2]), parse(match[3]), match[1] == "loguniform")
-        return name, CategoricalDistribution(list(dict.fromkeys(parse(value.strip()) for value in values.split(","))))
-    except ValueError as error:
-        reason = text_of(error) if isinstance(error, ValidationError) else error
-        raise InvalidValueError(f"--set {text}: {reason}") from None
+        return name, list(dict.fromkeys(parse(value.strip()) for value in values.split(",")))
+    except ValidationError as error:
+        raise InvalidValueError(f"--set {text}: {text_of(error)}") from None
 
 
 def open_study(out: Path, config: SweepConfig) -> optuna.Study:
@@ -225,13 +203,10 @@ def _take(study: optuna.Study, config: SweepConfig, out: Path) -> tuple[Trial, F
                 study_id = storage.get_study_id_from_name(NAME)
                 return Trial(study, storage.get_trial_id_from_study_id_trial_number(study_id, running.number)), lock
         begun = len(study.get_trials())
-        if begun == (config.samples or len(config.settings)):
+        if begun == len(config.settings):
             return None
-        if config.samples is None:
-            study.enqueue_trial(config.settings[begun])
-        # Each process has a sampler; with equal seeds all would sample the same setting.
-        study.sampler = optuna.samplers.TPESampler(seed=begun)
-        trial = study.ask(config.space)
+        study.enqueue_trial(config.settings[begun])
+        trial = study.ask({name: CategoricalDistribution(values) for name, values in config.space.items()})
         folder = out / f"trial{trial.number}"
         folder.mkdir(exist_ok=True)
         lock = FileLock(folder / "lock", timeout=0)

@@ -98,7 +98,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.include_router(flight.stepping)
     for routes in (flight, catalogue, history, compare, runs, replay, maps, page, openenv):
         app.include_router(routes.router)
-    app.router.routes.append(WebSocketRoute("/ws", socket))
+    for path in ("/ws", "/mcp", "/{task}/{prompt}/ws"):
+        app.router.routes.append(WebSocketRoute(path, socket))
     app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app)
     return app

@@ -20,13 +20,15 @@ from pydantic import ConfigDict, ValidationError
 from drone_env import __version__
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError, text_of
+from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.models import DroneState, observation_fields
 from drone_env.server.map_choice import DEFAULT_TASK, TaskApi, start_episode
-from drone_env.server.schemas import DESCRIPTION, ENV_NAME, ResetOptions, WireAction, WireObservation
+from drone_env.server.openenv_session import openenv_fields
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, OpenEnvReset, RouteAction, WireObservation, fly_route
 
 
-class DroneEnvAction(WireAction, Action):
-    """One action as an OpenEnv `Action`."""
+class DroneEnvAction(RouteAction, Action):
+    """One action, or several in a row, as an OpenEnv `Action`."""
 
     model_config = ConfigDict(frozen=False)
 
@@ -67,6 +69,7 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         super().__init__(rubric=GradeRubric())
         self._task, self._episode = task, Episode(task)
         self._episode_id = ""
+        self._prompt: Prompt | None = None
 
     def reset(self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any) -> DroneEnvObservation:
         """Start an episode. After an error the current one continues.
@@ -75,24 +78,25 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
             seed: Number of the map, 0 to 2^53 - 1. Default: the next on a fixed walk, and at first a random map of the
                 train split.
             episode_id: Id of the episode in the state; default: a random one.
-            kwargs: `task_name`, `reward_profile`, `agent`, or `split` and `index` of the task API.
+            kwargs: `task_name`, `reward_profile`, `prompt`, `agent`, or `split` and `index` of the task API.
 
         Raises:
             InvalidValueError: if an option is unknown or not allowed.
-            UnknownNameError: if there is no such task, profile or split.
+            UnknownNameError: if there is no such task, profile, prompt or split.
         """
         try:
-            options = ResetOptions(seed=seed, episode_id=episode_id, **kwargs)
+            options = OpenEnvReset(seed=seed, episode_id=episode_id, **kwargs)
         except ValidationError as error:
             raise InvalidValueError(text_of(error)) from None
         last = self._episode.seed if self._episode.started else None
-        self._episode = start_episode(options, last, self._task)
+        prompt = None if options.prompt is None else get_prompt(options.prompt)
+        self._episode, self._prompt = start_episode(options, last, self._task), prompt
         self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
         self._reset_rubric()
-        return self._observe(None)
+        return self._observe(None, {})
 
     def step(self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any) -> DroneEnvObservation:
-        """Fly one action. After the end of the episode it changes nothing and pays 0.
+        """Fly an action or a route. After the end of the episode nothing changes and nothing pays.
 
         Args:
             action: The action.
@@ -102,7 +106,8 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         Raises:
             EpisodeError: before the first reset.
         """
-        observation = self._observe(self._episode.step(action.action))
+        reward, flown = fly_route(action.direction, self._episode, self._episode.step)
+        observation = self._observe(reward, {"flown": flown})
         self._apply_rubric(action, observation)
         return observation
 
@@ -115,6 +120,10 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
         """Return name, description and version."""
         return EnvironmentMetadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
 
-    def _observe(self, reward: float | None) -> DroneEnvObservation:
+    def _observe(self, reward: float | None, metadata: dict[str, Any]) -> DroneEnvObservation:
         # The fields come from the rules, so validation is not needed.
-        return DroneEnvObservation.model_construct(**observation_fields(self._episode), reward=reward, metadata={})
+        return DroneEnvObservation.model_construct(
+            **observation_fields(self._episode),
+            **openenv_fields(self._episode, self._prompt, metadata),
+            reward=reward,
+        )

@@ -5,7 +5,7 @@ import secrets
 from typing_extensions import TypedDict
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import ORIGINAL_PROFILE, get_reward_profile
+from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
@@ -29,7 +29,7 @@ def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFA
         UnknownNameError: if the task, profile or split does not exist.
         InvalidValueError: if the split has no such map.
     """
-    profile = get_reward_profile(options.reward_profile or ORIGINAL_PROFILE)
+    profile = get_reward_profile(options.reward_profile or options.default_profile)
     if options.split is not None and options.index is not None:
         try:
             spec = TaskApi().get_task(options.split, options.index)

@@ -1,4 +1,4 @@
-"""OpenEnv's WebSocket protocol: one session per connection.
+"""OpenEnv's WebSocket protocols, `/ws` and `/mcp`: one session per connection.
 
 OpenEnv's own server is not used: a list as a frame ends its session, it reads 16 MiB, drops unknown options silently,
 does not close idle sockets, and validates every observation twice in a thread. The frames are equal, and the tests
@@ -8,7 +8,6 @@ compare both servers.
 import asyncio
 import logging
 import time
-import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, cast
@@ -18,20 +17,22 @@ from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.core.episode import NOT_STARTED
-from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
-from drone_env.models import DroneState, openenv_json
-from drone_env.results.sessions import Session, advance, flight_of
+from drone_env.core.tasks import get_task
+from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
+from drone_env.llm.prompt import get_prompt
+from drone_env.models import DroneState
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
-from drone_env.server.map_choice import start_episode
-from drone_env.server.schemas import ResetOptions, WireAction
-from drone_env.server.sessions import ANONYMOUS
+from drone_env.server.map_choice import DEFAULT_TASK
+from drone_env.server.mcp import rpc, step_as_tool
+from drone_env.server.openenv_session import OpenEnvSession
+from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.state import AppState
 
 log = logging.getLogger(__name__)
 
 NORMAL, GOING_AWAY = 1000, 1001
 ALLOWED_TYPES = "reset, step, state, close, mcp"
+PARSE_ERROR = -32700
 
 
 class RefusedError(Exception):
@@ -50,75 +51,72 @@ class RefusedError(Exception):
 
 
 class Connection:
-    """The session of a connection.
+    """The frames of a connection.
 
     Args:
         shared: The parts of the server.
+        session: Its session.
+        mcp: Whether the frames are requests of MCP.
     """
 
-    def __init__(self, shared: AppState) -> None:
+    def __init__(self, shared: AppState, session: OpenEnvSession, mcp: bool = False) -> None:
         self._shared = shared
-        self._session: Session | None = None
-        self._episode_id = ""
+        self._session = session
+        self._mcp = mcp
 
-    async def answer(self, received: bytes) -> str | None:
+    async def answer(self, received: bytes | None) -> str | None:
         """Return the response to a frame; None if the client closes the session.
+
+        Args:
+            received: The frame; None for a binary one.
 
         Raises:
             RefusedError: if the frame is invalid or cannot be executed.
         """
         try:
-            frame = parse_json(received)
+            frame = parse_json(received or b"")
         except InvalidValueError as error:
+            if self._mcp:
+                problem = {"code": PARSE_ERROR, "message": str(error)}
+                return to_json({"jsonrpc": "2.0", "id": None, "error": problem}).decode()
             raise RefusedError("INVALID_JSON", str(error)) from None
+        if self._mcp:
+            return to_json(await rpc(self._shared, frame, self._session)).decode()
         if not isinstance(frame, dict):
             raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
         frame = cast(dict[str, Any], frame)
         kind, data = frame.get("type"), frame.get("data", {})
-        if frame.keys() - {"type", "data"} or not isinstance(data, dict):
+        # An action may be a word or a number instead of an object.
+        if frame.keys() - {"type", "data"} or not (kind == "step" or isinstance(data, dict)):
             raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
-        data = cast(dict[str, Any], data)
+        session = self._session
         try:
             if kind == "step":
-                return await self._step(WireAction.model_validate(data))
+                return await self._step(data)
             if kind == "reset":
-                return self._reset(ResetOptions.model_validate(data))
+                episode = await session.reset(OpenEnvReset.model_validate(data))
+                return _frame("observation", await session.observation(episode, None))
             if kind == "state":
-                state = DroneState.of(self._started().fly()).model_copy(update={"episode_id": self._episode_id})
+                state = DroneState.of(await session.look()).model_copy(update={"episode_id": session.episode_id})
                 return _frame("state", state.model_dump_json())
         except ValidationError as error:
             errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
-        except LookupError as error:
-            raise RefusedError("VALIDATION_ERROR", str(error)) from None
         except DroneEnvError as error:
-            raise RefusedError("EXECUTION_ERROR", str(error)) from None
+            named = isinstance(error, UnknownNameError)
+            raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None
         if kind == "close":
             return None
         if kind == "mcp":
-            return _frame("mcp", to_json(mcp_answer(data)).decode())
+            return _frame("mcp", to_json(await rpc(self._shared, data, session)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
-    def _reset(self, options: ResetOptions) -> str:
-        """Start an episode. After an error the current one continues."""
-        episode = start_episode(options, None if self._session is None else self._session.seed)
-        self._session = Session("", *flight_of(episode), options.agent or ANONYMOUS, episode=episode)
-        self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
-        return _frame("observation", openenv_json(episode, None))
-
-    def _started(self) -> Session:
-        if self._session is None:
-            raise EpisodeError(NOT_STARTED)
-        return self._session
-
-    async def _step(self, action: WireAction) -> str:
-        session = self._started()
-        episode = session.fly()
-        # If storing the ended episode failed, the client repeats the last step, and gets the same response.
-        reward = episode.reward_last if session.finished else advance(session, action.action)
-        if session.finished:
-            await asyncio.get_running_loop().run_in_executor(self._shared.steps, self._shared.store.keep, session)
-        return _frame("observation", openenv_json(episode, reward))
+    async def _step(self, data: Any) -> str:
+        if isinstance(data, dict) and cast(dict[str, Any], data).get("type") in ("list_tools", "call_tool"):
+            result = await step_as_tool(self._session, cast(dict[str, Any], data))
+            return _frame("observation", to_json(result).decode())
+        episode, reward, flown = await self._session.fly(RouteAction.model_validate(data).direction)
+        return _frame("observation", await self._session.observation(episode, reward, flown=flown))
 
 
 class OpenEnvSocket:
@@ -143,28 +141,39 @@ class OpenEnvSocket:
             await socket.accept()
             capacity = self.shared.settings.capacity
             try:
-                if "session_id" in socket.query_params:
-                    raise RefusedError("SESSION_ERROR", "each connection has its own session: omit session_id")
                 if len(self.touched) >= capacity:
                     message = f"{capacity} sessions are open, which is the limit: try again later"
                     raise RefusedError("CAPACITY_REACHED", message)
                 self.touched[socket] = self._clock()
-                await self._serve(socket)
+                await self._serve(socket, await self._open(socket))
             except RefusedError as refusal:
                 await socket.send_text(refusal.frame)
                 await socket.close(TRY_LATER, str(refusal)[:120])
             finally:
                 self.touched.pop(socket, None)
 
-    async def _serve(self, socket: WebSocket) -> None:
-        connection = Connection(self.shared)
+    async def _open(self, socket: WebSocket) -> Connection:
+        """Return the connection: to a session of its own, or to the stored one that the URL names."""
+        stored, path = socket.query_params.get("session_id"), socket.scope.get("path_params")
+        task, prompt = DEFAULT_TASK, None
+        try:
+            if path:
+                named = OpenEnvReset(task_name=path["task"], prompt=path["prompt"])
+                task, prompt = get_task(str(named.task_name)).id, get_prompt(str(named.prompt))
+            session = OpenEnvSession(self.shared, stored, task, prompt)
+            if stored is not None:
+                await session.look()
+        except (DroneEnvError, ValidationError) as error:
+            message = text_of(error) if isinstance(error, ValidationError) else str(error)
+            raise RefusedError("SESSION_ERROR", message) from None
+        return Connection(self.shared, session, socket.scope.get("path") == "/mcp")
+
+    async def _serve(self, socket: WebSocket, connection: Connection) -> None:
         async for data in received(socket, SMALL):
             if socket not in self.touched:
                 return  # closed because it was idle
             self.touched[socket] = self._clock()
             try:
-                if data is None:
-                    raise RefusedError("INVALID_JSON", "send text frames with JSON")
                 answer = await connection.answer(data)
             except RefusedError as refusal:
                 answer = refusal.frame
@@ -190,19 +199,6 @@ class OpenEnvSocket:
             await socket.close(GOING_AWAY, f"idle for {self.shared.settings.idle_seconds:g} s: connect again")
         except (RuntimeError, WebSocketDisconnect, OSError):
             log.debug("an idle socket was closed already")
-
-
-def mcp_answer(request: Any) -> dict[str, Any]:
-    """Return the JSON-RPC response to an MCP request: this environment has no tools."""
-    fields = cast(dict[str, Any], request) if isinstance(request, dict) else {}
-    number = fields.get("id")
-    answer: dict[str, Any] = {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
-    if fields.get("jsonrpc") != "2.0" or not isinstance(fields.get("method"), str):
-        message = 'Invalid Request: a request has "jsonrpc": "2.0" and a method'
-        return answer | {"error": {"code": -32600, "message": message}}
-    if fields["method"] == "tools/list":
-        return answer | {"result": {"tools": []}}
-    return answer | {"error": {"code": -32601, "message": "Method not found: this environment has no MCP tools"}}
 
 
 def _frame(kind: str, data: str) -> str:

@@ -54,9 +54,6 @@ OURS: dict[str, Pilot] = {
     ),
     "greedy": Pilot("Greedy", "Flies to the nearest parcel and looks no further."),
     "optimal": Pilot("Optimal", "Plans a best flight over the whole map and flies it."),
-    "tournet-search": Pilot(
-        "Tournet search", "Tries eight plans of Tournet before it starts, and flies the best.", "tournet-search"
-    ),
     "random": Pilot("Random", "Takes any action; the floor that everybody must beat."),
     HUMAN: Pilot("You", "Arrow keys or the pad; space waits."),
 }
@@ -101,6 +98,7 @@ class Provenance(NamedTuple):
     """The provenance of these steps; None without a fork."""
 
     @classmethod
+    @lru_cache(maxsize=1024)
     def parse(cls, agent: str) -> Self:
         """The provenance that an `agent` contains; any text that has not its format is the name of a pilot."""
         match = PROVENANCE.fullmatch(agent)
@@ -229,7 +227,7 @@ class Networks:
             return None if pilot == HUMAN else make_agent(pilot, task)
         found = self.network(pilot, task)
         with _folder_hidden(self.file(pilot, task)):
-            return NETWORK_AGENTS[kind].make(task, found) if isinstance(found, Path) else found
+            return NETWORK_AGENTS[kind](task, found) if isinstance(found, Path) else found
 
     def network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path:
         """Return the network of a pilot for a task: the PathQNet, or the file of a tour network.

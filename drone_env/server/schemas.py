@@ -1,13 +1,17 @@
 """The requests that fly, and OpenEnv's messages, as Pydantic models."""
 
-from typing import Annotated, Any
+import re
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, cast
 
-from pydantic import AfterValidator, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, model_validator
 from typing_extensions import Self
 
-from drone_env.core.actions import Action
+from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
-from drone_env.models import MAX_SEED, Direction, DroneAction, DroneObservation, Message, Seed
+from drone_env.llm.answers import Answer, read_answer
+from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Message, Seed
 from drone_env.results.finished import check_agent
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
@@ -16,7 +20,10 @@ DESCRIPTION = (
     "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
     "exactly, so every score can be compared with the optimum of its map."
 )
-STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
+OPENENV_PROFILE = "score"
+"""The default of OpenEnv sessions: trainers log the sum of the rewards or the last one, and both are the score."""
+MAX_ROUTE = 1000
+"""Maximum number of actions in one step of an OpenEnv session; the longest task has 640 steps."""
 
 
 def examples(values: list[JsonValue]) -> Any:
@@ -32,6 +39,7 @@ class ResetOptions(Message):
     """Options of a reset."""
 
     model_config = ConfigDict(json_schema_extra={"examples": RESETS})
+    default_profile: ClassVar[str] = ORIGINAL_PROFILE
 
     task_name: str | None = Field(default=None, max_length=100, description="Id, short name or grader of the task.")
     seed: Seed | None = Field(
@@ -41,7 +49,8 @@ class ResetOptions(Message):
     reward_profile: str | None = Field(
         default=None,
         max_length=100,
-        description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{ORIGINAL_PROFILE}`.",
+        description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{ORIGINAL_PROFILE}`; in OpenEnv sessions "
+        f"`{OPENENV_PROFILE}`.",
     )
     agent: AgentName | None = Field(default=None, description="Name of the agent in the records: one printable line.")
     episode_id: str | None = Field(default=None, max_length=255, description="Id of the episode in OpenEnv's state.")
@@ -61,36 +70,116 @@ class ResetOptions(Message):
         return self
 
 
+class SessionReset(ResetOptions):
+    """Options of a reset in an OpenEnv session."""
+
+    default_profile: ClassVar[str] = OPENENV_PROFILE
+
+
+class OpenEnvReset(SessionReset):
+    """Options of a reset over `/ws`."""
+
+    # Names of the package alone: a caller must not read files.
+    prompt: str | None = Field(
+        default=None,
+        pattern=r"^[a-z0-9-]{1,40}$",
+        description="A prompt of `drone-env infer`, such as `minimal`, whose text each observation contains.",
+    )
+
+
 class WireAction(DroneAction):
     """One action in OpenEnv's format."""
 
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
 
 
+BRACKETED = re.compile(r"\[([A-Za-z ,]*)\]")
+OTHER_FORMS = {"route": set[str](), "message": set[str](), "action_id": {"game_name", "game_params"}}
+"""Other names of `direction`, and the fields beside them: of this server, of TextArena's and of OpenSpiel's clients."""
+
+
+def route_text(value: object) -> str:
+    """Return the names of the actions of a route, separated by spaces.
+
+    Args:
+        value: A number, a word, a text with several words, or a list of numbers and words.
+
+    Raises:
+        ValueError: if it is anything else, empty, or longer than `MAX_ROUTE`.
+    """
+    if isinstance(value, str):
+        bracketed = BRACKETED.fullmatch(value.strip())
+        reading = read_answer(Answer(text=bracketed[1] if bracketed else value), plan=True)
+        if reading.kind != "ok":
+            raise ValueError(f"{reading.reason}; actions: {', '.join(Action.__members__)}")
+        value = list(reading.actions)
+    words = cast(list[object], value) if isinstance(value, list) else [value]
+    if not 0 < len(words) <= MAX_ROUTE:
+        raise ValueError(f"a route has 1 to {MAX_ROUTE} actions, got {len(words)}")
+    return " ".join([_action(word).name for word in words])
+
+
+def _action(word: object) -> Action:
+    if isinstance(word, str) and word.upper() in Action.__members__:
+        return Action[word.upper()]
+    if isinstance(word, int) and not isinstance(word, bool) and 0 <= word < N_ACTIONS:
+        return Action(word)
+    shown = repr(word[:40]) if isinstance(word, str) else f"a value of type {type(word).__name__}"
+    raise ValueError(f"{shown} is not an action; actions: {', '.join(Action.__members__)}, or 0 to {N_ACTIONS - 1}")
+
+
+Route = Annotated[str, BeforeValidator(route_text)]
+"""Names of actions, separated by spaces; numbers and lists are converted."""
+
+
+class RouteAction(Message):
+    """An action, or several in a row, in an OpenEnv session.
+
+    `{"direction": "UP"}`, `{"direction": 0}`, `{"direction": "UP UP WAIT"}`, `{"route": ["UP", "UP", "WAIT"]}`.
+    """
+
+    direction: Route = Field(
+        description=f"One of {', '.join(Action.__members__)}, or up to {MAX_ROUTE} of them, separated by spaces."
+    )
+    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rename(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return {"direction": data}
+        fields = cast(dict[str, Any], data)
+        name = next((name for name in OTHER_FORMS if name in fields and "direction" not in fields), "direction")
+        ignored = OTHER_FORMS.get(name, set[str]())
+        return {"direction" if key == name else key: fields[key] for key in fields if key not in ignored}
+
+
+def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:
+    """Fly actions until the episode ends; those after the end are not flown.
+
+    Args:
+        route: The names of the actions, separated by spaces.
+        episode: The episode.
+        step: Flies one action and returns its reward.
+
+    Returns:
+        The sum of the rewards, and the number of actions flown.
+    """
+    before, rewards = episode.steps, list[float]()
+    for name in route.split():
+        rewards.append(step(Action[name]))
+        if episode.ended:
+            break
+    return sum(rewards), episode.steps - before
+
+
 class WireObservation(DroneObservation):
     """An observation with OpenEnv's fields."""
 
-    reward: float | None = Field(default=None, description="Reward of the step; null after a reset.")
-    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
-
-
-class StepRequest(Message):
-    """One action: either flat (`direction`) or in OpenEnv's format (`action`)."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": STEPS})
-
-    direction: Direction | None = Field(default=None, description="The action; returns a `DroneObservation`.")
-    action: WireAction | None = Field(default=None, description="The action in OpenEnv's format; returns `StepResult`.")
-    timeout_s: float | None = Field(default=None, gt=0, description="Ignored; OpenEnv's clients send it.")
-    request_id: str | None = Field(default=None, max_length=255, description="Ignored; OpenEnv's clients send it.")
-
-    @model_validator(mode="after")
-    def _check_format(self) -> Self:
-        if (self.direction is None) == (self.action is None):
-            raise ValueError('send either {"direction": ...} or {"action": {"direction": ...}}')
-        return self
-
-    @property
-    def chosen(self) -> Action:
-        """The action."""
-        return Action[str(self.direction)] if self.action is None else self.action.action
+    reward: float | None = Field(default=None, description="Sum of the rewards of the step; null after a reset.")
+    prompt: str = Field(default="", description="Rules and observation as text, if the reset named a prompt.")
+    messages: list[dict[str, Any]] = Field(default=[], description="All text so far, on paths that name a prompt.")
+    metadata: dict[str, Any] = Field(
+        default_factory=dict[str, Any],
+        description="`reward_profile`, which pays; after a step also `flown`, the number of actions flown.",
+    )

@@ -4,6 +4,7 @@ import base64
 import binascii
 import hmac
 import ipaddress
+import re
 import time
 from functools import lru_cache
 from urllib.parse import urlsplit
@@ -14,10 +15,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.logs import RequestLog
 from drone_env.server.page_files import is_file
+from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
 OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
+WITHOUT_HINTS = re.compile(
+    r"/(reset|step|state|session|path_history|health|metadata|schema|mcp|graders|kinds|list_environments|openapi\.json"
+    rf"|(grade|tasks|{ENV_NAME})/?.*|(.+/)?ws)"
+)
+"""The paths of a server that withholds hints. All others, such as `/values` and `/live`, may show a better flight."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 
@@ -38,6 +45,7 @@ class Security:
         self.app = app
         self.log = log
         self.hosts = {host.lower() for host in settings.allowed_hosts}
+        self.withholds = settings.withhold_hints
         self.listens = settings.host.lower()
         self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
@@ -97,6 +105,8 @@ class Security:
         origin = headers.get("origin")
         if origin is not None and not self._allowed(origin.lower(), named.lower()):
             raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
+        if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
+            raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
         if self.expected is not None and scope["path"] not in OPEN_PATHS and not is_file(scope["path"]):
             given = _sent_token(scope) or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):

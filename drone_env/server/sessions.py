@@ -178,8 +178,7 @@ class Sessions:
                     reward = row.fly().reward_last
                 else:
                     raise OtherStepError(
-                        f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state "
-                        "tells where it stands"
+                        f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
                     )
             return show(row.fly(), reward)
 

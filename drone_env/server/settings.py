@@ -33,6 +33,11 @@ class Settings(BaseSettings):
         default=None,
         description="If set, requests need `Authorization: Bearer TOKEN`, except for `/health` and the page's files.",
     )
+    withhold_hints: bool = Field(
+        default=False,
+        description="For evaluations: serve only flights and the catalogue, not the page, other flights, values, "
+        "solutions and pilots.",
+    )
     allowed_origins: CommaSeparated = Field(
         default=(), description="Other origins of web pages that may call the server; comma-separated."
     )

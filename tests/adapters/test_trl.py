@@ -1,5 +1,7 @@
 """The drone in TRL's own GRPOTrainer: `tools/verify.sh adapters`, as TRL is no part of the development tools."""
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +10,14 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
-from drone_env.llm.trl_environment import DroneEnvironment, training_maps
+from drone_env.core.tasks import get_task
+from drone_env.datasets.build import build_dataset
+from drone_env.datasets.trajectories import DatasetConfig
+from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
 
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
+ROUTE = '<tool_call>\n{{"name": "fly_route", "arguments": {{"directions": {}}}}}\n</tool_call>'
 
 
 def tokenizer() -> Any:
@@ -30,6 +36,24 @@ def tokenizer() -> Any:
     return made
 
 
+def tiny_model(words: Any) -> Any:
+    from transformers import Qwen2Config, Qwen2ForCausalLM
+
+    config = Qwen2Config(
+        vocab_size=len(words),
+        hidden_size=16,
+        intermediate_size=32,
+        num_hidden_layers=1,
+        num_attention_heads=2,
+        num_key_value_heads=2,
+        max_position_embeddings=8192,
+    )
+    return Qwen2ForCausalLM(config)
+
+
+TRAINING = {"max_steps": 1, "learning_rate": 1.0, "logging_steps": 1, "report_to": [], "use_cpu": True, "bf16": False}
+
+
 def paid(route: list[str]) -> float:
     """What flying a route over map 14, and waiting to the end, pays undiscounted."""
     episode = Episode("easy", profile_for_discount(get_reward_profile(DEFAULT_PROFILE), 1), seed=14)
@@ -41,25 +65,20 @@ def paid(route: list[str]) -> float:
 
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("ignore")
-def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
+@pytest.mark.parametrize("plan", [None, "plan"])
+def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -> None:
     # Here, since their import warns.
-    from transformers import Qwen2Config, Qwen2ForCausalLM
     from trl import GRPOConfig, GRPOTrainer
 
     words = tokenizer()
-    config = Qwen2Config(
-        vocab_size=len(words),
-        hidden_size=16,
-        intermediate_size=32,
-        num_hidden_layers=1,
-        num_attention_heads=2,
-        num_key_value_heads=2,
-        max_position_embeddings=8192,
-    )
     best = [action.name for action in solve("easy", 14).actions]
     # What the model says in the four rollouts of its group, turn by turn; a finished one says no more.
-    routes = [best, best[:1], ["NORTH", *best], []]
-    said: list[list[str]] = [[CALL.format(direction) for direction in route] + ["Done."] for route in routes]
+    if plan:
+        said = [[json.dumps({"actions": best})], [best[0]], ["NORTH"], ["Done."]]
+    else:
+        routes = [[CALL.format(direction) for direction in route] for route in (best[:1], ["NORTH", *best], [])]
+        said = [[*route, "Done."] for route in [[ROUTE.format(json.dumps(best))], *routes]]
+    calls = sum(map(len, said)) - len(said)
 
     class Scripted(GRPOTrainer):
         """Answers by script; all else, from the tool's schema to the step of the optimiser, is TRL's."""
@@ -72,34 +91,68 @@ def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
             return [words.encode(f"{answer}<|im_end|>", add_special_tokens=False) for answer in answers], None
 
     asked: list[str] = []
-    data = training_maps("easy", 1).map(lambda row: {**row, "seed": 14})
+    data = training_maps("easy", 1, plan=plan).map(lambda row: {**row, "seed": 14})
     trainer = Scripted(
-        model=Qwen2ForCausalLM(config),
+        model=tiny_model(words),
         processing_class=words,
         train_dataset=data,
-        environment_factory=DroneEnvironment,
+        environment_factory=None if plan else DroneEnvironment,
+        reward_funcs=flight_reward,
         args=GRPOConfig(
             output_dir=str(tmp_path),
             per_device_train_batch_size=4,
             num_generations=4,
-            max_steps=1,
             max_completion_length=2000,
-            learning_rate=1.0,
-            report_to=[],
-            logging_steps=1,
-            use_cpu=True,
-            bf16=False,
-            save_strategy="no",
+            **TRAINING,
         ),
     )
     before = [p.detach().clone() for p in trainer.model.parameters()]
     trainer.train()
     (log,) = [entry for entry in trainer.state.log_history if "reward" in entry]
-    # The flight with the wrong word is paid like the best one: it costs no step.
-    pay = [paid(best), paid(best[:1]), paid(best), paid([])]
-    assert log["rewards/DroneEnvironment/mean"] == pytest.approx(sum(pay) / 4)
-    assert log["tools/failure_frequency"] == pytest.approx(1 / sum(map(len, routes)))
+    # By tool calls the wrong word costs no step; as an answer it is unusable.
+    wrong = [] if plan else best
+    pay = [paid(route) for route in (best, best[:1], wrong, [])]
+    assert log["rewards/flight_reward/mean"] == pytest.approx(sum(pay) / 4)
+    means = [(1 if plan else 2) / 4, (len(best) + 1 + len(wrong)) / 4, 0.5 if plan else 0]
+    assert [log[f"flight/{name}"] for name in ("success", "steps", "unusable")] == means
+    assert log["flight/score"] + log["flight/regret"] == pytest.approx(solve("easy", 14).score)
     assert any(bool((p != q).any()) for p, q in zip(before, trainer.model.parameters(), strict=True))
-    assert all('"name": "fly"' in text and '"enum": ["UP"' in text for text in asked)
+    if plan:
+        return
+    assert log["tools/failure_frequency"] == pytest.approx(1 / calls)
+    assert all('"name": "fly_route"' in text and '"enum": ["UP"' in text for text in asked)
     assert any("Mission accomplished" in text for text in asked)
     assert any("'NORTH' is no direction" in text for text in asked)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("turns", ["plan", "step", "route"])
+def test_both_trainers_learn_from_the_datasets(turns: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
+    from datasets import load_dataset
+    from transformers.utils import get_json_schema
+    from trl import DPOConfig, DPOTrainer, SFTConfig, SFTTrainer
+
+    task = get_task("easy")
+    config = DatasetConfig(task, range(4), "train", ["optimal", "random"], epsilon=0.0, turns=turns)
+    build_dataset(config, tmp_path / "set", ("chat", "preference"))
+    kind, ends = ("json", "jsonl") if turns == "route" else ("parquet", "parquet")
+    files = (str(tmp_path / "set" / f"{name}.{ends}") for name in ("chat", "preference"))
+    chat, pairs = (load_dataset(kind, data_files=file, split="train") for file in files)
+    schemas = [get_json_schema(tool) for tool in (DroneEnvironment.fly, DroneEnvironment.fly_route)]
+    assert turns == "plan" or json.loads(chat[0]["tools"]) == json.loads(pairs[0]["tools"]) == schemas
+    words = tokenizer()
+    shared: dict[str, Any] = {"processing_class": words, "train_dataset": chat}
+    sft = SFTTrainer(tiny_model(words), SFTConfig(output_dir=str(tmp_path), max_length=8192, **TRAINING), **shared)
+    sft.train()
+    assert sft.state.log_history[0]["loss"] > 0
+    text = words.decode(sft.train_dataset[0]["input_ids"])
+    assert not {"null", "None"} & set(re.findall(r"\w+", text))
+    assert all(f'"{action}"' in text for action in chat[0]["actions"][0])
+    assert ("# Tools" in text) == (turns != "plan")
+    shared = {"processing_class": words, "train_dataset": pairs}
+    args = DPOConfig(output_dir=str(tmp_path), max_length=8192, **TRAINING)
+    dpo = DPOTrainer(tiny_model(words), tiny_model(words), args, **shared)
+    dpo.train()
+    assert dpo.state.log_history[0]["loss"] > 0

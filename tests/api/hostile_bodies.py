@@ -12,8 +12,9 @@ from starlette.types import Message
 
 from drone_env.server.json_routes import LARGE, LIMIT, SMALL
 from drone_env.server.live.commands import Command
+from drone_env.server.mcp import TOOLS
 from drone_env.server.openenv import ALLOWED_TYPES
-from drone_env.server.schemas import ResetOptions, WireAction
+from drone_env.server.schemas import OpenEnvReset, RouteAction
 
 Schema = dict[str, Any]
 ITEMS = ("1", "12345", "[]", "{}", "[[]]", '""', "1e9", "NaN", '"\\ud800"')
@@ -39,7 +40,7 @@ def of_routes(description: Schema) -> Iterator[tuple[str, list[Hostile]]]:
 def of_sockets() -> dict[str, list[Hostile]]:
     """The frames for each WebSocket."""
     live = TypeAdapter(Command).json_schema()
-    known: dict[str, Schema] = {"reset": ResetOptions.model_json_schema(), "step": WireAction.model_json_schema()}
+    known: dict[str, Schema] = {"reset": OpenEnvReset.model_json_schema(), "step": RouteAction.model_json_schema()}
     ws = [
         Hostile(f"{kind} {name}", content)
         for kind in ALLOWED_TYPES.split(", ")
@@ -48,7 +49,17 @@ def of_sockets() -> dict[str, list[Hostile]]:
         for name, data in _texts(schema, schema, SMALL - 40)
         for content in [b'{"type":"%s","data":%s}' % (kind.encode(), data)]
     ]
-    return {"/ws": ws, "/live": list(_texts(live, live, LARGE))}
+    head = {name: {"const": value} for name, value in (("jsonrpc", "2.0"), ("method", "tools/call"))}
+    mcp = [
+        text
+        for name, (arguments, _) in TOOLS.items()
+        for schema in [arguments.model_json_schema()]
+        for call in [{"name": {"const": name}, "arguments": schema}]
+        for params in [{"type": "object", "properties": call, "required": list(call)}]
+        for request in [{"type": "object", "properties": {**head, "params": params}, "required": [*head, "params"]}]
+        for text in _texts(request, schema, SMALL - 100)
+    ]
+    return {"/ws": ws, "/mcp": mcp, "/live": list(_texts(live, live, LARGE))}
 
 
 def _texts(schema: Schema, root: Schema, limit: int) -> Iterator[Hostile]:

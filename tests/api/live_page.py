@@ -1,9 +1,11 @@
 """A page that has opened `/live`, for tests."""
 
 import json
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any
 
-from starlette.testclient import WebSocketTestSession
+from starlette.testclient import TestClient, WebSocketTestSession
 
 from drone_env.agents import make_agent
 from drone_env.core.episode import Episode, rollout
@@ -54,6 +56,12 @@ class Page:
                 self.ended.append(message["flight"])
             if message["type"] == "playing" and not message["playing"]:
                 return frames
+
+
+@contextmanager
+def open_page(client: TestClient) -> Generator[Page, None, None]:
+    with client.websocket_connect("/live") as socket:
+        yield Page(socket)
 
 
 def flown(

@@ -148,9 +148,9 @@ class TestPredictions:
         def flown_by(task: str) -> object:
             return client.app.state.shared.networks.agent("trained-tournet", get_task(task)).config["network"]  # type: ignore[attr-defined]
 
-        assert pilots()["tournet"] == pilots()["tournet-search"] == []
+        assert pilots()["tournet"] == []
         put_tour(settings["weights"] / "tournet_v1.safetensors")
-        assert pilots()["tournet"] == pilots()["tournet-search"] == list(TASKS)
+        assert pilots()["tournet"] == list(TASKS)
         alone = put_tour(settings["data"] / "tournet_hard.safetensors", 1)
         assert pilots()["trained-tournet"] == ["hard_delivery"]
         every = put_tour(settings["data"] / "tournet.safetensors", 2)

@@ -7,7 +7,7 @@ from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
 from drone_env.models import DIRECTIONS, Direction
-from tests.api.live_page import Page, directions, flown
+from tests.api.live_page import directions, flown, open_page
 
 
 def fork(of: Episode, step: int, by: str, *moves: Direction) -> dict[str, Any]:
@@ -17,8 +17,7 @@ def fork(of: Episode, step: int, by: str, *moves: Direction) -> dict[str, Any]:
 def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> None:
     before = flown("easy", "greedy")
     waits = before.task.max_steps - 4
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         _, shown = page.start("greedy", "human", fork=fork(before, 3, "greedy", "WAIT"))
         assert shown["opening"]["pilot"] == "human"
         for _ in range(waits):
@@ -35,8 +34,7 @@ def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> N
 def test_a_person_goes_on_with_a_flight_of_his_own_as_he_left_it(client: TestClient) -> None:
     way = flown("easy", "random", 4)
     left = {"actions": directions(way), "step": 0, "of": "human with values"}
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         own, beside = page.start("human", "greedy", fork=left)
         assert [frame["action"] for frame in own["frames"]] == [None, *directions(way)]
         assert [frame["action"] for frame in beside["frames"][1:]] == directions(flown("easy", "greedy", 4))
@@ -49,15 +47,13 @@ def test_a_person_goes_on_with_a_flight_of_his_own_as_he_left_it(client: TestCli
 def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: TestClient) -> None:
     pilot, before = "greedy", flown("hard", "random")
     expected = directions(flown("hard", pilot, start=flown("hard", "random", 12)))
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         (shown,) = page.start(pilot, task="hard", fork=fork(before, 12, "random"))
         session = shown["opening"]["session"]
         for _ in range(3):
             page.send("step")
             page.until("frames")
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.send("attach", sessions=[session])
         (again,) = page.until("flights")["flights"]
         assert again["opening"]["by"] == f"{pilot} from step 12 of random"
@@ -66,8 +62,7 @@ def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: Te
         frames = [*again["frames"][1:], *page.flight()[0]]
     assert [frame["action"] for frame in frames] == expected
     # Its moves are known to be its own where a link has brought them.
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": "random"}
         assert len(page.start(pilot, task="hard", fork=brought)[0]["frames"]) == 21
         wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
@@ -80,8 +75,7 @@ def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: T
     whole = fork(before, 3, "greedy", *["WAIT"] * (before.task.max_steps - 3))  # type: ignore[list-item]
     ids: set[str] = set()
     for _ in range(2):
-        with client.websocket_connect("/live") as socket:
-            page = Page(socket)
+        with open_page(client) as page:
             (shown,) = page.start("human", fork=whole)
             assert shown["frames"][-1]["done"]
             ids.add(page.until("ended")["episode"]["id"])
@@ -102,8 +96,7 @@ def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: T
 def test_a_fork_that_cannot_be_is_refused_and_opens_nothing(
     client: TestClient, change: dict[str, Any], says: str
 ) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.start("greedy")
         page.until("values")
         opened = client.app.state.shared.store.count_sessions()  # type: ignore[attr-defined]
@@ -113,8 +106,7 @@ def test_a_fork_that_cannot_be_is_refused_and_opens_nothing(
 
 
 def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_so(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         (shown,) = page.start("human")
         header = {"X-Session-Id": shown["opening"]["session"]}
         kept_back = ("q_values", "value", "regret")
@@ -130,8 +122,7 @@ def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_s
         page.send("fly", direction="WAIT")
         assert page.until("frames")["frames"][0]["frame"]["q_values"]
         assert len(page.until("values")["values"]) == 3
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.send("attach", sessions=[header["X-Session-Id"]])
         (again,) = page.until("flights")["flights"]
         assert (again["opening"]["by"], again["opening"]["pilot"]) == ("human with values", "human")
@@ -140,8 +131,7 @@ def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_s
 
 def test_a_person_takes_steps_back_and_the_record_says_so(client: TestClient) -> None:
     before = flown("easy", "greedy")
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         (shown,) = page.start("human", fork=fork(before, 2, "greedy"))
         header = {"X-Session-Id": shown["opening"]["session"]}
         for direction in ("WAIT", "WAIT", "UP"):

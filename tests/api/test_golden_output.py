@@ -15,7 +15,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.llm.limiter import Prices
+from drone_env.llm.limiter import Options
 from drone_env.llm.report import report, write_report
 from drone_env.llm.verify import verified_run
 from drone_env.results.store import Store
@@ -83,8 +83,8 @@ def outputs(data: Path) -> dict[str, list[str]]:
         "analyse-flight --json": printed("analyse-flight", "--task", "easy", "--seed", "7", "--json"),
     }
     run = verified_run(model)
-    write_report(run, report(run, Prices(10, 50)))
-    found |= {name: (model / name).read_text() for name in ("report.json", "report.md", "report.html")}
+    write_report(run, report(run, Options(price_prompt=10, price_completion=50)))
+    found |= {name: (model / name).read_text() for name in ("report.json", "report.md")}
     with TestClient(create_app(Settings(data=data))) as client:
         found |= {path: json.dumps(client.get(f"/{path}").json(), indent=1) for path in REQUESTS}
     shown: dict[str, list[str]] = {}

@@ -15,7 +15,7 @@ from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
-from tests.api.live_page import Message, Page, directions, flown
+from tests.api.live_page import Message, Page, directions, flown, open_page
 from tests.api.networks import put_network, put_tour
 
 
@@ -23,51 +23,37 @@ def names(frames: list[Message]) -> list[str]:
     return [frame["action"] for frame in frames]
 
 
-def test_a_race_is_what_the_agents_fly(client: TestClient) -> None:
-    pilots = ["pathqnet", "greedy", "random"]
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        flights = page.start(*pilots, task="hard", reward_profile="composite")
-        assert [flight["opening"]["pilot"] for flight in flights] == pilots
-        page.send("play", speed=60)
-        assert page.until("playing")["playing"]
-        frames = page.flight()
-        assert sorted(page.ended) == [0, 1, 2]
-    for number, pilot in enumerate(pilots):
-        episode = flown("hard", pilot, profile="composite")
-        assert names(frames[number]) == directions(episode)
-        last = frames[number][-1]
-        assert [frame["reward"] for frame in frames[number]] == episode.rewards
-        assert (last["score"], last["done"], last["efficiency"]) == (episode.score, True, episode.efficiency)
-    stored = {row["agent"]: row["score"] for row in client.get("/episodes").json()["episodes"]}
-    assert stored == {pilot: frames[number][-1]["score"] for number, pilot in enumerate(pilots)}
-
-
-def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
+def test_a_race_is_what_the_agents_fly_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
     weights, data = tmp_path / "weights", tmp_path / "data"
     shipped, trained = put_tour(weights / "tournet_v1.safetensors"), put_tour(data / "tournet.safetensors", 1)
-    put_network(get_task("hard"), weights)
     pilots = {
         "trained-tournet": f"tournet:{trained}",
         "tournet": f"tournet:{shipped}",
-        "tournet-search": f"tournet-search:{shipped}",
+        "pathqnet": f"pathqnet:{put_network(get_task('hard'), weights)}",
     }
     with TestClient(create_app(Settings(data=data, weights=weights))) as client:
-        with client.websocket_connect("/live") as socket:
-            page = Page(socket)
-            page.start(*pilots, task="hard")
+        with open_page(client) as page:
+            flights = page.start(*pilots, task="hard", reward_profile="composite")
+            assert [flight["opening"]["pilot"] for flight in flights] == [*pilots]
             page.send("play", speed=60)
+            assert page.until("playing")["playing"]
             frames = page.flight()
-        for number, agent in enumerate(pilots.values()):
-            assert names(frames[number]) == directions(flown("hard", agent))
-            assert {frame["q_values"] is not None for frame in frames[number][:-1]} == {True}
-        assert len({tuple(names(frames[number])) for number in range(3)}) == 3
+            assert sorted(page.ended) == [0, 1, 2]
+        stored = {row["agent"]: row["score"] for row in client.get("/episodes").json()["episodes"]}
+    for number, (pilot, agent) in enumerate(pilots.items()):
+        episode = flown("hard", agent, profile="composite")
+        assert names(frames[number]) == directions(episode)
+        assert [frame["reward"] for frame in frames[number]] == episode.rewards
+        assert {frame["q_values"] is not None for frame in frames[number][:-1]} == {True}
+        last = frames[number][-1]
+        assert (last["score"], last["done"], last["efficiency"]) == (episode.score, True, episode.efficiency)
+        assert stored[pilot] == last["score"]
+    assert len({tuple(names(frames[number])) for number in range(2)}) == 2
 
 
 def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settings: dict[str, Any]) -> None:
     (settings["data"] / "easy.safetensors").write_bytes(b"nothing")
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.send("start", task="easy", seed=7, pilots=["greedy", "trained"])
         told = page.until("error")
         assert told["code"] == "no_network"
@@ -78,8 +64,7 @@ def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settin
 
 
 def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         (shown,) = page.start("human", task="medium")
         opening = shown["opening"]
         header = {"X-Session-Id": opening["session"]}
@@ -101,8 +86,7 @@ def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
 
 
 def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.start("random", "human")
         known = page.until("values")
         assert known["flight"] == 0
@@ -145,8 +129,7 @@ def test_a_session_that_another_page_has_flown_is_gone_for_this_one(client: Test
 
 
 def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         first = page.start("greedy", "random")
         second = page.start("optimal")
         for shown in first:
@@ -159,8 +142,7 @@ def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None
 
 def test_pilots_begin_at_the_moment_that_is_asked_for(client: TestClient) -> None:
     whole = directions(flown("easy", "greedy"))
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         by_itself, by_hand = page.start("greedy", "human", step=3)
         assert [frame["action"] for frame in by_itself["frames"]] == [None, *whole[:3]]
         assert len(by_hand["frames"]) == 1

@@ -14,7 +14,7 @@ from drone_env.server.json_routes import SMALL
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.settings import Settings
-from tests.api.live_page import Page
+from tests.api.live_page import Page, open_page
 
 
 @pytest.mark.parametrize(
@@ -33,12 +33,11 @@ from tests.api.live_page import Page
     ],
 )
 def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
-    with shared_client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(shared_client) as page:
         (shown,) = page.start("greedy")
         page.until("values")
-        socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
-        message = json.loads(socket.receive_text())
+        page.socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
+        message = json.loads(page.socket.receive_text())
         assert (message["type"], message["code"]) == ("error", code)
         assert message["detail"]
         page.send("step")
@@ -47,36 +46,17 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestCl
         assert state["step_count"] == 1
 
 
-@pytest.mark.parametrize(("seed", "steps"), [(8, 0), (7, 2)])
-def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        header = {"X-Session-Id": page.start("greedy")[0]["opening"]["session"]}
-        page.until("values")
-        page.send("step")
-        page.until("frames")
-        client.post("/reset", headers=header, json={"seed": seed, "agent": "greedy"})
-        for _ in range(steps):
-            client.post("/step", headers=header, json={"direction": "WAIT"})
-        page.send("step")
-        message = json.loads(socket.receive_text())
-        assert (message["type"], message["code"]) == ("error", "session_gone")
-        assert client.get("/state", headers=header).json()["step_count"] == steps
-
-
 def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
+    with monkeypatch.context() as today, open_page(client) as page:
         today.setattr("drone_env.server.live.episodes.values_along", failing)
-        page = Page(socket)
         (shown,) = page.start("greedy")
-        refused = json.loads(socket.receive_text())
+        refused = json.loads(page.socket.receive_text())
         assert (refused["type"], refused["code"]) == ("error", "internal")
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["value"] is None
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.send("attach", sessions=[shown["opening"]["session"]])
         assert len(page.until("flights")["flights"][0]["frames"]) == 2
         assert len(page.until("values")["values"]) == 2
@@ -90,14 +70,13 @@ def failing(*_: object) -> None:
 def test_what_nobody_foresaw_ends_no_connection(
     client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.start("greedy")
         page.until("values")
         with monkeypatch.context() as today:
             today.setattr(LiveEpisode, "step", lambda _: {}["a fault"])
             page.send("step")
-            message = json.loads(socket.receive_text())
+            message = json.loads(page.socket.receive_text())
             assert (message["type"], message["code"]) == ("error", "internal")
             assert message["detail"] == "the server failed; its log says why"
         assert "KeyError: 'a fault'" in caplog.text
@@ -106,8 +85,7 @@ def test_what_nobody_foresaw_ends_no_connection(
 
 
 def test_news_of_the_server(client: TestClient, settings: dict[str, Any]) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         client.get("/health")
         page.send("subscribe", topics=["requests", "training", "episodes"])
         assert [request["path"] for request in page.until("requests")["requests"]] == ["/health"]

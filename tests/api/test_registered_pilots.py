@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from drone_env.agents import AGENTS, GreedyAgent
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.server.pilots import all_pilots
-from tests.api.live_page import Page
+from tests.api.live_page import open_page
 
 
 @pytest.fixture
@@ -30,15 +30,14 @@ def test_a_registered_agent_flies_on_the_page(client: TestClient) -> None:
         "automatic": True,
         "tasks": [task.id for task in TASKS.values() if not task.pads],
     }
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
+    with open_page(client) as page:
         page.start("homebrew", "greedy")
         page.send("play", speed=60)
         frames = page.flight()
         mine, greedy = ([frame["action"] for frame in frames[flight]] for flight in (0, 1))
         assert mine == greedy
         page.send("start", task="skyline_easy", seed=7, pilots=["homebrew"])
-        assert "it does not know pads" in socket.receive_text()
+        assert "it does not know pads" in page.socket.receive_text()
     assert client.get("/preview.png?task=easy&seed=7&pilot=homebrew").status_code == 200
 
 

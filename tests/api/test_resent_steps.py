@@ -58,7 +58,7 @@ def test_a_step_that_follows_another_one_is_refused_and_changes_nothing(
     step(client, session, "UP", 0)
     answer = step(client, session, direction, after)
     assert (answer.status_code, answer.json()["code"]) == (409, "wrong_moment")
-    assert f"to follow step {after}, and the session has flown 1 steps" in answer.json()["detail"]
+    assert f"X-Step-Count is {after}, but the session has flown 1 steps" in answer.json()["detail"]
     assert client.get("/state", headers=session).json()["step_count"] == 1
 
 
@@ -92,7 +92,7 @@ def test_a_client_whose_session_another_has_stepped_is_told(client: TestClient) 
     owner.reset("hard", seed=7)
     other.session_id = owner.session_id
     assert [other.step("WAIT")["step_count"] for _ in range(2)] == [1, 2]
-    with pytest.raises(ServerError, match="to follow step 0, and the session has flown 2"):
+    with pytest.raises(ServerError, match="X-Step-Count is 0, but the session has flown 2"):
         owner.step("UP")
     assert owner.state()["step_count"] == 2
     assert owner.step("UP")["step_count"] == 3

@@ -18,9 +18,10 @@ from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.json_routes import SMALL
+from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
-from tests.cluster.sessions import openenv_result
+from tests.cluster.sessions import openenv_result, socket_result
 
 
 def ask(socket: WebSocketTestSession, frame: Any) -> Any:
@@ -39,7 +40,24 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
         ({"type": "reset", "data": {"colour": "red"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"task_name": "none"}}, "VALIDATION_ERROR"),
         ({"type": "step"}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": {"UP": 1}}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": "UP UP SIDEWAYS"}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": []}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": ["UP"] * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": "UP " * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": ["UP", True]}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": ["UP", 5]}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": ["UP", -1]}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": ["UP", 1.0]}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": "UP", "direction": "UP"}}, "VALIDATION_ERROR"),
+        ('{"type": "step", "data": %s}' % ("9" * 4000), "VALIDATION_ERROR"),
+        ('{"type": "step", "data": NaN}', "INVALID_JSON"),
+        ({"type": "step", "data": None}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": ""}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": "<think>" * 900}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"prompt": "none"}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"prompt": "../prompts/minimal-2.toml"}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"prompt": 1}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
         ({"type": ["step"]}, "UNKNOWN_TYPE"),
         ({"data": {}}, "UNKNOWN_TYPE"),
@@ -134,7 +152,7 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind
 def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_again(
     client: TestClient, settings: dict[str, Any]
 ) -> None:
-    episode = Episode("easy", "tiered")
+    episode = Episode("easy", OPENENV_PROFILE)
     episode.reset(7)
     *flight, last = [action.name for action in solve("easy", 7).actions]
     with client.websocket_connect("/ws") as socket, sqlite3.connect(settings["data"] / FILE_NAME) as disk:
@@ -152,13 +170,48 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
         disk.commit()
         answer = ask(socket, {"type": "step", "data": {"direction": last}})
         rewards = [episode.step(action) for action in solve("easy", 7).actions]
-        assert answer["data"] == openenv_result(observation_fields(episode), rewards[-1])
+        assert answer["data"] == socket_result(observation_fields(episode), rewards[-1], 1, OPENENV_PROFILE)
         (kept,) = client.get("/memory_logs").json()["episodes"]
         assert kept["reward_total"] == episode.reward_total
         # Kept, it is over: one more step is none.
         assert ask(socket, {"type": "step", "data": {"direction": last}})["data"]["reward"] == 0
     disk.close()
     assert client.get("/analyse/easy").json()["episodes_total"] == 1
+
+
+@pytest.mark.parametrize(
+    "action", ["UP up WAIT", "[UP, UP, WAIT]", 0, {"direction": 0}, {"route": ["UP", 0, 4]}, {"message": "UP UP WAIT"}]
+)
+def test_an_action_is_a_number_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
+    episode = Episode("easy", "tiered", 7)
+    rewards = [episode.step(one) for one in ([0] if action in (0, {"direction": 0}) else [0, 0, 4])]
+    with shared_client.websocket_connect("/ws") as socket:
+        ask(socket, {"type": "reset", "data": {"seed": 7, "reward_profile": "tiered"}})
+        answer = ask(socket, {"type": "step", "data": action})
+    expected = socket_result(observation_fields(episode), sum(rewards), len(rewards), "tiered")
+    assert answer["data"] == json.loads(to_json(expected))
+
+
+def test_a_route_that_goes_on_after_the_end_is_flown_to_the_end(shared_client: TestClient) -> None:
+    best = solve("easy", 7)
+    route = {"type": "step", "data": {"route": [*best.actions, 4, 4]}}
+    with shared_client.websocket_connect("/ws") as socket:
+        assert ask(socket, {"type": "reset", "data": {"seed": 7}})["data"]["metadata"] == {"reward_profile": "score"}
+        answer = ask(socket, route)["data"]
+        assert (answer["done"], answer["reward"], answer["metadata"]["flown"]) == (True, best.score, best.steps)
+        again = ask(socket, route)["data"]
+        assert (again["done"], again["reward"], again["metadata"]["flown"]) == (True, 0, 0)
+        assert "the episode has ended" in again["observation"]["message"]
+
+
+@pytest.mark.parametrize("task", ["easy", "hard", "skyline_hard"])
+def test_the_sum_of_the_rewards_is_the_score(shared_client: TestClient, task: str) -> None:
+    best = solve(task, 7)
+    with shared_client.websocket_connect("/ws") as socket:
+        for actions, score in (([4] * 160, 0.01), (best.actions, best.score)):
+            ask(socket, {"type": "reset", "data": {"task_name": task, "seed": 7}})
+            answers = [ask(socket, {"type": "step", "data": int(action)})["data"] for action in actions]
+            assert sum(answer["reward"] for answer in answers) == answers[-1]["observation"]["score"] == score
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown, put_evaluation
+from tests.browser.stage import show
 from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
 from tests.llm.stored_run import put_run
 from tests.tools import missing_tool
@@ -53,10 +54,9 @@ def server(data: Path) -> Generator[Server, None, None]:
 
 
 @pytest.fixture(scope="package")
-def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
+def shared(browser: Browser, server: Server) -> Tabs:
     """The tabs of `page`; a test names the complaints that it causes itself."""
-    with Tabs(browser, server.url) as opened:
-        yield opened
+    return Tabs(browser, server.url)
 
 
 @pytest.fixture(scope="package")
@@ -71,11 +71,12 @@ def loaded(shared: Tabs) -> Page:
 @contextmanager
 def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
     """A page that other tests have used: loading one takes longer than most tests."""
-    tabs.forget()
+    tabs.unexpected()  # what came too late for the test before
     page.evaluate(
         "localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close());"
         "document.querySelectorAll('.telemetry[open]').forEach(one => { one.open = false; })"
     )
+    show(page, "/?view=learn")
     yield page
     assert tabs.unexpected() == []
 

@@ -8,7 +8,7 @@ from typing import Any
 from drone_env.agents import make_agent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.files import EVALUATIONS
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
 from drone_env.results.folder import ResultsFolder
@@ -28,7 +28,7 @@ def flown(task: str, seed: int, agent: str, label: str | None = None, profile: s
     return record_of(episode, label or agent)
 
 
-def by_hand(task: str, seed: int, actions: Iterable[Action]) -> Episode:
+def by_hand(task: str | TaskConfig, seed: int, actions: Iterable[Action]) -> Episode:
     """A flight of these actions."""
     episode = Episode(task, "tiered", seed)
     for action in actions:

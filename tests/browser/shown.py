@@ -70,13 +70,6 @@ def changed(page: Page, before: list[str]) -> list[int]:
     return [place for place, (now, then) in enumerate(zip(pictures(page), before, strict=True)) if now != then]
 
 
-def offset(page: Page) -> list[float]:
-    """How far the city has been moved, in pixels."""
-    pictures(page)  # drawn
-    transform = page.locator("#boards .map-ground").evaluate("canvas => canvas.style.transform")
-    return [float(number) for number in re.findall(r"-?[0-9.]+", transform)]
-
-
 def painted(canvas: Locator, *names: str, across: float | None = None) -> list[str]:
     """Those of some colours of the style sheet that a canvas shows, or one column of its pixels does."""
     return canvas.evaluate(

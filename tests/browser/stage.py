@@ -5,29 +5,15 @@ from collections.abc import Callable
 
 from playwright.sync_api import Locator, Page, expect
 
-from drone_env.results.record import EpisodeRecord
 from tests.browser.tabs import PATIENCE_MS
 
 FASTEST = "60"
 """Steps per second, the last choice."""
-SIGNS = {
-    "Fly": "#boards .map",
-    "Compare": "#view-compare tbody tr",
-    "Learn": ".lesson",
-    "API": "#log-requests li",
-}
-"""An element of each view that is visible once the view is complete."""
 
 
 def view(page: Page, name: str) -> None:
     """Open a view by its link in the navigation."""
     page.get_by_role("navigation", name="Views").get_by_role("link", name=name, exact=True).click()
-
-
-def whole_view(page: Page, name: str) -> None:
-    """Open a view and wait until it is complete."""
-    view(page, name)
-    expect(page.locator(SIGNS[name]).first).to_be_visible()
 
 
 def show(page: Page, path: str) -> None:
@@ -63,14 +49,6 @@ def standings(page: Page) -> Locator:
 def open_file(page: Page, name: str, text: str, field: str = "#flight-file") -> None:
     """Choose a file in a field of the page."""
     page.locator(field).set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
-
-
-def opened(page: Page, record: EpisodeRecord) -> None:
-    """Open a record in Fly, and wait until the page shows it."""
-    open_file(page, "flight.json", record.to_json(2))
-    expect(page.locator(".strip")).to_contain_text(f"{record.agent}: ")
-    expect(map_number(page)).to_have_value(str(record.seed))
-    expect(slider(page)).to_have_attribute("max", str(len(record.actions)))
 
 
 def over(page: Page, seed: int, path: str) -> None:
@@ -120,11 +98,3 @@ def pilot(page: Page, name: str) -> Locator:
 def along(page: Page, name: str) -> Locator:
     """The box that makes a pilot fly along."""
     return page.get_by_role("checkbox", name=f"Add {name}", exact=True)
-
-
-def copied(page: Page, button: str, says: str) -> str:
-    """What a button copies to the clipboard."""
-    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-    page.get_by_role("button", name=button).click()
-    expect(page.locator("#toasts")).to_contain_text(says)
-    return page.evaluate("navigator.clipboard.readText()")

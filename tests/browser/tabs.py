@@ -6,8 +6,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Response, sync_playwright
-from typing_extensions import Self
+from playwright.sync_api import Browser, ConsoleMessage, Page, Response, sync_playwright
 
 WIDE = {"width": 1440, "height": 900}
 SMALL = {"width": 1120, "height": 700}
@@ -50,15 +49,7 @@ class Tabs:
         self.browser = browser
         self.url = url
         self.complaints: list[str] = []
-        self._expected: list[re.Pattern[str]] = []
-        self._contexts: list[BrowserContext] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for context in self._contexts:
-            context.close()
+        self.expected: list[str] = []
 
     def open(self, path: str = "", beside: Page | None = None, **options: Any) -> Page:
         """A page in a fresh context, or in that of another page; it opens `path`, if there is one."""
@@ -68,7 +59,6 @@ class Tabs:
             usual = {"viewport": SMALL, "color_scheme": "dark", "reduced_motion": "no-preference"}
             context = self.browser.new_context(base_url=self.url, **{**usual, **options})
             context.set_default_timeout(PATIENCE_MS)
-            self._contexts.append(context)
         page = context.new_page()
         page.on("console", self._on_console)
         page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
@@ -79,16 +69,14 @@ class Tabs:
 
     def expect(self, pattern: str) -> None:
         """Complaints that match are what the test causes itself."""
-        self._expected.append(re.compile(pattern))
-
-    def forget(self) -> None:
-        """Start again, for another test."""
-        self.complaints.clear()
-        self._expected.clear()
+        self.expected.append(pattern)
 
     def unexpected(self) -> list[str]:
-        """The complaints that no test expects."""
-        return [text for text in self.complaints if not any(known.search(text) for known in self._expected)]
+        """The complaints since the last call that no test expects."""
+        found = [text for text in self.complaints if not any(re.search(known, text) for known in self.expected)]
+        self.complaints.clear()
+        self.expected.clear()
+        return found
 
     def _on_console(self, message: ConsoleMessage) -> None:
         if message.type in ("error", "warning"):

@@ -9,11 +9,8 @@ from drone_env.results.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown, get
-from tests.browser.shown import fixed, percent, points
+from tests.browser.shown import fixed, points
 from tests.browser.stage import press, view
-
-LISTED = 57
-"""More flights than one page lists."""
 
 
 def compare(page: Page, task: str = "easy") -> None:
@@ -27,23 +24,16 @@ def rows(page: Page, region: str) -> Locator:
     return page.get_by_role("region", name=region).locator("> table > tbody > tr")
 
 
-def listed(page: Page) -> list[str]:
-    """The ids of the listed flights."""
-    return page.locator("[data-episode]").evaluate_all("all => all.map(one => one.dataset.episode)")
-
-
 def test_the_leaderboard_opens_down_to_a_flight_and_the_address_says_what_is_open(page: Page, server: Server) -> None:
     compare(page)
     board = get(server, "leaderboard/easy")["rows"]
     lines = rows(page, "Leaderboard")
     expect(lines).to_contain_text([row["name"] for row in board])
-    by_agent = {row["agent"]: row for row in board}
-    low, high = by_agent["greedy"]["score_ci95"]
-    score = points(by_agent["greedy"]["score"])
-    expect(lines.filter(has_text="Greedy")).to_contain_text(f"{score} ± {points((high - low) / 2)}")
-    # The whiskers end where the interval ends.
-    low, high = by_agent["random"]["score_ci95"]
+    chances = next(row for row in board if row["agent"] == "random")
+    low, high = chances["score_ci95"]
     line = lines.filter(has_text="Random")
+    expect(line).to_contain_text(f"{points(chances['score'])} ± {points((high - low) / 2)}")
+    # The whiskers end where the interval ends.
     bar, whiskers = line.locator(".bar").bounding_box(), line.locator(".bar b").bounding_box()
     assert bar
     assert whiskers
@@ -55,12 +45,12 @@ def test_the_leaderboard_opens_down_to_a_flight_and_the_address_says_what_is_ope
     page.reload()
     expect(chance).to_have_attribute("aria-expanded", "true")
     maps = get(server, "leaderboard/easy/maps", agent="random")["maps"]
-    worst = max(maps, key=lambda one: (one["optimum"] - one["score"], -one["seed"]))
     inner = rows(page, "Maps of Random")
     expect(inner).to_have_count(len(maps))
-    expect(inner.first.locator("td").first).to_have_text(str(worst["seed"]))
-    press(page, f"Open the flight of Random over map {worst['seed']}")
-    expect(page).to_have_url(f"{server.url}/?episode={worst['id']}")
+    first = max(maps, key=lambda one: (one["optimum"] - one["score"], -one["seed"]))
+    expect(inner.first.locator("td").first).to_have_text(str(first["seed"]))
+    press(page, f"Open the flight of Random over map {first['seed']}")
+    expect(page).to_have_url(f"{server.url}/?episode={first['id']}")
     page.go_back()
     expect(chance).to_have_attribute("aria-expanded", "true")
     # With the keyboard: the button keeps the focus.
@@ -80,8 +70,7 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     pairing = get(server, "paired/easy", a="random", b="greedy")
     facts = page.locator("dl.paired")
     expect(facts).to_contain_text(" to ".join(fixed(bound * 100, 1) for bound in pairing["ci95"]))
-    counts = [str(pairing[name]) for name in ("maps", "wins", "ties", "losses")]
-    expect(facts.locator("dd")).to_contain_text([fixed(pairing["difference"] * 100, 1), *counts])
+    expect(facts.locator("dd").nth(2)).to_have_text(str(pairing["wins"]))
     first = max(pairing["pairs"], key=lambda pair: (abs(pair["difference"]), -pair["seed"]))
     expect(rows(page, "Random against Greedy").first.locator("td").first).to_have_text(str(first["seed"]))
     press(page, f"Fly both over map {first['seed']}")
@@ -98,12 +87,11 @@ def test_runs_of_models_and_trainings(page: Page, server: Server, data: Path) ->
     # The line runs from the least value at the first episode to the greatest at the last.
     expect(chart.locator("path")).to_have_attribute("d", re.compile(r"^M[0-9.]+ 100L100 0h0$"))
     (board,) = get(server, "leaderboard/easy/runs")["boards"]
-    run, other = board["rows"]
-    line = rows(page, "Runs over maps 14 to 15 (custom)")
-    expect(line).to_have_count(2)
-    for text in (run["agent"], run["prompt"], points(run["score"]), points(run["regret"]), f"{run['tokens']:,}"):
-        expect(line.first).to_contain_text(text)
-    expect(line.last).to_contain_text(percent(other["success_rate"]))
+    run = board["rows"][0]
+    lines = rows(page, "Runs over maps 14 to 15 (custom)")
+    expect(lines).to_have_count(2)
+    for text in (run["agent"], run["prompt"], points(run["score"]), f"{run['tokens']:,}"):
+        expect(lines.first).to_contain_text(text)
     page.get_by_text("Maps of scripted, run").click()
     press(page, "Open the flight of scripted over map 15")
     expect(page).to_have_url(f"{server.url}/?episode={run['maps'][1]['id']}")
@@ -111,17 +99,15 @@ def test_runs_of_models_and_trainings(page: Page, server: Server, data: Path) ->
 
 def test_the_flights_of_one_pilot_are_listed_in_pages(page: Page, server: Server) -> None:
     # By a pilot that flies in no other test: the store is shared.
-    new = fill(server.data, [flown("easy", seed, "random", label="listed") for seed in range(LISTED)])[::-1]
+    new = fill(server.data, [flown("easy", seed, "random", label="listed") for seed in range(57)])[::-1]
     compare(page)
     flights = page.locator("[data-episode]")
     page.get_by_role("combobox", name="Pilot").select_option("listed")
-    expect(flights).to_have_count(50)
-    assert listed(page) == new[:50]
-    press(page, "Older")
-    expect(flights).to_have_count(LISTED - 50)
-    assert listed(page) == new[50:]
-    press(page, "Newer")
-    expect(flights).to_have_count(50)
+    for button, listed in ((None, new[:50]), ("Older", new[50:]), ("Newer", new[:50])):
+        if button:
+            press(page, button)
+        expect(flights).to_have_count(len(listed))
+        assert flights.evaluate_all("all => all.map(one => one.dataset.episode)") == listed
 
 
 def test_a_flight_that_ends_elsewhere_appears_by_itself(page: Page, server: Server) -> None:

@@ -12,36 +12,29 @@ from tests.browser.tabs import Tabs
 
 
 def drag(page: Page, *cells: tuple[int, int]) -> None:
-    """Press on the first cell, which is given as seen from the cursor, and move over the others."""
-    cursor = page.locator(".draw-cursor").bounding_box()
-    assert cursor
+    """Press on the first cell and move over the others."""
+    page.locator("#drawing").press("ArrowUp")  # shows the cursor in the corner
+    corner = page.locator(".draw-cursor").bounding_box()
+    assert corner
     for i, (x, y) in enumerate(cells):
-        page.mouse.move(cursor["x"] + (x + 0.5) * cursor["width"], cursor["y"] + (y + 0.5) * cursor["height"])
+        page.mouse.move(corner["x"] + (x + 0.5) * corner["width"], corner["y"] + (y + 0.5) * corner["height"])
         if i == 0:
             page.mouse.down()
     page.mouse.up()
-
-
-def drag_from_corner(page: Page, *cells: tuple[int, int]) -> None:
-    """The same from the corner of a map of at most 14 by 12 cells."""
-    page.locator("#drawing").focus()
-    for key in ("ArrowUp",) * 12 + ("ArrowLeft",) * 14:
-        page.keyboard.press(key)
-    drag(page, *cells)
 
 
 def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs, tmp_path: Path) -> None:
     show(page, "/?view=draw")
     note, score = page.locator("#map-note"), page.locator("#map-optimum")
     expect(note).to_have_text("The parcel in 22 steps")
-    drag_from_corner(page, (11, 11), (5, 0))
+    drag(page, (11, 11), (5, 0))
     expect(note).to_have_text("The parcel in 5 steps")
     page.get_by_role("group", name="Paint").get_by_text("Obstacle").click()
-    drag_from_corner(page, (2, 0), (2, 3))
+    drag(page, (2, 0), (2, 3))
     expect(note).to_have_text("The parcel in 13 steps")
     press(page, "Undo")
     expect(note).to_have_text("The parcel in 5 steps")
-    drag_from_corner(page, (2, 0), (2, 3))
+    drag(page, (2, 0), (2, 3))
     expect(note).to_have_text("The parcel in 13 steps")
     # With the keyboard: a second parcel below the wall. It costs no step.
     page.locator("#drawing").focus()
@@ -62,7 +55,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     assert (task.battery_capacity, len(best.actions), points(best.score)) == (14, 13, shown)
     shared.expect("422|404")
     page.get_by_role("group", name="Paint").get_by_text("Obstacle").click()
-    drag_from_corner(page, (2, 3), (2, 11))
+    drag(page, (2, 3), (2, 11))
     page.reload()
     problem = page.locator("#view-draw").get_by_role("alert")
     expect(problem).to_contain_text("cannot be reached from start")

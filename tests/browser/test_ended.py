@@ -7,11 +7,32 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
-from drone_env.results.record import EpisodeRecord, parse_record, record_of
+from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import by_hand, flown, frames, get, newest, posted
-from tests.browser.shown import expect_flying, expect_frame, expect_step, fixed, percent, points
-from tests.browser.stage import ended, fly, map_number, open_file, opened, over, press, show, slider
+from tests.browser.flights import by_hand, flown, frames, get, posted
+from tests.browser.shown import (
+    expect_flying,
+    expect_frame,
+    expect_step,
+    fixed,
+    painted,
+    percent,
+    pictures,
+    points,
+)
+from tests.browser.stage import (
+    at_its_end,
+    ended,
+    fly,
+    map_number,
+    moves,
+    open_file,
+    over,
+    press,
+    show,
+    slider,
+    view,
+)
 from tests.browser.tabs import Tabs
 
 
@@ -25,11 +46,13 @@ def expect_efficiency(page: Page, done: float, left: float) -> None:
 
 @pytest.mark.feature("D2")
 @pytest.mark.feature("D5")
-def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(page: Page, server: Server) -> None:
+def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the_graph(
+    page: Page, server: Server
+) -> None:
     # Chance delivers on this map, but late: it loses points.
     record = flown("easy", 82, "random")
     flight, annotation = frames(server, record), posted(server, "annotate", record)
-    steps = len(record.actions)
+    last = len(flight) - 1
     over(page, 82, "/?task=easy&seed=82&pilot=random")
     fly(page)
     strip = ended(page)
@@ -37,33 +60,57 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(pag
     expect(strip.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
     expect(strip).to_contain_text(
         f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcels, "
-        f"{steps} steps, a best flight takes {annotation['optimal_steps']}."
+        f"{last} steps, a best flight takes {annotation['optimal_steps']}."
     )
     expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
-    left = 1 - steps / 60  # of the battery and of the steps: both are 60
+    expect_efficiency(page, 1, 1 - last / 60)  # both the battery and the steps are 60
     analysis = get(server, "analyse/easy")
     trend = analysis["success_trend"] * 100
     counted = strip.locator(".strip-analysis")
-    expect(counted).to_contain_text("of Easy here, on average: score")
     expect(counted).to_contain_text(f"reward {fixed(analysis['average_reward'])}, ")
     expect(counted).to_contain_text(
         f"success {percent(analysis['success_rate'])} (trend {'+' * (trend >= 0)}{fixed(trend, 0)} points)"
     )
     for action, share in analysis["action_distribution"].items():
         expect(counted).to_contain_text(f"{action} {percent(share)}")
-    expect_efficiency(page, 1, left)
-    worst = max(annotation["moves"], key=lambda move: move["regret"])
+    move = max(annotation["moves"], key=lambda move: move["regret"])
+    worst, possible = move["step"], annotation["moves"][move["step"]]["value"]
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
-    expect(seen).to_have_text(f"Worst move: step {worst['step']}, {worst['action']}, lost {points(worst['regret'])}")
+    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}")
     seen.click()
-    expect_frame(page, flight[worst["step"]], 60)
+    expect_frame(page, flight[worst], 60)
+    expect(page.locator("#possible")).to_have_text(points(possible))
+    expect(page.locator("#lost")).to_have_text(points(annotation["optimal_score"] - possible))
+    lost = f"{move['label']}: lost {points(move['regret'])}. {points(possible)} still possible."
+    expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
+    # The graph leads to each moment.
+    page.keyboard.press("Home")
+    bounds = slider(page).bounding_box()
+    assert bounds
+    page.mouse.click(bounds["x"] + bounds["width"] * worst / last, bounds["y"] + bounds["height"] / 2)
+    expect_frame(page, flight[worst], 60)
+    # The keys of the page still work after a click on a move, which has the focus.
+    page.keyboard.press("Home")
+    moves(page).nth(worst - 1).click()
+    expect(moves(page).nth(worst - 1)).to_have_attribute("aria-current", "step")
+    expect_frame(page, flight[worst], 60)
+    lost = f"Lost {points(move['regret'], 2)}. Best move: {' or '.join(move['best_actions'])}."
+    expect(page.locator("#move-detail")).to_contain_text(lost)
+    page.keyboard.press("ArrowRight")  # the line of the moment lies beside the mark
+    expect_frame(page, flight[worst + 1], 60)
+    pictures(page)  # drawn
+    graph = page.locator(".timeline-graph")
+    marked = {at for at in range(1, last) if painted(graph, "--bad", "--warn", "--accent", across=at / last)}
+    assert marked == {one["step"] for one in annotation["moves"] if one["label"] not in ("best", "good")} - {last}
+    assert painted(graph, "--map-box", across=1), "where the parcel is delivered"
     # The visitor flies on from before it.
     strip.get_by_role("button", name="Try from step").click()
-    expect(page).to_have_url(re.compile(f"fork={worst['step'] - 1}&of=random"))
+    expect(page).to_have_url(re.compile(f"fork={worst - 1}&of=random"))
 
 
 @pytest.mark.feature("D2")
-def test_failure_says_why_and_no_dialog_opens(page: Page) -> None:
+@pytest.mark.feature("D3")
+def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard_to_easy(page: Page) -> None:
     over(page, 0, "/?task=easy&seed=0&pilots=random,optimal")
     fly(page)
     strip = ended(page)
@@ -74,44 +121,18 @@ def test_failure_says_why_and_no_dialog_opens(page: Page) -> None:
     # With several flights, the strip is about the one that is selected.
     page.keyboard.press("2")
     expect(strip.get_by_role("heading", name="Optimal: All parcels delivered.")).to_be_visible()
-
-
-@pytest.mark.feature("D3")
-def test_from_easy_to_medium_to_hard_to_easy(page: Page) -> None:
-    over(page, 14, "/?task=easy&seed=14&pilot=optimal")
-    for name, after, steps in (("Easy", "Medium", 60), ("Medium", "Hard", 100), ("Hard", "Easy", 160)):
-        expect_step(page, 0, steps)
-        expect(page.get_by_role("radio", name=name, exact=True)).to_be_checked()
-        fly(page)
+    for after, steps in (("Medium", 100), ("Hard", 160), ("Easy", 60)):
         ended(page).get_by_role("button", name=f"Next: {after}").click()
-    expect_step(page, 0, 60)
+        expect_step(page, 0, steps)
+        expect(page.get_by_role("radio", name=after, exact=True)).to_be_checked()
+        at_its_end(page, 0, f"/?task={after.lower()}&seed=0&pilot=optimal")
     expect_flying(page, "Optimal")
-
-
-@pytest.fixture
-def record() -> EpisodeRecord:
-    return flown("easy", 21, "random", label="me")
-
-
-def test_a_stored_flight_opens_from_its_link_with_slider_and_steps(page: Page, server: Server) -> None:
-    episode = newest(server, 3, "medium")
-    record = parse_record(server.client.get(f"/episodes/{episode['id']}").content, "it")
-    flight, last = frames(server, record), episode["steps"]
-    over(page, record.seed, f"/?episode={episode['id']}")
-    for button, step in (("Step", 1), ("Last step", last), ("Step back", last - 1), ("First step", 0)):
-        press(page, button)
-        expect_frame(page, flight[step], 100)
-    slider(page).fill("3")
-    expect_frame(page, flight[3], 100)
-    expect(page.locator(".strip")).to_contain_text(f"Greedy: All parcels delivered. Score {points(episode['score'])}")
-    expect(page.get_by_role("radio", name="Medium", exact=True)).to_be_checked()
-    here = f"{server.url}/?episode={episode['id']}&step=3"
-    expect(page).to_have_url(here)
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
     flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal")]
     choice = page.get_by_role("combobox", name="Flight of the file")
+    view(page, "Fly")
     open_file(page, "flights.jsonl", "".join(flight.to_json() + "\n" for flight in flights))
     expect(choice.locator("option")).to_have_text(
         ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Optimal"]
@@ -120,21 +141,10 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         choice.select_option(index=index)
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
-    opened(page, record_of(by_hand("easy", 5, [Action.UP]), "me"))
+    open_file(page, "flight.json", record_of(by_hand("easy", 5, [Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight. This flight is not finished")
     page.keyboard.press("End")
     expect_step(page, 1, 60, "UP")
-
-
-def test_a_flight_of_the_past_lends_its_map_to_what_is_flown_next(page: Page, record: EpisodeRecord) -> None:
-    show(page, "/?task=hard&seed=7&pilot=greedy")
-    expect_step(page, 0, 160)
-    opened(page, record)
-    press(page, "Greedy")
-    expect(page.locator(".strip")).to_be_hidden()
-    expect(page.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
-    expect_step(page, 0, 60)
-    expect(map_number(page)).to_have_value("21")
 
 
 def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(page: Page, server: Server) -> None:
@@ -153,11 +163,14 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
         expect(answer).to_contain_text(call["answer"])
 
 
-def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: EpisodeRecord) -> None:
+def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_flown_next(
+    page: Page, shared: Tabs
+) -> None:
     shared.expect("422")
+    record = flown("easy", 21, "random", label="me")
     problem = page.locator("#view-fly").get_by_role("alert")
     forged = json.loads(record.to_json()) | {"score": 0.99}
-    over(page, 7, "/?task=easy&seed=7&pilot=greedy")
+    over(page, 7, "/?task=hard&seed=7&pilot=greedy")
     for name, text, says in (
         ("notes.txt", "hello", "must end in .json or .jsonl"),
         ("empty.json", " ", "is empty"),
@@ -168,5 +181,11 @@ def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: Episod
         expect(problem).to_contain_text(says)
     # The flight before is still shown.
     expect(map_number(page)).to_have_value("7")
-    opened(page, record)
+    open_file(page, "flight.json", record.to_json(2))
+    expect(page.locator(".strip")).to_contain_text("me: ")
     expect(problem).to_be_hidden()
+    press(page, "Greedy")
+    expect(page.locator(".strip")).to_be_hidden()
+    expect(page.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
+    expect_step(page, 0, 60)
+    expect(map_number(page)).to_have_value("21")

@@ -4,7 +4,7 @@ import json
 
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
-from tests.browser.shown import changed, expect_step, offset, painted, pictures, points
+from tests.browser.shown import changed, expect_step, painted, pictures, points
 from tests.browser.stage import ended, fly, press, show, until
 
 GROUND, CELLS, AIR = range(3)
@@ -83,11 +83,38 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         box(page, "Best flight").check()
 
 
-def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
-    ranges, thoughts = box(page, "Battery range"), box(page, "Network values")
-    show(page, "/?task=easy&seed=7&pilot=greedy")
+CONTRIBUTORS = "© OpenStreetMap contributors"
+FIELD = "#boards .map-ground"
+JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
+
+
+def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page: Page) -> None:
+    credit = page.get_by_role("link", name=CONTRIBUTORS)
+    farther, nearer = (page.get_by_role("button", name=name) for name in ("Zoom out", "Zoom in"))
+    show(page, "/?task=city&seed=7&pilots=greedy")
+    expect(credit).to_have_attribute("href", "https://www.openstreetmap.org/copyright")
+    assert painted(page.locator(FIELD), *JOINED) == list(JOINED)
+    for _ in range(3):
+        nearer.click()
+    shift = page.locator(FIELD)
+    before = shift.bounding_box()
+    page.keyboard.press("Shift+ArrowRight")
+    pictures(page)  # drawn
+    after = shift.bounding_box()
+    assert before
+    assert after
+    assert after["x"] < before["x"]
+    assert after["y"] == before["y"]
+    expect(page.get_by_role("button", name="Follow the drone")).to_be_visible()
+    # A person starts nearby; a map of the standard tasks has no blocks and nothing around it.
+    show(page, "/?task=city&seed=7&pilots=human")
+    expect(farther).to_be_enabled()
+    show(page, "/?task=easy&seed=7&pilots=greedy")
     expect_step(page, 0, 60)
+    expect(credit).to_be_hidden()
+    assert painted(page.locator(FIELD), *JOINED) == []
     # These maps have no pads.
+    ranges, thoughts = box(page, "Battery range"), box(page, "Network values")
     expect(ranges).to_be_hidden()
     expect(thoughts).to_be_checked()
     columns = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
@@ -98,31 +125,3 @@ def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
     expect(columns).to_have_text(["Move", "Still possible", "Loss"])
     expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
     expect(ranges).to_be_visible()
-
-
-CONTRIBUTORS = "© OpenStreetMap contributors"
-FIELD = "#boards .map-ground"
-JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
-
-
-def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_shows(page: Page) -> None:
-    credit = page.get_by_role("link", name=CONTRIBUTORS)
-    farther, nearer = (page.get_by_role("button", name=name) for name in ("Zoom out", "Zoom in"))
-    show(page, "/?task=city&seed=7&pilots=greedy")
-    expect(credit).to_have_attribute("href", "https://www.openstreetmap.org/copyright")
-    assert painted(page.locator(FIELD), *JOINED) == list(JOINED)
-    for _ in range(3):
-        nearer.click()
-    before = offset(page)
-    page.keyboard.press("Shift+ArrowRight")
-    moved = offset(page)
-    assert moved[0] < before[0]
-    assert moved[1] == before[1]
-    expect(page.get_by_role("button", name="Follow the drone")).to_be_visible()
-    # A person starts nearby; a map of the standard tasks has no blocks and nothing around it.
-    show(page, "/?task=city&seed=7&pilots=human")
-    expect(farther).to_be_enabled()
-    show(page, "/?task=easy&seed=7&pilots=greedy")
-    expect_step(page, 0, 60)
-    expect(credit).to_be_hidden()
-    assert painted(page.locator(FIELD), *JOINED) == []

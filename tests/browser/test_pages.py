@@ -1,23 +1,20 @@
 """Learn and API: the tutorial, the specifications, the snippets and the logs, true and as the server states them."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
-from tests.browser.flights import flown, get
+from tests.browser.flights import by_hand, flown, get
 from tests.browser.shown import expect_step, fixed, points
 from tests.browser.stage import at_speed, fly, press, view
 from tests.browser.test_several import KEYS
@@ -28,7 +25,6 @@ PADS = ("skyline_easy", 84)
 
 
 def test_what_the_lessons_say_of_their_maps_is_true(page: Page) -> None:
-    view(page, "Learn")
     cards = page.locator(".lesson p")
     expect(cards).to_have_count(3)
     alone, blunder, pads = cards.all_inner_texts()
@@ -37,31 +33,23 @@ def test_what_the_lessons_say_of_their_maps_is_true(page: Page) -> None:
     worst = max(lost.moves, key=lambda move: move.regret)
     assert (worst.label, worst.regret, worst.best_actions) == ("blunder", lost.regret, (Action.WAIT,))
     assert f"optimum of this map is {points(lost.optimum)}; Greedy scores {points(lost.score)}," in blunder
-    task = get_task(PADS[0])
-    assert f"holds {task.battery_capacity} units" in pads
-    without = Episode(replace(task, charge_rate=0), "tiered", PADS[1])
-    for action in solve(without.task, PADS[1]).actions:
-        without.step(action)
-    assert (without.deliveries_done, task.deliveries) == (2, 3)
+    assert f"holds {get_task(PADS[0]).battery_capacity} units" in pads
+    without = replace(get_task(PADS[0]), charge_rate=0)
+    assert by_hand(without, PADS[1], solve(without, PADS[1]).actions).deliveries_done == 2
     assert "more than two of the three parcels" in pads
 
 
 def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page: Page) -> None:
     bar = page.get_by_role("region", name="Lesson")
     reached = bar.locator("[data-reached=yes]")
-
-    def press_keys(actions: Sequence[Action]) -> None:
-        for action in actions:
-            page.keyboard.press(KEYS[DIRECTIONS[action]])
-
-    view(page, "Learn")
     page.get_by_role("link", name="Begin: Fly yourself").click()
     expect(page).to_have_url(re.compile(r"/\?task=easy&seed=18&pilot=human&lesson=1$"))
     expect_step(page, 0, 60)
     best = solve(*ALONE).actions
-    press_keys(best[:1])
+    page.keyboard.press(KEYS[DIRECTIONS[best[0]]])
     expect(reached).to_have_text(["Reached: Make a move"])
-    press_keys(best[1:])
+    for action in best[1:]:
+        page.keyboard.press(KEYS[DIRECTIONS[action]])
     expect(reached).to_have_count(3)
     # Another map is no part of the lesson.
     page.keyboard.press("n")
@@ -82,7 +70,8 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(2)
     page.locator("#try-worst").click()
     expect(page.get_by_role("group", name="Fly")).to_be_visible()
-    press_keys([Action.WAIT, Action.WAIT, *[Action.LEFT] * 3])
+    for key in (" ", " ", *["ArrowLeft"] * 3):
+        page.keyboard.press(key)
     expect(reached).to_have_count(3)
 
     bar.get_by_role("link", name="Back to Learn").click()
@@ -94,24 +83,17 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
 @pytest.mark.feature("D4")
 def test_the_tasks_of_a_family_are_shown_side_by_side_as_the_server_states_them(page: Page, server: Server) -> None:
     tasks = get(server, "tasks")["tasks"]
-    view(page, "Learn")
     for family in ("Standard", "Skyline"):
         levels = [task for task in tasks if task["family"] == family.lower()]
         assert len(levels) == 3
         rows = page.get_by_role("table", name=f"Technical specifications of the {family} tasks").evaluate(
             "table => [...table.rows].map(row => [...row.cells].map(cell => cell.textContent))"
         )
-        shown = {name: cells for name, *cells in rows}
-        expected: dict[str, list[Any]] = {
-            "Id": [task["id"] for task in levels],
-            "Grid": [f"{task['width']} × {task['height']}" for task in levels],
-            "Parcels": [str(task["deliveries"]) for task in levels],
-            "Maximum steps": [str(task["max_steps"]) for task in levels],
-            "Battery": [f"{task['battery_capacity']} units" for task in levels],
-        }
+        assert ["Id", *(task["id"] for task in levels)] in rows
+        assert ["Battery", *(f"{task['battery_capacity']} units" for task in levels)] in rows
         for event, row in {"delivery": "Delivery", "wait": "Wait", "battery_dead": "Battery empty"}.items():
-            expected[row] = [" / ".join(fixed(pay) for pay in task["rewards"]["tiered"][event]) for task in levels]
-        assert {row: shown[row] for row in expected} == expected
+            pays = (task["rewards"]["tiered"][event] for task in levels)
+            assert [row, *(" / ".join(map(fixed, pay)) for pay in pays)] in rows
 
 
 @pytest.mark.feature("D1")

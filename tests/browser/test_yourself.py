@@ -60,17 +60,20 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     expect(speed).to_have_value("4")
 
 
-def test_others_move_along_with_a_person_and_end_by_themselves(page: Page) -> None:
-    over(page, 12, "/?task=easy&seed=12&pilot=greedy")
+def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themselves(page: Page) -> None:
+    over(page, 20, "/?task=easy&seed=20&pilot=random")
     pilot(page, "You").press("Enter")
     expect_flying(page, "You")
-    along(page, "Greedy").press(" ")
-    expect(standings(page)).to_have_count(2)
+    along(page, "Random").press(" ")
+    other, person = (standings(page).filter(has_text=name) for name in ("Random", "You"))
+    expect(other.get_by_role("cell").nth(3)).to_have_text("0.0")
+    press(page, "Step")
+    expect(standings(page).get_by_role("rowheader")).to_have_text(["You", "Random"])
+    expect(person.get_by_role("cell")).to_have_text(["0", "0/1", DASH, DASH])
     page.keyboard.press("ArrowRight")
     expect_step(page, 1, 60)
-    greedy = standings(page).filter(has_text="Greedy").get_by_role("cell")
-    expect(greedy.first).to_have_text("1")
-    expect(standings(page).filter(has_text="You")).to_have_class("selected")
+    expect(other.get_by_role("cell").first).to_have_text("2")
+    expect(person).to_have_class("selected")
     # Once the others have ended, no pilot is left that flies by itself.
     fly(page, "Resume")
     expect(page.locator("#start")).to_be_hidden()

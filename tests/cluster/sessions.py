@@ -47,11 +47,17 @@ class Reference:
         return from_json(to_json(observation_fields(self.episode)))
 
 
-def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:
+def openenv_result(fields: dict[str, Any], reward: float | None, **more: Any) -> dict[str, Any]:
     """An observation as OpenEnv sends it: reward and done beside the rest. Takes the fields for its own."""
     done = fields.pop("done")
-    fields["metadata"] = {}
-    return {"observation": fields, "reward": reward, "done": done}
+    outside = {"metadata": more["metadata"]} if more else {}
+    return {"observation": {**fields, "metadata": {}, **more}, "reward": reward, "done": done, **outside}
+
+
+def socket_result(fields: dict[str, Any], reward: float | None, flown: int, profile: str) -> dict[str, Any]:
+    """The answer to a step over OpenEnv's socket."""
+    metadata = {"reward_profile": profile, "flown": flown}
+    return openenv_result(fields, reward, metadata=metadata, prompt="", messages=[])
 
 
 class HttpSession:
@@ -129,7 +135,8 @@ class SocketSession:
 
     async def open(self) -> None:
         self.socket = await websockets.connect(self.url, compression=None, open_timeout=60, ping_interval=None)
-        assert await self.ask("reset", {"task_name": TASK, "seed": self.seed})
+        options = {"task_name": TASK, "seed": self.seed, "reward_profile": ORIGINAL_PROFILE}
+        assert await self.ask("reset", options)
 
     async def ask(self, kind: str, data: dict[str, Any]) -> Any:
         await self.socket.send(json.dumps({"type": kind, "data": data}))
@@ -146,7 +153,7 @@ class SocketSession:
                 self.lost = True
                 return
             reward = self.reference.episode.step(action)
-            assert answer == openenv_result(self.reference.fields(), reward)
+            assert answer == socket_result(self.reference.fields(), reward, 1, ORIGINAL_PROFILE)
             progress()
 
     async def close(self) -> None:

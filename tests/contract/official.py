@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "CallToolAction": "openenv.core.env_server.mcp_types",
     "CommandLine": "openenv.cli.__main__:app",
     "DroneDeliveryClient": "drone_env.client",
     "DroneDeliveryEnvironment": "drone_env.server.grid_world_environment",
@@ -13,6 +14,8 @@ _HOMES = {
     "Environment": "openenv.core.env_server.interfaces",
     "GenericEnvClient": "openenv.core.generic_client",
     "Level": "openenv.validation",
+    "MCPToolClient": "openenv.core.mcp_client",
+    "McpClient": "fastmcp:Client",
     "ProviderCapability": "openenv.validation.types",
     "create_fastapi_app": "openenv.core.env_server",
     "push": "openenv.cli.commands",

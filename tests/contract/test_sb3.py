@@ -14,24 +14,10 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import InvalidValueError, UnknownNameError
+from tests.contract.test_vector import N, actions_of
+from tests.property.test_vector import assert_same
 
-N = 6
 PAGE = Path(__file__).parents[2] / "docs" / "sb3.md"
-
-
-def actions_of(step: int) -> np.ndarray:
-    return (np.arange(N) * 3 + step * step // 3) % 5
-
-
-def assert_same(got: Any, want: Any) -> None:
-    """Equal observations, whatever their form."""
-    if isinstance(want, dict):
-        assert got.keys() == want.keys()
-        for name in want:
-            assert_same(got[name], want[name])
-    else:
-        assert got.dtype == want.dtype
-        assert np.array_equal(got, want)
 
 
 @pytest.mark.parametrize("form", FORMS)

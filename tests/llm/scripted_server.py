@@ -90,7 +90,8 @@ async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
             await writer.drain()
         if isinstance(fault, str):
             return False
-        send(writer, fault or {"sends": json.dumps(completion(script, body))})
+        done = completion(script, body)
+        send(writer, fault or (streamed(done) if body.get("stream") else {"sends": json.dumps(done)}))
         return True
     finally:
         log(script, {"over": call})
@@ -112,6 +113,13 @@ def completion(script: dict, body: dict) -> dict:
     choice = {"index": 0, "message": message, "finish_reason": script.get("finish_reason", "stop")}
     common = {"id": "x", "object": "chat.completion", "created": 0, "model": body["model"]}
     return {**common, "choices": [choice], "usage": usage}
+
+
+def streamed(done: dict) -> dict:
+    """The response with a completion as a stream of one chunk."""
+    choices = [{**choice, "delta": choice["message"]} for choice in done["choices"]]
+    chunk = json.dumps({**done, "object": "chat.completion.chunk", "choices": choices})
+    return {"sends": f"data: {chunk}\n\ndata: [DONE]\n\n", "headers": {"Content-Type": "text/event-stream"}}
 
 
 def send(writer: asyncio.StreamWriter, response: dict) -> None:

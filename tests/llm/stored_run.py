@@ -14,9 +14,10 @@ from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.endpoint import Endpoint
 from drone_env.llm.limiter import Clock, Options, RateLimiter
+from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import RunFolder
-from drone_env.llm.runner import Observer, RunResult, run
+from drone_env.llm.runner import RunResult, run
 from drone_env.llm.transcript import Call, read_calls
 from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
@@ -101,7 +102,9 @@ def fly(at: str | Scripted, folder: Path, options: Options | None = None, **chan
     clock = VirtualClock()
     sender = Endpoint(config, None, options.timeout) if isinstance(at, str) else at
     with closing(RunFolder(folder, config, resume=False)) as opened:
-        result = asyncio.run(run(config, opened, sender, RateLimiter(options, clock), Observer()))
+        limiter = RateLimiter(options, clock)
+        progress = Progress(config, limiter.budget, opened, None)
+        result = asyncio.run(run(config, opened, sender, limiter, progress))
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
 
 

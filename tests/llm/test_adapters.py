@@ -1,34 +1,56 @@
 """The adapters to Inspect and TRL as far as they go without those packages; with them: `tests/adapters`."""
 
 import inspect
+import json
 import re
 import sys
+from typing import Any
 
 import pytest
 
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError, install_command
-from drone_env.llm.trl_environment import DroneEnvironment, training_maps
+from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
 
 
 def test_a_flight_by_tool_calls() -> None:
     # Map 14 of easy by hand, as in the tests of `fly`.
-    drone = DroneEnvironment("score")
-    told = drone.reset(prompt=[], task="easy", seed=14)
+    drone = DroneEnvironment()
+    told = drone.reset(prompt=[], task="easy", seed=14, reward_profile="score")
     episode = Episode("easy", seed=14)
     x, y = episode.position
     assert f"Position: ({x}, {y})" in told
     assert drone.fly("LEFT") == (
         f"On the way. Position: ({x - 1}, {y}). Battery: 59 units. Nearest parcel: {episode.target}. Delivered: 0 of 1."
     )
-    assert drone.get_reward() == 0.01  # as if it waited to the end
-    drone.fly("UP")
-    assert drone.fly("UP") == "Delivered: 1 of 1. Mission accomplished."
-    assert drone.get_reward() == 0.99
-    assert drone.fly("DOWN").startswith("Nothing done: the episode has ended")
-    assert drone.get_reward() == 0.99
+    assert paid(drone) == [0.01]  # as if it waited to the end
+    assert drone.fly_route(["UP", "UP", "UP"]) == "On the way. Delivered: 1 of 1. Mission accomplished."
+    assert paid(drone) == [0.99]
+    for again in (drone.fly("DOWN"), drone.fly_route(["UP"] * 60)):
+        assert again.startswith("Nothing done: the episode has ended")
+    assert paid(drone) == [0.99]
+
+
+def paid(*drones: object, **columns: list[Any]) -> list[float | None]:
+    return flight_reward([[]] * len(drones), drones, **columns)
+
+
+def test_an_answer_with_the_whole_route_is_paid_and_logged() -> None:
+    best = [action.name for action in solve("easy", 14).actions]
+    answers = [json.dumps({"actions": best}), f"<think>Hm.</think>{best[0]}", "I would go up.", None]
+    columns = {"task": "easy", "seed": 14, "plan": "plan-2", "reward_profile": "score"}
+    logged: dict[str, float] = {}
+    completions = [[{"role": "assistant", "content": answer}] for answer in answers]
+    rows = {name: [value] * 4 for name, value in columns.items()}
+    pay = flight_reward(completions, log_metric=logged.__setitem__, **rows)
+    assert pay == [0.99, 0.01, 0.01, 0.01]
+    lost = solve("easy", 14).score - sum(pay) / 4
+    means = {"score": sum(pay) / 4, "success": 1 / 4, "regret": lost, "steps": 4 / 4, "unusable": 2 / 4}
+    assert logged == {f"flight/{name}": pytest.approx(value) for name, value in means.items()}
+    with pytest.raises(InvalidValueError, match="environment_factory"):
+        flight_reward([[]], task=["easy"])
 
 
 def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
@@ -39,29 +61,35 @@ def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
 
 @pytest.mark.parametrize("profile", ["tiered", "aligned"])
 def test_the_reward_is_what_the_profile_pays_to_the_end(profile: str) -> None:
-    drone = DroneEnvironment(profile)
-    drone.reset(task="hard", seed=3)
+    drone = DroneEnvironment()
+    drone.reset(task="hard", seed=3, reward_profile=profile)
     actions = solve("hard", 3).actions[:5]
     for action in actions:
         drone.fly(action.name)
     episode = Episode("hard", profile_for_discount(get_reward_profile(profile), 1), 3).fly(actions)
-    assert drone.get_reward() == episode.waited_out().reward_total
+    assert paid(drone, object()) == [episode.waited_out().reward_total, None]
 
 
-def test_the_only_tool_is_fly_and_bad_calls_are_told() -> None:
+def test_bad_calls_are_told_and_fly_nothing() -> None:
     methods = [name for name, _ in inspect.getmembers(DroneEnvironment, inspect.isfunction) if name[0] != "_"]
-    assert methods == ["fly", "get_reward", "reset"]
+    assert methods == ["fly", "fly_route", "reset"]
     drone = DroneEnvironment()
     with pytest.raises(EpisodeError, match="reset"):
-        drone.get_reward()
+        drone.fly_route(["UP"])
     with pytest.raises(InvalidValueError, match="columns task and seed"):
         drone.reset(prompt=[])
     drone.reset(task="easy", seed=1)
     for wrong in ("NORTH", "up", None, ["UP"]):
         with pytest.raises(InvalidValueError, match=r"is no direction\. Directions are UP"):
             drone.fly(wrong)  # type: ignore[arg-type]
+        with pytest.raises(InvalidValueError, match=r"is no direction\. Directions are UP"):
+            drone.fly_route(["UP", wrong])  # type: ignore[list-item]
+    for route in ([], "UP", None, {"UP": 1}, ["UP"] * 61):
+        with pytest.raises(InvalidValueError, match="A route is a list of 1 to 60 directions"):
+            drone.fly_route(route)  # type: ignore[arg-type]
+    assert "Battery: 59 units" in drone.fly("WAIT")
     with pytest.raises(UnknownNameError, match="allowed"):
-        DroneEnvironment("generous")
+        drone.reset(task="easy", seed=1, reward_profile="generous")
 
 
 def test_without_the_packages_the_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

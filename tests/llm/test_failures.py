@@ -29,15 +29,6 @@ def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault
     verified(done)
 
 
-def test_a_400_or_redirect_of_a_later_call_costs_its_flight_alone(endpoint: Start) -> None:
-    redirect = {"status": 307, "headers": {"Location": "/elsewhere"}}
-    scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 400}], [2, 2, redirect]])
-    done = scripted.infer("--seeds", "14:17", "--concurrency", "1")
-    assert [f["status"] for f in done.flights] == ["errored", "errored", "finished"]
-    assert done.flights[0]["error"] == "400: scripted 400"
-    assert [len(call["failures"]) for call in done.calls[:4]] == [0, 1, 1, 0]
-
-
 def test_a_429_is_told_and_tried_again(endpoint: Start) -> None:
     faults = [[1, 1, {"status": 429, "headers": {"Retry-After": "0.1"}}]]
     scripted = endpoint(pilot="greedy", faults=faults)

@@ -143,17 +143,3 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start) -> None:
     (lines,) = blocks(done.out)
     assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", "error=truncated"]] * 2
     verified(done)
-
-
-def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:
-    scripted = endpoint(pilot="Let us go up!", repair="greedy")
-    done = scripted.infer("--seeds", "14:15")
-    assert done.status == 0, done.err
-    assert done.turns == {"repaired": 3}
-    assert len(scripted.requests()) == 6
-    assert done.flights[0]["score"] == 0.99
-    assert done.flights[0]["waits"] == 0
-    asked, again = (request["body"]["messages"] for request in scripted.requests()[:2])
-    assert again[:2] == asked
-    assert again[2] == {"role": "assistant", "content": "Let us go up!"}
-    assert "could not be used: the answer is not one action" in again[3]["content"]

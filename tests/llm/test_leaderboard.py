@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drone_env.cli import main
@@ -51,23 +50,3 @@ def test_folders_of_other_maps_are_not_compared(tmp_path: Path, capsys: pytest.C
     ):
         assert main(["compare", *arguments]) == 2
         assert told in " ".join(capsys.readouterr().err.split())
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"scores": np.full(4, 0.99)}, "greedy on easy_delivery: these are no scores, or not of these maps"),
-        ({"optimal_scores": np.full(4, 0.9)}, "these are no scores, or not of these maps"),
-        ({"seeds": np.arange(4)}, "is damaged"),
-    ],
-)
-def test_an_evaluation_that_is_not_what_it_says_is_refused(
-    change: dict[str, Any], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = evaluated(tmp_path / "agents", "--agents", "greedy")
-    (piece,) = (folder / "pieces").iterdir()
-    with np.load(piece) as file:
-        held = dict(file)
-    np.savez(piece, **held | change)
-    (refused,) = ranked(capsys, folder, status=1)["refused"]
-    assert told in refused["reason"]

@@ -27,7 +27,8 @@ GOLDEN = {
     "plan-2": "64eb6be394325b81",
     "think-1": "e27f2caaaba530af",
     "think-plan-1": "55169846dc0b242f",
-    "fly-2": "d92d129353c1621d",
+    "fly-3": "8b8ff4a0d57f8c3a",
+    "route-1": "94a7fd43e4a4f32a",
 }
 
 

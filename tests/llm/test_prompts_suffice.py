@@ -1,12 +1,14 @@
 """Prompts state all that decides a flight: a planner that reads nothing but a prompt flies the optimum."""
 
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
 
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
@@ -18,9 +20,12 @@ from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import FOLDER, Prompt, get_prompt, prompt_ids, read_prompt
 from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.optimal import solve, solver_of
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
 
+MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
 PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
-PROMPTS.append(read_prompt(FOLDER / "tools" / "fly-2.toml"))
+PROMPTS.extend(map(read_prompt, sorted(FOLDER.glob("tools/*.toml"))))
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
 EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
 ODD = [
@@ -52,6 +57,8 @@ TITLES = {
 }
 LEGEND = r"^(\S) is the drone, (\S) a parcel to deliver, (\S) a delivered one, (.*)\.$"
 MOVES = [("UP", "y", "-"), ("DOWN", "y", "+"), ("LEFT", "x", "-"), ("RIGHT", "x", "+")]
+TIERS = [pytest.param(task.short_name, marks=() if task in (EASY, SKYLINE) else pytest.mark.long) for task in GENERATED]
+"""All generated tasks; the quick tests fly two of them."""
 REWARDS = "delivery battery_dead wall blocked obstacle building tree wait step"
 
 
@@ -212,16 +219,37 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
     return episode.score
 
 
-@pytest.mark.parametrize("task", ["easy", "skyline_easy"])
+@pytest.mark.parametrize("task", TIERS)
 @pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
 def test_who_reads_nothing_but_the_prompt_flies_the_optimum(prompt: Prompt, task: str) -> None:
-    for seed in split_seeds("test", 1):
+    for seed in split_seeds("test", MAPS or (1 if task in ("easy", "skyline_easy") else 3)):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("task", [task.short_name for task in GENERATED])
-@pytest.mark.parametrize("prompt", PROMPTS, ids=lambda prompt: prompt.id)
-def test_who_reads_nothing_but_the_prompt_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
-    for seed in split_seeds("test", 100 if prompt.id.startswith("minimal-") else 5):
-        assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
+@pytest.fixture(scope="module")
+def socket(tmp_path_factory: pytest.TempPathFactory) -> Generator[WebSocketTestSession, None, None]:
+    app = create_app(Settings(data=tmp_path_factory.mktemp("told") / "data"))
+    with TestClient(app) as client, client.websocket_connect("/ws") as connected:
+        yield connected
+
+
+@pytest.mark.parametrize("task", TIERS)
+def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum(
+    socket: WebSocketTestSession, task: str
+) -> None:
+    def ask(kind: str, data: Any) -> Any:
+        socket.send_json({"type": kind, "data": data})
+        return socket.receive_json()["data"]
+
+    for seed in split_seeds("test", MAPS or (2 if task in ("easy", "skyline_easy") else 100)):
+        answer, total = ask("reset", {"task_name": task, "seed": seed, "prompt": "minimal"}), 0.0
+        while not answer["done"]:
+            flight, says = read_text(*[answer["observation"]["prompt"]] * 2).episode, list[str]()
+            solver = solver_of(flight)
+            while not flight.ended and len(says) < 8:
+                action = solver.optimal_actions(flight)[0]
+                flight.step(action)
+                says.append(action.name)
+            answer = ask("step", " ".join(says))
+            total += answer["reward"]
+        assert total == solve(task, seed).score

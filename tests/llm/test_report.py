@@ -1,7 +1,6 @@
 """Reports and the leaderboard: figures by hand, and runs that are not what they say."""
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,40 +8,16 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
-from drone_env.core.seeds import SPLITS
 from drone_env.errors import InvalidValueError
-from drone_env.llm.limiter import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
-from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.record import EpisodeRecord, record_of
 
 from .conftest import Endpoint
 from .stored_run import put_run
 
 Start = Callable[..., Endpoint]
-
-
-def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
-    done = endpoint(pilot="greedy").infer("--task", "medium", "--episodes", "4", "--repeats", "2")
-    assert done.status == 0, done.err
-    figures = report(verified_run(done.folder), Prices(10, 50))
-    start = SPLITS["test"].start
-    random, greedy, optimal = (
-        summarise(run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")))
-        for agent in ("random", "greedy", "optimal")
-    )
-    assert (figures["verdict"], figures["score"]) == ("valid", pytest.approx(greedy["mean_score"], abs=1e-12))
-    assert figures["score_ci95"] == pytest.approx(greedy["score_ci95"], abs=1e-12)
-    assert figures["baselines"]["greedy"] == figures["score"]
-    assert figures["regret"] == pytest.approx(greedy["mean_regret"], abs=1e-12)
-    normalised = (figures["score"] - random["mean_score"]) / (optimal["mean_score"] - random["mean_score"])
-    assert figures["normalised"] == pytest.approx(normalised, abs=1e-12)
-    calls = len(done.calls)
-    assert figures["calls"] == {"answered": calls, "requests": calls, "without_usage": 0}
-    assert figures["cost_usd"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6)
-    assert (sum(figures["moves"]["labels"].values()), figures["moves"]["labels"]["blunder"]) == (calls, 0)
 
 
 def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) -> None:
@@ -122,10 +97,8 @@ def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_te
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
     write_report(run, figures)
-    page, text = (done.folder / "report.html").read_text(), (done.folder / "report.md").read_text()
-    assert "<script" not in page + text
-    assert not re.search(r"<link|<img|src=|href=\"(?!#)", page)
-    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x![](http://h)") >= 3
+    text = (done.folder / "report.md").read_text()
+    assert "<script" not in text
     assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x!&#91;](http://h) |" in text
 
 

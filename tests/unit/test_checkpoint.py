@@ -21,9 +21,10 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
         # PyTorch's own message advises to load it with the right to run code.
         with pytest.raises(CheckpointError, match=r"easy\.pth cannot be read: cut short, or no checkpoint \(\w+\)$"):
             load_checkpoint(path)
-        with pytest.raises(CheckpointError, match="--fresh"):
-            run_in(tmp_path)
         assert path.read_bytes() == content
+    with pytest.raises(CheckpointError, match="--fresh"):
+        run_in(tmp_path)
+    assert path.read_bytes() == content
     for state, message in (
         ({"weights": torch.zeros(3)}, "not a checkpoint of this project"),
         ({"format": "drone_env/checkpoint", "version": 99}, "version 99; this program reads version 1"),

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from drone_env.cli import main
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.result import EpisodesKey, Results, repeated
 from drone_env.results.statistics import (
@@ -85,17 +84,3 @@ def test_of_several_flights_over_a_map_the_mean_counts() -> None:
     scores = np.mean([results.scores for results in repeats], axis=0)
     assert flown.by_map().scores.tolist() == scores.tolist()
     assert {row.flights for row in flown.by_map().rows()} == {3}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["greedy", "greedy"], "each once; got greedy greedy"),
-        (["greedy", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),
-    ],
-)
-def test_what_cannot_be_compared_is_refused(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["compare", *arguments]) == 2
-    assert message in " ".join(capsys.readouterr().err.split())

@@ -11,6 +11,7 @@ import pyarrow.parquet
 import pytest
 
 from drone_env.cli import main
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task
@@ -18,6 +19,8 @@ from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import FORMAT, DatasetConfig, fly_map, random_actions
 from drone_env.errors import InvalidValueError
+from drone_env.llm.text_episode import TextEpisode
+from drone_env.llm.trl_environment import DroneEnvironment
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
 from tests.which_tasks import SMALL
@@ -160,6 +163,60 @@ def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: p
         assert [env.step(action)[1] for action in episode.actions] == episode.rewards.tolist()
 
 
+def json_rows(folder: Path, name: str) -> list[dict]:
+    """The rows of a file of conversations, which are the same in JSON and, but for missing keys, in Parquet."""
+    lines = [json.loads(line) for line in (folder / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()]
+    stored = json.dumps(pyarrow.parquet.read_table(folder / f"{name}.parquet").to_pylist())
+    assert json.loads(stored, object_pairs_hook=lambda pairs: {k: v for k, v in pairs if v is not None}) == lines
+    return lines
+
+
+@pytest.mark.parametrize("turns", ["plan", "step", "route"])
+@pytest.mark.parametrize("task", ["medium", "skyline_easy"])
+def test_a_conversation_replays_beside_the_exact_values(task: str, turns: Any, tmp_path: Path) -> None:
+    config = config_of(task, range(3, 5), "train", ["optimal", "greedy"], epsilon=0.3, turns=turns)
+    for row in json_rows(made(tmp_path, config, ("chat",)), "chat"):
+        episode, drone = Episode(row["task"], seed=row["seed"]), DroneEnvironment()
+        solver = ExactSolver(episode)
+        system, user, *rest = row["messages"]
+        answers, told = rest[::2], [message["content"] for message in rest[1::2]]
+        if turns == "plan":
+            assert [system, user] == TextEpisode(task, row["seed"], "plan").messages
+            assert [json.loads(answers[0]["content"])["actions"]] == row["actions"]
+        else:
+            assert drone.reset(task, row["seed"]) == user["content"]
+            calls = [message["tool_calls"][0]["function"] for message in answers[:-1]]
+            assert [getattr(drone, call["name"])(**call["arguments"]) for call in calls] == told
+            flown = [call["arguments"].get("directions", [*call["arguments"].values()]) for call in calls]
+            assert [*flown, []] == row["actions"]
+            assert answers[-1]["content"] == "Done."
+        assert len(answers) == len(row["actions"])
+        for turn in zip(row["actions"], row["optimal_actions"], row["regrets"], strict=True):
+            for action, best, regrets in zip(*turn, strict=True):
+                assert best == [other.name for other in solver.optimal_actions(episode)]
+                assert regrets == [solver.regret(episode, other) for other in Action]
+                episode.step(Action[action])
+        assert (row["score"], row["optimal_score"]) == (episode.score, solve(task, row["seed"]).score)
+        assert row["regret"] == row["optimal_score"] - row["score"]
+
+
+def test_pairs_are_ordered_by_regret(tmp_path: Path) -> None:
+    config = config_of("easy", range(6), "train", epsilon=0.2)
+    folder = made(tmp_path, config, ("preference", "chat"))
+    flown = {(row["seed"], row["agent"]): row for row in json_rows(folder, "chat")}
+    differ = {(a, b) for a in flown for b in flown if a[0] == b[0] and flown[a]["regret"] < flown[b]["regret"]}
+    for row in json_rows(folder, "preference"):
+        better, worse = ((row["seed"], row[f"{side}_agent"]) for side in ("chosen", "rejected"))
+        differ.remove((better, worse))
+        assert row["prompt"] + row["chosen"] == flown[better]["messages"]
+        assert row["prompt"] + row["rejected"] == flown[worse]["messages"]
+        assert (row["chosen_regret"], row["rejected_regret"]) == (flown[better]["regret"], flown[worse]["regret"])
+    assert not differ
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    assert config.task.digest in page
+    assert config.text_prompt.digest in page
+
+
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     maps = []
     monkeypatch.setattr(build, "ROWS_PER_GROUP", 1)
@@ -183,32 +240,14 @@ def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> 
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     for taken in ("set", "file"):
         with pytest.raises(InvalidValueError, match="not an empty folder"):
-            build_dataset(config, tmp_path / taken)
+            build_dataset(config, tmp_path / taken, FORMATS)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "set")
-    chosen = ["--agents", "greedy", "--epsilon", "0", "--offset", "4", "--formats", "parquet", "--split", "test"]
+    chosen = ["--agents", "greedy", "--epsilon", "0", "--offset", "4", "--format", "parquet", "--split", "test"]
     assert main(["dataset", "--task", "easy", "--maps", "3", "--out", out, *chosen]) == 0
     flown = rows(tmp_path / "set")
     assert sorted({row["seed"] for row in flown}) == [SPLITS["test"].start + n for n in (4, 5, 6)]
     assert capsys.readouterr().out == f"{out}: {len(flown):,} steps of 3 flights over 3 maps\n"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "allowed"),
-    [
-        (["--maps", "0"], "at least 1"),
-        (["--epsilon", "2"], "0 to 1"),
-        (["--formats", "csv"], "parquet, minari"),
-        (["--agents", "greedy", "greedy"], "each once"),
-        (["--agents", "ace"], "greedy, optimal, pathqnet, random"),
-    ],
-)
-def test_the_command_says_what_is_allowed(
-    arguments: list[str], allowed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dataset", "--out", str(tmp_path / "set"), *arguments]) == 2
-    assert allowed in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

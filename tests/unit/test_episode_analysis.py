@@ -2,7 +2,6 @@
 
 import threading
 from pathlib import Path
-from statistics import fmean
 
 import pytest
 
@@ -13,26 +12,6 @@ from drone_env.results import optima
 from drone_env.results.finished import EpisodeSummary, analyse
 from drone_env.results.store import Store
 from tests.unit.stores import eventually, flown
-
-
-@pytest.mark.parametrize("task", ["easy", "skyline_easy"])
-def test_an_analysis_counts_what_was_flown(task: str, store: Store) -> None:
-    flights = [flown(task, seed, actions) for seed, actions in enumerate(["4", "0", None, None, "0123", None])]
-    for flight in flights:
-        store.add_episode(flight, "someone")
-    store.add_episode(flown("medium"), "someone else, elsewhere")
-    analysis = store.analysis(task, patience=240)
-    n = len(flights)
-    assert (analysis.episodes, analysis.episodes_total, analysis.regret_episodes) == (n, n, n)
-    assert analysis.deliveries == sum(flight.deliveries_done for flight in flights)
-    assert analysis.success_rate == fmean(flight.success for flight in flights)
-    newer, older = (sum(flight.success for flight in half) for half in (flights[3:], flights[:3]))
-    assert analysis.success_trend == (newer - older) / 3
-    actions = [action for flight in flights for action in flight.actions]
-    assert list(analysis.action_distribution.values()) == [actions.count(i) / len(actions) for i in range(5)]
-    regrets = [solve(task, flight.seed).score - flight.score for flight in flights]
-    assert analysis.mean_regret == pytest.approx(fmean(regrets), abs=1e-12)
-    assert min(regrets) == 0 < max(regrets)
 
 
 def test_an_analysis_looks_at_the_newest(store: Store) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import next_seed
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
@@ -90,18 +89,6 @@ class TestState:
             with pytest.raises(EpisodeError, match="reset"):
                 call()
         assert "reset" in episode.message
-
-    def test_path_and_rewards_are_recorded(self) -> None:
-        episode = toy_episode(["@T0", "..."], battery_capacity=8)
-        fly(episode, "URR")
-        assert [tuple(step) for step in episode.path] == [
-            (Action.UP, 0, 0, Event.WALL, 0.32, 7),
-            (Action.RIGHT, 1, 0, Event.TREE, 0.41, 6),
-            (Action.RIGHT, 2, 0, Event.DELIVERY, 0.95, 5),
-        ]
-        assert episode.actions == [0, 3, 3]
-        assert episode.reward_last == 0.95
-        assert episode.reward_total == pytest.approx(1.68)
 
 
 class TestRefusedInput:

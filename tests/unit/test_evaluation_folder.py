@@ -25,7 +25,7 @@ def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pyte
     capsys.readouterr()
     pieces[2].write_bytes(pieces[2].read_bytes()[:-30])
     assert main(command) == 2
-    assert "is damaged, remove it" in capsys.readouterr().err
+    assert "delete it, and its maps are flown again" in capsys.readouterr().err
     other = [*command[:4], "0:2600", *command[5:]]
     assert main(other) == 2
     assert "holds another evaluation: seeds: [0, 2500] is now [0, 2600]" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """What the exact planners refuse. (Their values: tests/property/test_exact.py, tests/unit/test_legs.py.)"""
 
-import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -15,12 +14,10 @@ from drone_env.core.tables import BATTERY, CELL, UNDER
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, TooLargeError
 from drone_env.planning import states
-from drone_env.planning.from_observation import episode_of
 from drone_env.planning.legs import LegSolver
 from drone_env.planning.optimal import best_actions, solve, solve_episode
 from drone_env.planning.solver import ExactSolver, Solver
 from tests.toy import fly, toy_episode
-from tests.which_tasks import SMALL
 
 MakeSolver: TypeAlias = Callable[[Episode], Solver]
 EACH_SOLVER = pytest.mark.parametrize("make", [ExactSolver, LegSolver])
@@ -111,17 +108,3 @@ def test_the_largest_task_at_once() -> None:
         changes = {"drain": ((Cell.ROAD, 2),), "efficiency_needs_all": needs_all, **largest}
         with pytest.raises(TooLargeError, match=r"1\.1 GB are allowed"):
             best_actions(reset(replace(get_task("easy"), id="largest", **changes), 0))
-
-
-@pytest.mark.parametrize("task", SMALL)
-def test_an_episode_is_rebuilt_from_its_observation(task: str) -> None:
-    draw = random.Random(task)
-    for seed in range(10):
-        episode = reset(task, seed)
-        while not episode.ended:
-            rebuilt = episode_of(episode.task, episode.observation())
-            assert np.array_equal(rebuilt.grid(), episode.grid())
-            for name in ("under", "position", "steps", "battery_units", "deliveries_done", "score"):
-                assert getattr(rebuilt, name) == getattr(episode, name), name
-            assert sorted(rebuilt.parcels) == sorted(episode.parcels)
-            episode.step(draw.randrange(5))

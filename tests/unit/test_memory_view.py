@@ -7,22 +7,8 @@ from pathlib import Path
 import pytest
 
 from drone_env.results.memory_view import MemoryView
-from drone_env.results.store import FILE_NAME, Store, StoredEpisode
-from tests.unit.stores import eventually, finish_in, flown, latest, opened, view
-
-
-def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_path: Path) -> None:
-    with Store(tmp_path) as store:
-        assert view(tmp_path) == []
-        store.add_episode(flown(seed=1), "ace")
-        eventually(lambda: view(tmp_path) == latest(store, 1))
-        # Until the thread that writes has looked for the last time: what follows has to wake it.
-        store._view._thread.submit(lambda: None).result()
-        session_id = opened(store, seed=3)
-        with store.session(session_id) as row:
-            finish_in(row, flown(seed=3))
-        eventually(lambda: [stored.record.seed for stored in view(tmp_path)] == [1, 3])
-    assert sorted(path.name for path in tmp_path.iterdir()) == [FILE_NAME, "memory.json"]
+from drone_env.results.store import Store, StoredEpisode
+from tests.unit.stores import eventually, flown, latest, view
 
 
 @pytest.mark.feature("L6")

@@ -12,7 +12,7 @@ from fastapi.testclient import TestClient
 from safetensors.numpy import save
 
 from drone_env.agents import make_agent
-from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, load_network, pooling, shipped_network
+from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, load_network, shipped_network
 from drone_env.agents.weights_file import LARGEST, METADATA, MOST_BYTES, write_weights
 from drone_env.core.actions import Action
 from drone_env.core.cells import N_CELL_KINDS
@@ -76,13 +76,6 @@ def test_the_network_without_torch_is_the_same(height: int, width: int, telemetr
     found = load_network(tmp_path / "net.safetensors")(grids, telemetry)
     assert found.shape == (20, 5)
     assert np.abs(found - expected).max() < 1e-5
-
-
-@pytest.mark.parametrize("size", [10, 18, 3])
-def test_pooling_as_a_matrix_is_adaptive_average_pooling(size: int) -> None:
-    x = torch.rand(1, 1, size, size)
-    expected = torch.nn.functional.adaptive_avg_pool2d(x, 4)[0, 0].numpy()
-    assert np.allclose(pooling(size) @ x[0, 0].numpy() @ pooling(size).T, expected, atol=1e-6)
 
 
 def test_the_agent_flies_alone_as_in_a_batch() -> None:

@@ -12,7 +12,7 @@ from PIL import Image
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.envs import figures, rendering
+from drone_env.envs import rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import draw_picture, save_picture
 from drone_env.errors import EpisodeError
@@ -73,7 +73,7 @@ class TestPicture:
     def test_equal_episodes_give_equal_pictures(self) -> None:
         first = draw_picture(fly(fresh("hard", 3), 12))
         rendering._city.cache_clear()
-        figures.draw_figure.cache_clear()
+        rendering.draw_figure.cache_clear()
         assert np.array_equal(first, draw_picture(fly(fresh("hard", 3), 12)))
 
     def test_every_kind_of_cell_looks_different(self) -> None:

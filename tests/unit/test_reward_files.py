@@ -67,9 +67,6 @@ def test_environments_pay_by_the_file(mine: Path) -> None:
     single = gymnasium.make(EASY, reward_profile="mine.toml")
     single.reset(seed=14)
     assert single.step(4)[1] == 0.5
-    default = gymnasium.make(EASY)
-    default.reset(seed=14, options={"reward_profile": str(mine)})
-    assert default.step(4)[1] == 0.5
     batch = gymnasium.make_vec(EASY, num_envs=2, reward_profile=str(mine))
     batch.reset(seed=14)
     assert batch.step(np.array([4, 2]))[1].tolist() == [0.5, -0.25]

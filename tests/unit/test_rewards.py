@@ -64,9 +64,6 @@ class TestTieredAndComposite:
         assert fly(episode, "LLL") == [0.01, 0.01, 0.01]  # 0.02 - 0.05 and 0.05 - 0.05 are clamped
         assert fly(episode, "RRRR") == [0.07, 0.07, 0.07, 0.95]
 
-    def test_clamped_from_below(self) -> None:
-        assert fly(toy_episode([".@0", "..."], r_step=0.02), "L") == [0.01]
-
 
 class TestAlignedAndScore:
     """Width 3 and height 2, one parcel 2 cells away: phi = 0.2 + 0.8 * (1 - 2/5) = 0.68, one cell closer 0.84."""

@@ -8,34 +8,9 @@ import pytest
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, SessionGoneError, StoreError
-from drone_env.planning.optimal import solve
-from drone_env.results.record import record_of
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import finish_in, flown, latest, opened
-
-
-def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
-    session_id = opened(store, "medium_delivery")
-    for expected in ("medium_delivery", "easy_delivery"):
-        episode = store.read_session(session_id).fly()
-        for action in solve(expected, episode.seed).actions:
-            with store.session(session_id) as row:
-                assert row.actions == tuple(episode.actions)
-                assert advance(row, action) == episode.step(action)
-        row = store.read_session(session_id)
-        assert row.episode_id is not None
-        assert latest(store, 1)[0].id == row.episode_id
-        assert store.episode(row.episode_id).record == record_of(episode, "someone")
-        with store.session(session_id) as row:
-            assert advance(row, 4) == 0, "a step after the end pays nothing and is not stored"
-        assert store.read_session(session_id).actions == tuple(episode.actions)
-        with store.session(session_id) as row:
-            row.begin(Episode("easy", "tiered", 8))
-    assert len(latest(store, 9)) == 2
-    row = store.read_session(session_id)
-    assert (row.flight, row.agent) == (("easy_delivery", 1, 8, "tiered"), "someone")
-    assert (row.actions, row.episode_id) == ((), None)
 
 
 def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:

@@ -62,17 +62,6 @@ def test_all_come_oldest_first_over_several_pages(store: Store) -> None:
     assert [first, *(stored.id for stored in iterator)] == [*ids, last]
 
 
-def test_a_store_opened_again_holds_what_it_held(tmp_path: Path) -> None:
-    with Store(tmp_path) as store:
-        episode_id, session_id = store.add_episode(flown(), "ace"), opened(store)
-        with store.session(session_id) as row:
-            advance(row, 4)
-        stored = store.episode(episode_id)
-    with Store(str(tmp_path)) as store:
-        assert store.episode(episode_id) == stored
-        assert store.read_session(session_id).actions == (4,)
-
-
 @pytest.mark.parametrize("episode_id", ["0123456789abcdef", "\ud800"])
 def test_an_unknown_id_is_an_error_that_names_no_other_flight(episode_id: str, store: Store) -> None:
     store.add_episode(flown(), "ace")

@@ -2,10 +2,6 @@
 
 import csv
 import math
-import os
-import subprocess
-import sys
-import time
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,19 +10,16 @@ from typing import Any
 
 import pytest
 import torch
-from fastapi.testclient import TestClient
 
 from drone_env.agents.pathqnet import load_network
 from drone_env.cli import main
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl import common
-from drone_env.rl.config import ORIGINAL, TrainConfig, preset
+from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.dqn import Progress, Trainer
 from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line
 from drone_env.rl.tour_config import TourConfig
-from drone_env.server.app import create_app
 from drone_env.server.logs import TrainLog
-from drone_env.server.settings import Settings
 from tests.unit.small_training import SMALL, assert_same, run_in
 
 ROOT = Path(__file__).parents[2]
@@ -187,9 +180,6 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["best"]))
     expected = {"task": "easy_delivery", **{name: state[name] for name in ("episodes", "steps", "updates")}}
     assert {name: network.metadata[name] for name in expected} == expected
-    with TestClient(create_app(Settings(data=tmp_path / "data"))) as http:
-        http.post("/reset", json={"seed": 7})
-        assert http.post("/predict").json()["model"]["digest"] == network.digest
     # A finished training continues with more episodes, its other settings are the defaults of the next command.
     assert "has 40 of 20 episodes: nothing to do" in trained("--episodes", "20")[1]
     status, told = trained("--episodes", "50")
@@ -202,20 +192,6 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert len(wrap(told, 80)) <= 2
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--task", "all"], "add --network tournet"),
-        (["--reward-profile", "generous"], "allowed: aligned"),
-        (["--replay-size", "1000000000000000"], "out of memory"),
-        (["--network", "tournet", "--preset", "original"], "--preset"),
-    ],
-)
-def test_the_command_refuses(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", *arguments]) == 2
-    assert message in "".join(capsys.readouterr())
-
-
 @pytest.mark.feature("L4")
 @pytest.mark.parametrize(("network", "config", "other"), [("pathqnet", TrainConfig, "--maps-per-chunk"),
                                                           ("tournet", TourConfig, "--preset")])  # fmt: skip
@@ -225,50 +201,3 @@ def test_every_value_is_a_flag(network: str, config: Any, other: str, capsys: py
     shown = capsys.readouterr().out
     assert [field.name for field in fields(config) if f"--{field.name.replace('_', '-')}" not in shown] == []
     assert other not in shown
-
-
-ORIGINALS = [
-    "--task", "easy_delivery", "--preset", "original", "--num-envs", "8", "--steps-per-update", "64",
-    "--validation-maps", "5", "--num-threads", "1",
-]  # fmt: skip
-"""The original's hyperparameters, except for speed."""
-
-
-@pytest.mark.feature("L4", "L5")
-def test_killed_it_goes_on_and_comes_to_the_same_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """After its first checkpoint; bit for bit the run that was never killed."""
-    killed = tmp_path / "killed"
-    killed.mkdir()
-    checkpoint, output = killed / "data/easy.pth", tmp_path / "output"
-    command = [sys.executable, str(ROOT / "train.py"), *ORIGINALS, "--episodes", "1000000"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with output.open("wb") as file:
-        process = subprocess.Popen(command, cwd=killed, env=environment, stdout=file, stderr=file)
-    try:
-        deadline = time.monotonic() + 120
-        while not checkpoint.exists():
-            assert process.poll() is None, output.read_text()
-            assert time.monotonic() < deadline, output.read_text()
-            time.sleep(0.005)
-    finally:
-        process.kill()
-        process.wait()
-
-    state = load_checkpoint(checkpoint)
-    flown = state["episodes"]
-    assert flown >= 50
-    short = {"num_envs": 1, "steps_per_update": 1, "validation_maps": 500, "num_threads": 2}
-    assert state["config"] | short == ORIGINAL.identity()
-    runs = {}
-    for name in ("killed", "whole"):
-        (tmp_path / name).mkdir(exist_ok=True)
-        monkeypatch.chdir(tmp_path / name)
-        assert main(["train", *ORIGINALS, "--episodes", str(flown + 10)]) == 0
-        told = " ".join(capsys.readouterr().err.split())
-        assert (f"going on from data/easy.pth: {flown} of {flown + 10}" in told) == (name == "killed")
-        runs[name] = load_checkpoint(tmp_path / name / "data/easy.pth")
-        assert runs[name].pop("seconds") > 0
-    assert_same(runs["whole"], runs["killed"])
-    assert (tmp_path / "whole/data/train.log").read_bytes() == (killed / "data/train.log").read_bytes()

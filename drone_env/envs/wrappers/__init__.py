@@ -1,10 +1,9 @@
 """Wrappers: the optimum at the end of an episode, and observations as one-hot planes or as one vector."""
 
-from collections.abc import Callable
 from typing import Any, SupportsFloat, cast
 
 import gymnasium
-from gymnasium import spaces
+from gymnasium.wrappers import TransformObservation
 
 from drone_env.core.episode import Observation
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
@@ -44,29 +43,17 @@ def make(**options: Any) -> WithOptimum:
 make.metadata = DroneDeliveryEnv.metadata  # type: ignore[attr-defined]  # Gymnasium reads the render modes here
 
 
-class ObservationForm(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
-    """Base class of wrappers that convert observations by a function of `envs.forms`."""
-
-    form: Callable[[Observation], Any]
-    space_of: Callable[[Any], spaces.Space[Any]]
+class OneHotPlanes(TransformObservation[Any, int, Observation]):
+    """Replace `grid` by one-hot planes for convolutional networks: uint8[kinds, H, W]. Keep `telemetry`."""
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(env)
-        self.observation_space = self.space_of(env.observation_space)
-
-    def observation(self, observation: Observation) -> Any:
-        """The converted observation."""
-        return self.form(observation)
+        super().__init__(env, to_planes, planes_space(env.observation_space))
 
 
-class OneHotPlanes(ObservationForm):
-    """Replace `grid` by one-hot planes for convolutional networks: uint8[kinds, H, W]. Keep `telemetry`."""
-
-    form, space_of = staticmethod(to_planes), staticmethod(planes_space)
-
-
-class FlatObservation(ObservationForm):
+class FlatObservation(TransformObservation[Any, int, Observation]):
     """One vector for dense networks: the one-hot planes, row by row, then the telemetry; float32[kinds * H * W + n]."""
 
-    form, space_of = staticmethod(to_vector), staticmethod(vector_space)
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env, to_vector, vector_space(env.observation_space))

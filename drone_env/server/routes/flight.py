@@ -6,11 +6,13 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Body, Header, Request, Response
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
+from typing_extensions import Self
 
 from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.observation import telemetry_of
@@ -36,13 +38,14 @@ from drone_env.models import (
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import LARGE_BODY, JsonRequest, JsonRoute
 from drone_env.server.routes.replay import best_flight
-from drone_env.server.schemas import RESETS, STEPS, ResetOptions, StepRequest, examples
+from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
 from drone_env.server.sessions import COOKIE, HEADER, LONGEST_ID, Caller
 from drone_env.server.state import SESSION_ERRORS, AppState, AppStateDep, CallerDep
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
 STEP_HEADER = "x-step-count"
 STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
+STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
@@ -51,6 +54,28 @@ OPENED: dict[str, Any] = {
         for name in IN_SESSION
     },
 }
+
+
+class StepRequest(Message):
+    """One action: either flat (`direction`) or in OpenEnv's format (`action`)."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": STEPS})
+
+    direction: Direction | None = Field(default=None, description="The action; returns a `DroneObservation`.")
+    action: WireAction | None = Field(default=None, description="The action in OpenEnv's format; returns `StepResult`.")
+    timeout_s: float | None = Field(default=None, gt=0, description="Ignored; OpenEnv's clients send it.")
+    request_id: str | None = Field(default=None, max_length=255, description="Ignored; OpenEnv's clients send it.")
+
+    @model_validator(mode="after")
+    def _check_format(self) -> Self:
+        if (self.direction is None) == (self.action is None):
+            raise ValueError('send either {"direction": ...} or {"action": {"direction": ...}}')
+        return self
+
+    @property
+    def chosen(self) -> Action:
+        """The action."""
+        return Action[str(self.direction)] if self.action is None else self.action.action
 
 
 class StepResult(Message):

@@ -1,17 +1,19 @@
 """The routes of OpenEnv's tools: metadata, schemas, the task API, MCP."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
-from fastapi import APIRouter, Body
+from fastapi import APIRouter, Body, Request, Response
 from pydantic import Field
+from pydantic_core import to_json
 
 from drone_env import __version__
 from drone_env.models import DroneState, Message
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import JsonRoute
 from drone_env.server.map_choice import SplitInfo, TaskApi, TaskSpec
-from drone_env.server.openenv import mcp_answer
-from drone_env.server.schemas import DESCRIPTION, ENV_NAME, WireAction, WireObservation
+from drone_env.server.mcp import SESSION_HEADER, rpc
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, RouteAction, WireObservation
+from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
 named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
@@ -93,17 +95,27 @@ async def schema() -> Schemas:
     """JSON Schemas of the messages of `/ws`."""
     observation = WireObservation.model_json_schema()
     return Schemas(
-        action=WireAction.model_json_schema(),
+        action=RouteAction.model_json_schema(),
         observation=observation,
         reset_observation=observation,
         state=DroneState.model_json_schema(),
     )
 
 
-@router.post("/mcp", responses=error_responses(400, 413, 415, 422))
-async def mcp(body: Annotated[Any, Body()] = None) -> dict[str, Any]:
-    """MCP over JSON-RPC 2.0. The environment has no tools; use `/step` or `/ws`."""
-    return mcp_answer(body)
+@router.post("/mcp", response_model=dict[str, Any], responses=error_responses(400, 413, 415, 422))
+async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()] = None) -> Response:
+    """MCP over JSON-RPC 2.0, with the tools `reset`, `fly` and `look`.
+
+    `initialize` opens a session and returns it as the header `Mcp-Session-Id`, `openenv/session/create` returns it as
+    `session_id`. Each call names it in the same way.
+    """
+    method = cast(dict[str, Any], body).get("method") if isinstance(body, dict) else None
+    if isinstance(method, str) and method.startswith("notifications/"):
+        return Response(status_code=202)
+    answer = await rpc(shared, body, named=request.headers.get(SESSION_HEADER))
+    greeted = method == "initialize" and "result" in answer
+    headers = {SESSION_HEADER: answer["result"]["session_id"]} if greeted else None
+    return Response(to_json(answer), media_type="application/json", headers=headers)
 
 
 @router.get("/list_environments")

@@ -1,0 +1,182 @@
+"""MCP, the Model Context Protocol: the tools `reset`, `fly` and `look` over JSON-RPC, as in OpenEnv's own server."""
+
+import asyncio
+from functools import lru_cache
+from typing import Any, cast
+
+from pydantic import Field, ValidationError
+
+from drone_env import __version__
+from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, text_of
+from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
+from drone_env.models import Message, flat_json
+from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
+from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
+from drone_env.server.state import AppState
+
+SESSION_HEADER = "Mcp-Session-Id"
+INVALID_REQUEST, NO_METHOD, INVALID, FAILED = -32600, -32601, -32602, -32603
+SERVER_ERROR = -32000
+PROTOCOLS = ("2025-11-25", "2025-06-18", "2025-03-26")
+"""Versions of MCP, newest first."""
+
+
+class FlyArguments(Message):
+    """The arguments of the tool `fly`."""
+
+    route: Route = Field(
+        description=f"UP, DOWN, LEFT, RIGHT or WAIT, or several of them, such as UP UP WAIT; at most {MAX_ROUTE}."
+    )
+
+
+class LookArguments(Message):
+    """The tool `look` has no arguments."""
+
+
+TOOLS: dict[str, tuple[type[Message], str]] = {
+    "reset": (SessionReset, "Start a flight over a map. Returns the rules and the observation."),
+    "fly": (FlyArguments, "Fly one action or a route. Returns what happened, and where the drone is now."),
+    "look": (LookArguments, "Return the rules and the observation."),
+}
+"""The arguments of each tool, and what it does."""
+
+
+class ToolError(Exception):
+    """A call that failed; the session is as before.
+
+    Args:
+        kind: OpenEnv's type of error.
+        message: The message for people.
+        code: The code of JSON-RPC.
+    """
+
+    def __init__(self, kind: str, message: str, code: int = INVALID) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.code = code
+
+
+@lru_cache(maxsize=1)
+def _prompt() -> Prompt:
+    return read_prompt(FOLDER / "tools" / "route-1.toml")
+
+
+async def call_tool(session: OpenEnvSession, name: object, arguments: object) -> dict[str, Any]:
+    """Call a tool.
+
+    Returns:
+        `text` for the model, `reward` (null unless the tool is `fly`), `flown` steps, `done`, and `score`.
+
+    Raises:
+        ToolError: if the call is invalid or cannot be executed.
+    """
+    if not isinstance(name, str) or name not in TOOLS:
+        raise ToolError("tool_not_found", f"there is no such tool; tools: {', '.join(TOOLS)}")
+    reward, flown = None, 0
+    try:
+        given = TOOLS[name][0].model_validate(arguments)
+        if isinstance(given, FlyArguments):
+            episode, reward, flown = await session.fly(given.route)
+            text = flown_text(episode, flown)
+        else:
+            episode = await (session.reset(given) if isinstance(given, SessionReset) else session.look())
+            text = await asyncio.to_thread(full_text, _prompt(), episode)
+    except ValidationError as error:
+        raise ToolError("invalid_args", text_of(error)) from None
+    except (LookupError, InvalidValueError) as error:
+        raise ToolError("invalid_args", str(error)) from None
+    except DroneEnvError as error:
+        raise ToolError("execution_error", str(error), FAILED) from None
+    return {"text": text, "reward": reward, "flown": flown, "done": episode.ended, "score": episode.score}
+
+
+async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[str, Any]:
+    """Return the result of a step whose action is OpenEnv's `ListToolsAction` or `CallToolAction`."""
+    if action["type"] == "list_tools":
+        return {"observation": {"tools": _listed("input_schema"), "metadata": {}}, "reward": None, "done": False}
+    name = action.get("tool_name")
+    observation: dict[str, Any] = {"tool_name": name if isinstance(name, str) else ""}
+    observation |= {"result": None, "error": None, "metadata": {}}
+    try:
+        data = await call_tool(session, name, action.get("arguments", {}))
+    except ToolError as error:
+        observation["error"] = {"error_type": error.kind, "message": str(error)}
+        return {"observation": observation, "reward": None, "done": False}
+    observation["result"] = _result(data)
+    return {"observation": observation, "reward": data["reward"], "done": data["done"]}
+
+
+async def rpc(
+    shared: AppState, request: Any, session: OpenEnvSession | None = None, named: str | None = None
+) -> dict[str, Any]:
+    """Return the JSON-RPC response to a request.
+
+    Args:
+        shared: The parts of the server.
+        request: The request.
+        session: The session of a connection; None over HTTP, where each request names one.
+        named: The session that the header of the request names.
+    """
+    fields = cast(dict[str, Any], request) if isinstance(request, dict) else {}
+    number, method, params = fields.get("id"), fields.get("method"), fields.get("params", {})
+    answer: dict[str, Any] = {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
+    try:
+        if fields.get("jsonrpc") != "2.0" or not isinstance(method, str):
+            message = 'Invalid Request: a request has "jsonrpc": "2.0" and a method'
+            raise ToolError("invalid_request", message, INVALID_REQUEST)
+        if not isinstance(params, dict):
+            raise ToolError("invalid_args", "params must be an object")
+        return answer | {"result": await _call(shared, method, cast(dict[str, Any], params), session, named)}
+    except ToolError as error:
+        return answer | {"error": {"code": error.code, "message": str(error)}}
+
+
+async def _call(
+    shared: AppState, method: str, params: dict[str, Any], session: OpenEnvSession | None, named: str | None
+) -> dict[str, Any]:
+    if method == "ping":
+        return {}
+    if method == "tools/list":
+        return {"tools": _listed("inputSchema")}
+    try:
+        if method in ("initialize", "openenv/session/create"):
+            if session is None:
+                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), flat_json)
+            opened = {"session_id": named if session is None else session.episode_id}
+            return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
+        named = params.get("session_id", named)
+        if method in ("tools/call", "openenv/session/close") and session is None and not isinstance(named, str):
+            raise InvalidValueError("session_id: send the one from openenv/session/create")
+        if method == "tools/call":
+            session = session or OpenEnvSession(shared, named)
+            return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
+        # That of a connection ends with it.
+        if method == "openenv/session/close" and session is None:
+            await asyncio.to_thread(shared.sessions.end, str(named))
+            return {"session_id": named, "closed": True}
+    except CapacityError as error:
+        raise ToolError("execution_error", str(error), SERVER_ERROR) from None
+    except (LookupError, InvalidValueError) as error:
+        raise ToolError("invalid_args", str(error)) from None
+    raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
+
+
+def _greeting(version: object) -> dict[str, Any]:
+    return {
+        "protocolVersion": version if version in PROTOCOLS else PROTOCOLS[0],
+        "capabilities": {"tools": {}},
+        "serverInfo": {"name": ENV_NAME, "version": __version__},
+    }
+
+
+def _listed(schema: str) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "description": about, schema: arguments.model_json_schema()}
+        for name, (arguments, about) in TOOLS.items()
+    ]
+
+
+def _result(data: dict[str, Any]) -> dict[str, Any]:
+    """Return a tool's result in MCP's format, with `data` for OpenEnv's clients."""
+    text = {"type": "text", "text": data["text"]}
+    return {"content": [text], "structuredContent": data, "data": data, "isError": False}

@@ -1,0 +1,148 @@
+"""A session of OpenEnv's clients: what `/ws` and `/mcp` fly."""
+
+import asyncio
+import uuid
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from drone_env.core.episode import NOT_STARTED, Episode
+from drone_env.errors import EpisodeError
+from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.text_episode import status_text
+from drone_env.models import openenv_json
+from drone_env.results.sessions import Session, advance, flight_of
+from drone_env.server.map_choice import DEFAULT_TASK, start_episode
+from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
+from drone_env.server.sessions import ANONYMOUS
+from drone_env.server.state import AppState
+
+Result = TypeVar("Result")
+
+
+def full_text(prompt: Prompt, episode: Episode) -> str:
+    """Return the text of a prompt: the rules of the task, and the observation."""
+    return "\n\n".join(message["content"] for message in prompt.messages(episode))
+
+
+def flown_text(episode: Episode, flown: int) -> str:
+    """Return the text after a step: what happened, and where the drone is now."""
+    return f"Flown: {flown}. {episode.message} Step: {episode.steps}. {status_text(episode)}"
+
+
+def openenv_fields(
+    episode: Episode, prompt: Prompt | None, metadata: dict[str, Any], feedback: str = ""
+) -> dict[str, Any]:
+    """Return the fields of a `WireObservation` that no `DroneObservation` has, without `reward`.
+
+    Args:
+        episode: The episode.
+        prompt: The prompt of the reset.
+        metadata: Further fields of `metadata`.
+        feedback: All text so far for a client of TextArena.
+    """
+    return {
+        "prompt": "" if prompt is None else full_text(prompt, episode),
+        "messages": [{"sender_id": 0, "content": feedback, "category": "FEEDBACK"}] if feedback else [],
+        "metadata": {"reward_profile": episode.reward_profile.id, **metadata},
+    }
+
+
+class OpenEnvSession:
+    """A session in memory, or a stored one that all server processes share. One request at a time uses it.
+
+    Args:
+        shared: The parts of the server.
+        stored: Id of the stored session; None for one in memory, which starts with its first reset.
+        task: The task of a reset that names none.
+        text: The prompt of a reset that names none. `messages` then contain all text so far, as TextArena's do.
+    """
+
+    def __init__(
+        self, shared: AppState, stored: str | None = None, task: str = DEFAULT_TASK, text: Prompt | None = None
+    ) -> None:
+        self._shared = shared
+        self._stored = stored
+        self._task = task
+        self._text = text
+        self._session: Session | None = None
+        self._prompt: Prompt | None = None
+        self._feedback = ""
+        self._last: tuple[float, int] = 0.0, 0
+        self.episode_id = str(uuid.uuid4())
+        """The id from the last reset."""
+
+    async def reset(self, options: SessionReset) -> Episode:
+        """Start an episode and return it. After an error the current one continues.
+
+        Raises:
+            UnknownNameError, InvalidValueError: if there is no such map, profile or prompt.
+        """
+        named = options.prompt if isinstance(options, OpenEnvReset) else None
+        prompt, agent = self._text if named is None else get_prompt(named), options.agent or ANONYMOUS
+        if self._stored is None:
+            last = None if self._session is None else self._session.seed
+            episode = start_episode(options, last, self._task)
+            self._session = Session("", *flight_of(episode), agent, episode=episode)
+        else:
+            episode, _ = await self._use(
+                lambda session: session.begin(start_episode(options, session.seed, self._task), agent)
+            )
+        self.episode_id = str(uuid.uuid4()) if options.episode_id is None else options.episode_id
+        self._prompt, self._feedback = prompt, ""
+        return episode
+
+    async def fly(self, route: str) -> tuple[Episode, float, int]:
+        """Fly a route; returns the episode, the sum of the rewards, and the number of steps.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+
+        def fly(session: Session) -> None:
+            # If storing the ended episode failed, the client repeats the last step, and gets the same response.
+            if not session.finished:
+                self._last = fly_route(route, session.fly(), lambda action: advance(session, action))
+
+        episode, _ = await self._use(fly)
+        return episode, *self._last
+
+    async def look(self) -> Episode:
+        """Return the episode.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        return (await self._use(lambda _: None))[0]
+
+    async def observation(self, episode: Episode, reward: float | None, **metadata: int) -> str:
+        """Return an observation as JSON in OpenEnv's format, with the text that the reset named."""
+        if self._prompt is None:
+            fields = self._fields(episode, metadata)
+        else:  # takes milliseconds, and some prompts compile code
+            fields = await asyncio.to_thread(self._fields, episode, metadata)
+        return openenv_json(episode, reward, **fields)
+
+    def _fields(self, episode: Episode, metadata: dict[str, int]) -> dict[str, Any]:
+        flown = metadata.get("flown")
+        if self._text is not None and flown is None:
+            self._feedback = full_text(self._text, episode)
+        elif self._text is not None and flown:
+            self._feedback += f"\n{flown_text(episode, flown)}"
+        return openenv_fields(episode, self._prompt, metadata, self._feedback)
+
+    async def _use(self, change: Callable[[Session], Result]) -> tuple[Episode, Result]:
+        """Call a function with the session, and store what ended."""
+        loop, shared = asyncio.get_running_loop(), self._shared
+        if self._stored is not None:
+            return await loop.run_in_executor(shared.steps, self._use_stored, self._stored, change)
+        if self._session is None:
+            raise EpisodeError(NOT_STARTED)
+        result = change(self._session)
+        if self._session.finished:
+            await loop.run_in_executor(shared.steps, shared.store.keep, self._session)
+        return self._session.fly(), result
+
+    def _use_stored(self, stored: str, change: Callable[[Session], Result]) -> tuple[Episode, Result]:
+        with self._shared.sessions.changing(stored) as session:
+            result = change(session)
+            return session.fly().copy(), result

@@ -1,0 +1,53 @@
+"""The drone as a taskset of verifiers, flown by its own `vf-eval`: `tools/verify.sh verifiers`."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drone_env.planning.optimal import solve
+from drone_env.results.record import EpisodeRecord, replay
+from tests.llm.conftest import Endpoint, environment, json_lines
+
+pytest.importorskip("verifiers", reason="needs an environment of its own", exc_type=ImportError)
+Start = Callable[..., Endpoint]
+
+
+def evaluated(endpoint: Endpoint, folder: Path, *arguments: str) -> list[dict[str, Any]]:
+    """The traces of `vf-eval`."""
+    where = ["--client.base-url", endpoint.url, "--client.api-key-var", "SCRIPTED_API_KEY", "--no-push", "--no-rich"]
+    command = [str(Path(sys.executable).with_name("vf-eval")), "drone_delivery", "--model", "scripted", *where]
+    variables = environment(SCRIPTED_API_KEY="sk-scripted")
+    subprocess.run([*command, *arguments], cwd=folder, env=variables, check=True, timeout=280)
+    (path,) = folder.glob("outputs/*/traces.jsonl")
+    traces = [trace for line in json_lines(path) for trace in line.get("traces", [line])]
+    for trace in traces:
+        assert trace["ok"], trace["errors"]
+        assert sum(trace["info"]["turn_rewards"]) == pytest.approx(-trace["metrics"]["regret"])
+        replay(EpisodeRecord.model_validate_json(trace["info"]["record"]))
+    return traces
+
+
+def test_plans_in_one_turn(endpoint: Start, tmp_path: Path) -> None:
+    traces = evaluated(endpoint(pilot="plan"), tmp_path, "--env.taskset.map-task", "hard", "--select.limit", "2")
+    scores = {trace["task"]["data"]["flight"][1]: trace["rewards"]["score"]["score"] for trace in traces}
+    assert scores == {seed: solve("hard", seed).score for seed in (0, 1)}
+    assert all(trace["info"]["turn_rewards"] == [0] and trace["metrics"]["success"] == 1 for trace in traces)
+
+
+def test_turn_by_turn_the_credit_is_the_change_of_the_best_score(endpoint: Start, tmp_path: Path) -> None:
+    limits = ["--env.pilot.max-turns", "4", "--select.limit", "1", "--env.taskset.prompt", "minimal"]
+    scripted = endpoint(pilot="WAIT")
+    (trace,) = evaluated(scripted, tmp_path, *limits)
+    assert (trace["metrics"]["steps"], trace["metrics"]["success"]) == (4, 0)
+    *steps, last = trace["info"]["turn_rewards"]
+    assert steps == pytest.approx([-0.2 / 60] * 3)  # a step and a unit of battery
+    assert last < -0.9  # the limit: nothing is delivered
+    (folder := tmp_path / "bad").mkdir()
+    (trace,) = evaluated(endpoint(pilot="Let us go up!"), folder, *limits)
+    assert (trace["metrics"]["steps"], trace["metrics"]["unusable"]) == (2, 1)
+    # The first unusable answer of a step is repaired, the second is a WAIT.
+    assert trace["info"]["turn_rewards"][:3] == pytest.approx([0, -0.2 / 60, 0])
