@@ -7,7 +7,7 @@ from playwright.sync_api import Page, expect
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
 from tests.browser.shown import expect_step, points
-from tests.browser.stage import open_file, press, show
+from tests.browser.stage import choices, open_file, press, show
 from tests.browser.tabs import Tabs
 
 
@@ -65,7 +65,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     press(page, "Fly it")
     expect_step(page, 0, 120)
     assert f"task={file.stem}&seed=0&pilot=human" in page.url
-    page.get_by_role("link", name="Edit this map").click()
+    choices(page).get_by_role("link", name="Edit this map").click()
     expect(score).to_have_text(shown)
     # An address of no map shows neither the map before nor an empty one.
     show(page, "?view=draw&task=atlantis")
