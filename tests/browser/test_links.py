@@ -8,7 +8,7 @@ from playwright.sync_api import Page, expect
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, newest
 from tests.browser.shown import expect_flying, expect_frame, expect_step
-from tests.browser.stage import along, ended, fly, map_number, over, pilot, press, show, slider, view
+from tests.browser.stage import along, at_speed, ended, fly, map_number, over, pilot, press, show, slider, view
 from tests.browser.tabs import Tabs
 
 PAGE_BYTES = 300_000
@@ -56,6 +56,13 @@ def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, serv
     expect(page).to_have_url(re.compile("seed=7&pilots=greedy,random&step=4$"))
     page.reload()
     expect_frame(page, flights[0][4], 100)
+    # The address follows a flight that flies by itself.
+    at_speed(page, "1")
+    press(page, "Resume")
+    expect(page).to_have_url(re.compile("&step=6$"))
+    page.reload()
+    expect_frame(page, flights[0][6], 100)
+    expect(page.get_by_role("button", name="Resume", exact=True)).to_be_enabled()
 
 
 def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page: Page, server: Server) -> None:
@@ -123,6 +130,13 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     unread = "The link contains invalid values, which were ignored: view=nosuch, step=-3, fork=junk."
     expect(page.locator("#toasts .toast").last).to_have_text(unread)
     expect(map_number(page)).to_have_value("6")
+    # Without its step, the moves of a fork are nobody's.
+    show(page, "/?task=hard&seed=6&pilots=greedy,human&fork=junk&of=greedy&actions=ULL")
+    expect(page.locator("#toasts .toast").last).to_have_text(
+        "The link contains invalid values, which were ignored: fork=junk."
+    )
+    expect_step(page, 0, 160)
+    expect(page).to_have_url(re.compile(r"\?task=hard&seed=6&pilots=greedy,human$"))
     problem, start = page.get_by_role("alert"), page.get_by_role("button", name="Start", exact=True)
     show(page, "/?view=compare&task=zzz")
     expect(problem.filter(has_text="unknown task 'zzz'; allowed: ")).to_be_visible()

@@ -117,4 +117,5 @@ def parse_command(data: bytes) -> Command:
     try:
         return _COMMAND.validate_python(value)
     except ValidationError as error:
-        raise InvalidValueError(text_of(error)) from None
+        # The first part of a name is the type of the command.
+        raise InvalidValueError(text_of(error, lambda name: name.partition(".")[2] or name)) from None
