@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.tasks import MAX_UNITS, get_task
+from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.models import Seed
 from drone_env.planning.optimal import best_of
@@ -125,11 +125,17 @@ def _title(request: Request, shared: AppState) -> tuple[str | None, Link]:
             start, pilot = link.start(), link.first_pilot
             name = "Fly it yourself" if pilot == HUMAN else all_pilots()[pilot].name if pilot else ""
             task, seed = start.task.id, start.seed
-        title = f"{get_task(task).short_name.replace('_', ' ').title()}, map {seed}"
+        title = f"{_task_name(get_task(task))}, map {seed}"
     except (DroneEnvError, ValidationError):
         return None, FIRST_PAINT
     title = f"{name}: {title}" if name else title
     return title if link.step is None else f"{title}, step {link.step}", link
+
+
+def _task_name(task: TaskConfig) -> str:
+    """The name of a task for people, as the page writes it: `Skyline Hard`, `Drawn map aadb`."""
+    name = task.short_name
+    return f"Drawn map {name[6:10]}" if task.family == "drawn" else name.replace("_", " ").title()
 
 
 def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:
