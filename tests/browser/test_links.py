@@ -3,12 +3,12 @@
 import re
 from collections.abc import Callable
 
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, newest
 from tests.browser.shown import expect_flying, expect_frame, expect_step
-from tests.browser.stage import along, at_speed, ended, fly, map_number, over, pilot, press, show, slider, view
+from tests.browser.stage import along, at_speed, ended, fly, map_number, over, pilot, press, show, slider, until, view
 from tests.browser.tabs import Tabs
 
 PAGE_BYTES = 300_000
@@ -141,7 +141,7 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     show(page, "/?view=compare&task=zzz")
     expect(problem.filter(has_text="unknown task 'zzz'; allowed: ")).to_be_visible()
     for link, why in (
-        ("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human", "pilots: List should have at most 4 items"),
+        (f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}", "Pilots: List should have at most 8 items"),
         ("/?episode=nothing", "nothing"),
     ):
         page.goto(link)
@@ -187,3 +187,21 @@ def test_the_bare_address_is_light_and_shows_a_flight_until_one_is_flown(beside:
     expect_flying(page, "You")
     expect(map_number(page)).to_have_value(seed)
     expect(hello).to_be_hidden()
+
+
+def test_a_click_before_the_page_has_started_loads_nothing_again(beside: Callable[..., Page]) -> None:
+    page, held = beside(), list[Route]()
+    page.route("**/tasks", lambda route, _: held.append(route))
+    page.goto("/")
+    hello = page.locator("#hello")
+    hello.get_by_role("link", name="Fly it yourself").click()
+    expect(page.locator("#toasts")).to_have_text("Loading …")
+    expect(hello).to_be_visible()
+    until(page, lambda: bool(held))
+    held[0].continue_()
+    expect_flying(page, "You")
+    expect(hello).to_be_hidden()
+    expect(page.locator("#toasts")).to_be_empty()
+    assert len(held) == 1
+    page.go_back()
+    expect(hello).to_be_visible()
