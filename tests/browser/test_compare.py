@@ -106,6 +106,7 @@ def test_the_flights_of_one_pilot_are_listed_in_pages(page: Page, server: Server
     for button, listed in ((None, new[:50]), ("Older", new[50:]), ("Newer", new[:50])):
         if button:
             press(page, button)
+        expect(flights.first).to_have_attribute("data-episode", listed[0])
         expect(flights).to_have_count(len(listed))
         assert flights.evaluate_all("all => all.map(one => one.dataset.episode)") == listed
 
