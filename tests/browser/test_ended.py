@@ -32,8 +32,8 @@ from tests.browser.stage import (
     pilot,
     show,
     slider,
-    task,
     standings,
+    task,
     view,
 )
 from tests.browser.tabs import Tabs
