@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # Keep bytecode: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long check format docs python $(PYTHONS) verify clean
+.PHONY: demo serve test test-long check format docs python $(PYTHONS) adapters verify clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -78,6 +78,10 @@ $(PYTHONS): python-%: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $*) && $$python -m venv $(VENV)/$*
 	$(BIN)/uv pip install --quiet --python $(VENV)/$*/bin/python --editable '.[llm,server,test]'
 	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,$(LEFT_OUT))
+
+# Every client and trainer that the docs name, each in an environment with its own packages.
+adapters: $(VENV)/.dev
+	VENV=$(VENV) TORCH='$(TORCH)' tools/verify.sh adapters verifiers
 
 # The campaigns: many more cases, other Pythons, oldest dependencies, deliberate faults; takes hours.
 verify: $(VENV)/.dev

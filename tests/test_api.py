@@ -214,7 +214,6 @@ BODIES: dict[str, Any] = {
 QUERIES = {
     "/leaderboard/{task_name}/maps": {"agent": "anonymous"},
     "/paired/{task_name}": {"a": "anonymous", "b": "anonymous"},
-    "/preview.png": {"task": "easy", "seed": 7, "pilot": "greedy"},
 }
 
 

@@ -3,8 +3,9 @@
     python -m tools.first_paint
 
 The tool reads the record `first_paint.json`, a flight of the tour network over map 43 of skyline_medium, and writes
-`first_paint.html` and `css/hello-motion.css`. Of the first 100 maps of hard and skyline_medium this is the one on which
-greedy loses most, 75 points of 95, since its battery is empty after one parcel of four. The network scores the optimum.
+`first_paint.html`, `css/hello-motion.css`, and `preview.png` for sites that preview links. Of the first 100 maps of
+hard and skyline_medium this is the one on which greedy loses most, 75 points of 95, since its battery is empty after
+one parcel of four. The network scores the optimum.
 """
 
 import re
@@ -18,6 +19,7 @@ import numpy as np
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
+from drone_env.envs.rendering import save_picture
 from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.server.page_files import ART, PAGE
@@ -38,9 +40,14 @@ VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
 """Number of figures of a kind on the map; each additional one makes the page larger."""
 
 
+def read_flight() -> Episode:
+    """The recorded flight."""
+    return replay(EpisodeRecord.read((PAGE / "first_paint.json").read_bytes(), "first_paint.json is not a record"))
+
+
 def draw() -> dict[Path, str]:
     """The files of the page that show the recorded flight, and what they contain."""
-    episode = replay(EpisodeRecord.read((PAGE / "first_paint.json").read_bytes(), "first_paint.json is not a record"))
+    episode = read_flight()
     return {
         PAGE / "first_paint.html": _section(FIRST_PAINT, episode) + "\n",
         PAGE / "css" / "hello-motion.css": _motion(episode),
@@ -166,5 +173,6 @@ def _motion(flown: Episode) -> str:
 
 
 if __name__ == "__main__":
+    save_picture(read_flight(), PAGE / "preview.png", 630)
     for path, text in draw().items():
         path.write_text(text, encoding="utf-8")

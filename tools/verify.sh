@@ -35,8 +35,9 @@ environment() {
   "$VENV/$1/bin/python" -m pip install --quiet --no-compile "$TORCH"
 }
 
-# The tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
+# OpenEnv's stock clients; then the tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
 adapters() {
+  $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
   "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,trl]' \
     'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'

@@ -3,7 +3,6 @@
 `tools/draw_figures.py` makes the sprites of the figures from `art/figures.svg`, which the page also uses.
 """
 
-import io
 import math
 import textwrap
 from collections.abc import Collection, Sequence
@@ -41,8 +40,6 @@ MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, steps: they lim
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
 FPS = 8  # pictures per second of a window, and of a film of `RecordVideo`
 PANEL, TEXT = 46, 38  # widths of the panel and of its text, in hundredths of the picture's height
-CARD = 1200, 630  # pixels of a link preview
-ROOM = 0.24  # fraction of a card's width for the text
 
 
 class Layout(NamedTuple):
@@ -97,31 +94,6 @@ def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
     picture = _picture(episode, size)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.save(path)
-
-
-def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
-    """A link preview: the picture of an episode with text on its left, 1200 by 630 pixels, as a PNG.
-
-    Args:
-        episode: A started episode; it is not changed.
-        lines: At most twelve lines of text, and whether each is emphasised.
-
-    Raises:
-        EpisodeError: before the first reset.
-    """
-    card, room = Image.new("RGB", CARD, PALETTE["backdrop"]), round(ROOM * CARD[0])
-    picture = _picture(episode, CARD[1])
-    picture.thumbnail((CARD[0] - room, CARD[1]))  # shrinks wide maps
-    card.paste(picture, (CARD[0] - picture.width, (CARD[1] - picture.height) // 2))
-    pen, left, y = ImageDraw.Draw(card), 0.05 * CARD[1], 0.13 * CARD[1]
-    _write(pen, (left, y), "Drone Delivery", 26, "muted", width=room - left)
-    for words, strong in lines:
-        y += 52 if strong else 38
-        height, colour = (36, "ink") if strong else (28, "muted")
-        _write(pen, (left, y), words, height, colour, width=room - left, bold=strong)
-    file = io.BytesIO()
-    card.save(file, "PNG")
-    return file.getvalue()
 
 
 def _picture(episode: Episode, size: int) -> Image.Image:

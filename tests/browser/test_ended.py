@@ -32,6 +32,7 @@ from tests.browser.stage import (
     pilot,
     show,
     slider,
+    standings,
     task,
     view,
 )
@@ -143,6 +144,21 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         choice.select_option(index=index)
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
+    # Flights over one map are shown together.
+    pilots = ["greedy", "optimal", "random", "pathqnet", "tournet", "greedy", "me", "you"]
+    labels = [flown("easy", 4, "greedy" if name in ("me", "you") else name, label=name) for name in pilots]
+    open_file(page, "race.jsonl", "".join(flight.to_json() + "\n" for flight in [*labels, flights[0]]))
+    names = ["Greedy (1)", "Optimal", "Random", "PathQNet", "Tournet", "Greedy (6)", "me", "you"]
+    expect(standings(page)).to_have_count(8)
+    for number in (3, 8):
+        page.keyboard.press(str(number))
+        expect(standings(page).and_(page.locator(".selected"))).to_contain_text(names[number - 1])
+        expect(choice).to_have_value(re.compile(f"^{number}\\."))
+    choice.select_option(index=8)
+    expect(map_number(page)).to_have_value("1")
+    expect(page.locator("#standings")).to_be_hidden()
+    choice.select_option(index=5)
+    expect(standings(page).and_(page.locator(".selected"))).to_contain_text("Greedy (6)")
     open_file(page, "flight.json", record_of(by_hand("easy", 5, [Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight.")
     expect(page.locator(".strip")).to_contain_text("This flight is not finished")
@@ -156,6 +172,9 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
     calls = get(server, f"episodes/{id_}/calls")["calls"]
     show(page, f"/?episode={id_}")
     answer, prompt = page.locator("#llm-answer"), page.locator("#llm-prompt")
+    # The arrows are the values of a network that does not fly here.
+    expect(page.get_by_role("checkbox", name="Network values")).to_be_hidden()
+    assert painted(page.locator("#boards .map-air"), "--network") == []
     # Its first answer was not legal, so it was asked again.
     expect(answer).to_have_text(f"Hm. (illegal)\n\nRetry: {calls[1]['answer']}")
     page.get_by_text("Prompt", exact=True).click()

@@ -1,24 +1,17 @@
-"""The page, and the previews of links to it: `meta` elements and a picture."""
+"""The page, and the `meta` elements by which other sites preview a link to it."""
 
 from html import escape
-from itertools import islice
-from typing import Annotated
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from starlette.concurrency import run_in_threadpool
 
-from drone_env.core.episode import Episode, choices
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.tasks import MAX_UNITS, get_task
+from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.models import Seed
-from drone_env.planning.optimal import best_of
-from drone_env.results.record import EpisodeRecord, replay_steps
-from drone_env.server.exceptions import error_responses
-from drone_env.server.jobs import job_context
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.page_files import PAGE, edition
 from drone_env.server.pilots import HUMAN, all_pilots, display_name
@@ -26,7 +19,6 @@ from drone_env.server.sessions import LONGEST_ID
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["page"])
-PICTURE = {200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}}
 STYLES = "".join(f'<link rel="stylesheet" href="static/css/{name}.css">' for name in ("hello", "hello-motion"))
 NAME = "Drone Delivery"
 ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a network, and see what every move gave away."
@@ -72,7 +64,7 @@ class Link(BaseModel):
 
 
 FIRST_PAINT = Link(task="skyline_medium", seed=43, pilot="tournet")
-"""The flight that the page shows before its scripts run; `tools/first_paint.py` draws it."""
+"""The flight that the page shows before its scripts run and link previews show; `tools/first_paint.py` draws it."""
 
 
 @router.get("/", include_in_schema=False)
@@ -87,26 +79,14 @@ def page(request: Request, shared: AppStateDep) -> Response:
     return HTMLResponse(html)
 
 
-@router.get("/preview.png", response_class=Response, responses=PICTURE | error_responses(404, 422, 503))
-async def preview(request: Request, shared: AppStateDep, link: Annotated[Link, Query()]) -> Response:
-    """The picture of a link: its map with the flight of its first pilot, or a stored episode, up to its step."""
-    record = (await run_in_threadpool(shared.store.episode, link.episode)).record if link.episode else None
-    task = link.task if record is None else record.task
-    picture = await shared.work(request, draw_preview, link, record, task=task)
-    return Response(picture, media_type="image/png", headers={"Cache-Control": "max-age=3600"})
-
-
 def _head(request: Request, shared: AppState) -> str:
     """The `meta` elements for link previews.
 
     If the server requires a token they are the same for every address, since stored flights are not public.
     """
-    title, link = (None, None) if shared.settings.token is not None else _title(request, shared)
+    title = None if shared.settings.token is not None else _title(request, shared)
     meta = {"og:type": "website", "og:site_name": NAME, "og:title": title or NAME, "og:description": ABOUT}
-    if link is not None:
-        meta["og:image"] = f"{request.base_url}preview.png?{link.query()}"
-        meta |= {"og:image:width": "1200", "og:image:height": "630"}
-    meta["twitter:card"] = "summary" if link is None else "summary_large_image"
+    meta |= {"og:image": f"{request.base_url}static/preview.png", "twitter:card": "summary_large_image"}
     lines = [
         f'<meta {"name" if name.startswith("twitter") else "property"}="{name}" content="{escape(text)}">'
         for name, text in meta.items()
@@ -114,8 +94,8 @@ def _head(request: Request, shared: AppState) -> str:
     return "\n".join(lines)
 
 
-def _title(request: Request, shared: AppState) -> tuple[str | None, Link]:
-    """The title and the link of the address; no title and the first flight of the page if the address has no flight."""
+def _title(request: Request, shared: AppState) -> str | None:
+    """The title of the flight in the address; None without one."""
     try:
         link = Link.model_validate(dict(request.query_params))
         if link.episode:
@@ -125,46 +105,14 @@ def _title(request: Request, shared: AppState) -> tuple[str | None, Link]:
             start, pilot = link.start(), link.first_pilot
             name = "Fly it yourself" if pilot == HUMAN else all_pilots()[pilot].name if pilot else ""
             task, seed = start.task.id, start.seed
-        title = f"{get_task(task).short_name.replace('_', ' ').title()}, map {seed}"
+        title = f"{_task_name(get_task(task))}, map {seed}"
     except (DroneEnvError, ValidationError):
-        return None, FIRST_PAINT
+        return None
     title = f"{name}: {title}" if name else title
-    return title if link.step is None else f"{title}, step {link.step}", link
+    return title if link.step is None else f"{title}, step {link.step}"
 
 
-def draw_preview(link: Link, record: EpisodeRecord | None) -> bytes:
-    """The picture of a link, 1200 by 630 pixels, as a PNG: the map with the flight of its first pilot up to its step.
-
-    Args:
-        link: The link.
-        record: The stored episode that the link names, None without one.
-
-    Raises:
-        UnknownNameError, InvalidValueError: as `Link.start`.
-        UnsupportedTaskError: if the pilot cannot fly the task.
-        CheckpointError: if its network cannot be read.
-        TooLargeError: if the map is too large for the pilot.
-    """
-    from drone_env.envs.rendering import draw_card  # Imported lazily: the serving process does without Pillow.
-
-    if record is not None:
-        *_, episode = islice(replay_steps(record), None if link.step is None else link.step + 1)
-        name = display_name(record.agent)
-    else:
-        episode, pilot = link.start(), link.first_pilot
-        agent = job_context().networks.agent(pilot, episode.task) if pilot else None
-        if agent is not None:
-            agent.reset(episode.seed)
-            episode.fly(islice(choices(episode, agent.act), link.step))
-        name = all_pilots()[pilot].name if pilot else ""
-    return draw_card(episode, _lines(name, episode))
-
-
-def _lines(name: str, episode: Episode) -> list[tuple[str, bool]]:
-    if not name:
-        return []
-    if not episode.ended:
-        return [(name, True), (f"step {episode.steps}" if episode.steps else "at the start", False)]
-    best = best_of(episode.task, episode.seed)
-    optimum = [] if best is None else [("", False), (f"optimum {100 * best.score:.1f}", False)]
-    return [(name, True), (f"score {100 * episode.score:.1f}", False), *optimum]
+def _task_name(task: TaskConfig) -> str:
+    """The name of a task for people, as the page writes it: `Skyline Hard`, `Drawn map aadb`."""
+    name = task.short_name
+    return f"Drawn map {name[6:10]}" if task.family == "drawn" else name.replace("_", " ").title()

@@ -7,8 +7,7 @@ export function mountCalls(root, context) {
   const answer = el("pre.raw", { id: "llm-answer", tabindex: "0", "aria-label": "Answer" });
   const prompt = el("pre.raw", { id: "llm-prompt", tabindex: "0", "aria-label": "Prompt" });
   const note = el("p.note");
-  const picture = el("img.asked", { loading: "lazy", alt: "The picture of the map in the prompt" });
-  const details = el("details", el("summary", { text: "Prompt" }), prompt, picture);
+  const details = el("details", el("summary", { text: "Prompt" }), prompt);
   root.append(model, note, answer, details);
 
   function draw() {
@@ -23,11 +22,7 @@ export function mountCalls(root, context) {
     setText(answer, calls.map(answered).join("\n\n"));
     // The last request repeats the earlier ones.
     const messages = calls.at(-1)?.messages ?? [];
-    setText(prompt, messages.map(({ role, content }) => `${role}: ${textOf(content)}`).join("\n\n"));
-    picture.hidden = !messages.some(({ content }) => typeof content !== "string");
-    // The prompt shows the map before the step. Setting the same URL would reload the picture.
-    const shown = picture.hidden ? "" : `preview.png?episode=${encodeURIComponent(track.episode.id)}&step=${step - 1}`;
-    if (shown && picture.getAttribute("src") !== shown) picture.src = shown;
+    setText(prompt, messages.map(({ role, content }) => `${role}: ${content}`).join("\n\n"));
     answer.hidden = details.hidden = calls.length === 0;
   }
 
@@ -41,7 +36,3 @@ function answered({ attempt, answer, reasoning, failures, outcome }) {
   const unusable = outcome === "ok" ? "" : ` (${outcome.replaceAll("_", " ")})`;
   return `${attempt > 1 ? "Retry: " : ""}${said.join("\n\n")}${unusable}`;
 }
-
-/** The text of a message; a picture as its URL. */
-const textOf = (content) =>
-  typeof content === "string" ? content : content.map(({ text, image_url }) => text ?? `[${image_url.url}]`).join("\n");

@@ -167,16 +167,11 @@ export function mountFly(root, context) {
   function isShown() {
     const { address } = router;
     if (context.view !== "fly") return false;
-    if (fleet.shown) return fleet.phase === "idle" && says(fleet.complete(address), fleet.setup);
+    if (fleet.shown) return fleet.phase !== "starting" && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
-  // While a flight moves by itself, the address does not follow each step.
-  stage.on("change", () => {
-    if (stage.clock.playing || !isShown()) return;
-    const now = moment();
-    if (now.actions || !stage.flying) router.moment(now);
-  });
+  stage.on("change", () => isShown() && router.moment(moment()));
 }
 
 /** An error above the map; if nothing is flown, with a button that starts a flight. */

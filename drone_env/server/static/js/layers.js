@@ -64,7 +64,7 @@ export const LAYERS = [
     hint: "An arrow for each move: the longer, the higher its value",
     key: "q",
     on: () => true,
-    when: ({ track }) => Boolean(track?.weighed),
+    when: ({ track }) => Boolean(track?.weighed && track.ours),
     draw: drawThoughts,
   },
   { id: "drones", place: "air", draw: drawDrones },
