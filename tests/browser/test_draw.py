@@ -7,7 +7,7 @@ from playwright.sync_api import Page, Route, expect
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
 from tests.browser.shown import expect_step, points
-from tests.browser.stage import open_file, press, show, until, view
+from tests.browser.stage import choices, open_file, press, show, until, view
 from tests.browser.tabs import Tabs
 
 
@@ -69,7 +69,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect_step(page, 0, 120)
     assert f"task={file.stem}&seed=0&pilot=human" in page.url
     expect(page.locator(".plan-head")).to_contain_text(f"Drawn map {file.stem[6:10]}")
-    page.get_by_role("link", name="Edit this map").click()
+    choices(page).get_by_role("link", name="Edit this map").click()
     expect(score).to_have_text(shown)
     expect(paint.get_by_role("radio", name="Move")).to_be_checked()
     # While a slow server computes, the page shows no optimum of another map.

@@ -22,16 +22,18 @@ from tests.browser.shown import (
 )
 from tests.browser.stage import (
     at_its_end,
+    choices,
     ended,
     fly,
     map_number,
     moves,
     open_file,
     over,
-    press,
+    pilot,
     show,
     slider,
     standings,
+    task,
     view,
 )
 from tests.browser.tabs import Tabs
@@ -80,7 +82,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}")
     seen.click()
     expect_frame(page, flight[worst], 60)
-    expect(page.locator("#possible")).to_have_text(points(possible))
+    expect(page.locator("#score")).to_have_text(points(possible))
     expect(page.locator("#lost")).to_have_text(points(annotation["optimal_score"] - possible))
     lost = f"{move['label']}: lost {points(move['regret'])}. {points(possible)} still possible."
     expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
@@ -125,15 +127,15 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
     for after, steps in (("Medium", 100), ("Hard", 160), ("Easy", 60)):
         ended(page).get_by_role("button", name=f"Next: {after}").click()
         expect_step(page, 0, steps)
-        expect(page.get_by_role("radio", name=after, exact=True)).to_be_checked()
+        expect(task(page, after)).to_be_checked()
         at_its_end(page, 0, f"/?task={after.lower()}&seed=0&pilot=optimal")
     expect_flying(page, "Optimal")
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
     flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal")]
-    choice = page.get_by_role("combobox", name="Flight of the file")
     view(page, "Fly")
+    choice = choices(page).get_by_role("combobox", name="Flight of the file")
     open_file(page, "flights.jsonl", "".join(flight.to_json() + "\n" for flight in flights))
     expect(choice.locator("option")).to_have_text(
         ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Optimal"]
@@ -206,8 +208,8 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     open_file(page, "flight.json", record.to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: ")
     expect(problem).to_be_hidden()
-    press(page, "Greedy")
+    pilot(page, "Greedy").click()
     expect(page.locator(".strip")).to_be_hidden()
-    expect(page.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
+    expect(task(page, "Easy")).to_be_checked()
     expect_step(page, 0, 60)
     expect(map_number(page)).to_have_value("21")

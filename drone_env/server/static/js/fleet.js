@@ -7,7 +7,7 @@ import { Track } from "./track.js";
 
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
-const lettersOf = (actions) => actions.map((action) => action[0]).join("");
+export const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
  * `setup` describes the flights as an `Address` of router.js. `phase` is the request that waits for an answer:

@@ -1,5 +1,6 @@
 // The layers of a map, from the ground up. To add a layer, add an entry here.
 import { drawCity } from "./layer_city.js";
+import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
 import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
@@ -67,4 +68,5 @@ export const LAYERS = [
     draw: drawThoughts,
   },
   { id: "drones", place: "air", draw: drawDrones },
+  { id: "costs", place: "air", draw: drawCosts },
 ];
