@@ -61,7 +61,7 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy finish"])
     # The button of the next task would leave the lesson.
-    expect(page.locator("#try-worst")).to_be_visible()
+    expect(page.locator("#again")).to_be_visible()
     expect(page.locator("#next")).to_be_hidden()
     # The blunder counts as found when the visitor looks at it, not while the flight plays.
     at_speed(page, "10")  # slow enough that the page shows each step

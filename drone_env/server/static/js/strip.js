@@ -53,7 +53,7 @@ export function mountStrip(root, context, fleet, acts) {
     }
     const after = nextTask(context.families, stage.world.task);
     setText(next, `Next: ${title(after.short_name)}`);
-    next.hidden = last.outcome !== "delivered" || context.router.address.lesson !== null;
+    next.hidden = last.outcome !== "delivered";
     if (announced === track) return;
     announced = track;
     analysis.hidden = Boolean(track.past);
