@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
+from drone_env.core.rules import score_of
+from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TaskConfig
 from drone_env.results.record import EpisodeRecord, replay
 
@@ -145,6 +147,13 @@ class FlightAnalysis:
     def regret(self) -> float:
         """Optimum - score: the exact sum of all regrets, rounded once."""
         return self.optimum - self.score
+
+    @property
+    def rescue_step(self) -> int | None:
+        """The last step after which all parcels could still be delivered; None if there is none."""
+        task = self.task
+        least = score_of(interpreted(task), task.deliveries, 0, task.max_steps)
+        return sum(value >= least for value in self.values) - 1 if self.optimum >= least else None
 
     @property
     def counts(self) -> dict[Label, int]:

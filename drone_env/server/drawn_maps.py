@@ -86,7 +86,7 @@ class DrawnMaps:
             most = self._most if self._most is not None else DEFAULT_MAPS if stranger is None else 0
             if most == 0:
                 detail = "this server keeps no drawn maps: save yours as a file, and fly it on a server of your own"
-                raise RequestError(403, "maps_off", f"{detail} (drone-env serve), or set DRONE_ENV_MAPS on this one")
+                raise RequestError(403, "maps_off", detail)
             try:
                 self._make_room(most, stranger)
                 self._folder.mkdir(parents=True, exist_ok=True)

@@ -34,8 +34,19 @@ def slider(page: Page) -> Locator:
     return page.get_by_role("slider", name="Step of the flight")
 
 
+def choices(page: Page) -> Locator:
+    """The choices above the map, once they are open: task, pilots and map."""
+    opened = page.locator(".plan-details")
+    opened.evaluate("details => { details.open = true; }")
+    return opened
+
+
 def map_number(page: Page) -> Locator:
-    return page.get_by_role("spinbutton", name="Map")
+    return page.locator("#seed")
+
+
+def task(page: Page, name: str) -> Locator:
+    return page.locator(f".task-option input[aria-label='{name}']")
 
 
 def moves(page: Page) -> Locator:
@@ -83,7 +94,7 @@ def fly(page: Page, button: str = "Start") -> None:
 
 
 def ended(page: Page) -> Locator:
-    """The strip below the map, once the flight has ended and is annotated."""
+    """The strip beside the map, once the flight has ended and is annotated."""
     strip = page.locator(".strip")
     expect(strip).to_be_visible()  # a hidden strip may be that of the flight before
     expect(strip).to_contain_text("a best flight takes")
@@ -92,9 +103,9 @@ def ended(page: Page) -> Locator:
 
 def pilot(page: Page, name: str) -> Locator:
     """The button that makes a pilot fly alone."""
-    return page.get_by_role("group", name="Pilots").get_by_role("button", name=name, exact=True)
+    return choices(page).get_by_role("group", name="Pilots").get_by_role("button", name=name, exact=True)
 
 
 def along(page: Page, name: str) -> Locator:
     """The box that makes a pilot fly along."""
-    return page.get_by_role("checkbox", name=f"Add {name}", exact=True)
+    return choices(page).get_by_role("checkbox", name=f"Add {name}", exact=True)

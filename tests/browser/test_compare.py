@@ -10,7 +10,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown, get
 from tests.browser.shown import fixed, points
-from tests.browser.stage import press, view
+from tests.browser.stage import press, show, view
 
 
 def compare(page: Page, task: str = "easy") -> None:
@@ -59,6 +59,15 @@ def test_the_leaderboard_opens_down_to_a_flight_and_the_address_says_what_is_ope
     expect(chance).to_be_focused()
 
 
+def test_a_link_to_pilots_that_have_not_flown_offers_to_fly_them(page: Page, server: Server) -> None:
+    show(page, "/?view=compare&task=medium&pilots=optimal,nobody")
+    part = page.locator("#view-compare").get_by_role("status").filter(has_text="No flights of Medium by ")
+    expect(part).to_have_text("No flights of Medium by Optimal or nobody yet.")
+    expect(rows(page, "Leaderboard").first).to_contain_text("(few)")
+    press(page, "Fly now")
+    expect(page).to_have_url(re.compile(r"/\?task=medium&seed=[0-9]+&pilot=optimal$"))
+
+
 def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     compare(page)
     page.get_by_role("checkbox", name=f"Compare {MARKUP}").check()
@@ -90,6 +99,10 @@ def test_runs_of_models_and_trainings(page: Page, server: Server, data: Path) ->
     run = board["rows"][0]
     lines = rows(page, "Runs over maps 14 to 15 (custom)")
     expect(lines).to_have_count(2)
+    # A pilot has the name and the colour that it has everywhere.
+    expect(lines.last).to_contain_text("Random")
+    colours = {one["id"]: one["colour"] for one in get(server, "pilots")["pilots"]}
+    expect(lines.last.locator(".dot")).to_have_attribute("style", f"--colour: var(--pilot-{colours['random']});")
     for text in (run["agent"], run["prompt"], points(run["score"]), f"{run['tokens']:,}"):
         expect(lines.first).to_contain_text(text)
     page.get_by_text("Maps of scripted, run").click()

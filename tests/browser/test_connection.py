@@ -55,7 +55,7 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
     flight = flown("hard", 7, "greedy")
     shared.expect("401|WebSocket connection to|ERR_CONNECTION_REFUSED")
     with serving(data, port=port, TOKEN="let-me-in") as server:
-        page = beside(f"{server.url}/?task=hard&seed=7&pilot=greedy")
+        page = beside(f"{server.url}/?task=hard&seed=7&pilot=greedy&step=1")
         dialog = page.get_by_role("dialog", name="This server requires a token")
         expect(dialog).to_be_visible()
         page.keyboard.press("Escape")
@@ -68,9 +68,9 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
         field.press("Enter")
         where, dot = page.locator("#step-counter"), page.locator("#connection")
         expect(dot).to_contain_text("Live")
-        expect_step(page, 0, 160)
+        expect_step(page, 1, 160)
         at_speed(page, "2")
-        press(page, "Start")
+        press(page, "Resume")
         expect(where).to_contain_text(re.compile("Step ([2-9]|[1-9][0-9]) of 160"))
         server.kill()
         banner = page.get_by_role("alert").filter(has_text="The server is away. Your flight is kept.")
@@ -81,6 +81,7 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
         # The visitor can look back; another flight does not start, because this one would be lost.
         press(page, "Step back")
         expect_step(page, seen - 1, 160)
+        expect(page).to_have_url(re.compile(f"step={seen - 1}$"))
         press(page, "New map")
         expect(page.locator("#toasts")).to_contain_text("Your flight is kept")
         at_speed(page, FASTEST)
@@ -88,6 +89,9 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
             expect(banner).to_be_hidden()
             expect(dot).to_contain_text("Live")
             ended(page)
+            # The visitor still looks back.
+            expect(page).to_have_url(re.compile(f"step={seen - 1}$"))
+            press(page, "Last step")
             expect(page).to_have_url(re.compile(f"seed=7&.*step={len(flight.actions)}$"))
             page.reload()
             expect(where).to_contain_text(f"Step {len(flight.actions)} of")

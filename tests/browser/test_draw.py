@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
 from tests.browser.shown import expect_step, points
-from tests.browser.stage import open_file, press, show
+from tests.browser.stage import choices, open_file, press, show, until, view
 from tests.browser.tabs import Tabs
 
 
@@ -24,12 +24,15 @@ def drag(page: Page, *cells: tuple[int, int]) -> None:
 
 
 def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs, tmp_path: Path) -> None:
-    show(page, "/?view=draw")
+    view(page, "Draw")
     note, score = page.locator("#map-note"), page.locator("#map-optimum")
     expect(note).to_have_text("The parcel in 22 steps")
+    paint = page.get_by_role("group", name="Paint")
+    expect(paint.get_by_role("radio", name="Building")).to_be_checked()
+    paint.get_by_text("Move").click()
     drag(page, (11, 11), (5, 0))
     expect(note).to_have_text("The parcel in 5 steps")
-    page.get_by_role("group", name="Paint").get_by_text("Obstacle").click()
+    paint.get_by_text("Obstacle").click()
     drag(page, (2, 0), (2, 3))
     expect(note).to_have_text("The parcel in 13 steps")
     press(page, "Undo")
@@ -54,7 +57,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     best = solve(task, 0)
     assert (task.battery_capacity, len(best.actions), points(best.score)) == (14, 13, shown)
     shared.expect("422|404")
-    page.get_by_role("group", name="Paint").get_by_text("Obstacle").click()
+    paint.get_by_text("Obstacle").click()
     drag(page, (2, 3), (2, 11))
     page.reload()
     problem = page.locator("#view-draw").get_by_role("alert")
@@ -65,7 +68,21 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     press(page, "Fly it")
     expect_step(page, 0, 120)
     assert f"task={file.stem}&seed=0&pilot=human" in page.url
-    page.get_by_role("link", name="Edit this map").click()
+    expect(page.locator(".plan-head")).to_contain_text(f"Drawn map {file.stem[6:10]}")
+    choices(page).get_by_role("link", name="Edit this map").click()
+    expect(score).to_have_text(shown)
+    expect(paint.get_by_role("radio", name="Move")).to_be_checked()
+    # While a slow server computes, the page shows no optimum of another map.
+    held: list[Route] = []
+    page.route("**/maps/worth", lambda route, _: held.append(route))
+    press(page, "Empty map")
+    expect(note).to_have_text("Computing …")
+    expect(score).to_have_text("–")
+    until(page, lambda: bool(held))
+    held[0].continue_()
+    page.unroute("**/maps/worth")
+    expect(note).to_have_text("The parcel in 22 steps")
+    press(page, "Undo")
     expect(score).to_have_text(shown)
     # An address of no map shows neither the map before nor an empty one.
     show(page, "?view=draw&task=atlantis")

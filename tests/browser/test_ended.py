@@ -22,15 +22,18 @@ from tests.browser.shown import (
 )
 from tests.browser.stage import (
     at_its_end,
+    choices,
     ended,
     fly,
     map_number,
     moves,
     open_file,
     over,
-    press,
+    pilot,
     show,
     slider,
+    standings,
+    task,
     view,
 )
 from tests.browser.tabs import Tabs
@@ -79,7 +82,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}")
     seen.click()
     expect_frame(page, flight[worst], 60)
-    expect(page.locator("#possible")).to_have_text(points(possible))
+    expect(page.locator("#score")).to_have_text(points(possible))
     expect(page.locator("#lost")).to_have_text(points(annotation["optimal_score"] - possible))
     lost = f"{move['label']}: lost {points(move['regret'])}. {points(possible)} still possible."
     expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
@@ -124,15 +127,15 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
     for after, steps in (("Medium", 100), ("Hard", 160), ("Easy", 60)):
         ended(page).get_by_role("button", name=f"Next: {after}").click()
         expect_step(page, 0, steps)
-        expect(page.get_by_role("radio", name=after, exact=True)).to_be_checked()
+        expect(task(page, after)).to_be_checked()
         at_its_end(page, 0, f"/?task={after.lower()}&seed=0&pilot=optimal")
     expect_flying(page, "Optimal")
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
     flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal")]
-    choice = page.get_by_role("combobox", name="Flight of the file")
     view(page, "Fly")
+    choice = choices(page).get_by_role("combobox", name="Flight of the file")
     open_file(page, "flights.jsonl", "".join(flight.to_json() + "\n" for flight in flights))
     expect(choice.locator("option")).to_have_text(
         ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Optimal"]
@@ -141,6 +144,21 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         choice.select_option(index=index)
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
+    # Flights over one map are shown together.
+    pilots = ["greedy", "optimal", "random", "pathqnet", "tournet", "greedy", "me", "you"]
+    labels = [flown("easy", 4, "greedy" if name in ("me", "you") else name, label=name) for name in pilots]
+    open_file(page, "race.jsonl", "".join(flight.to_json() + "\n" for flight in [*labels, flights[0]]))
+    names = ["Greedy (1)", "Optimal", "Random", "PathQNet", "Tournet", "Greedy (6)", "me", "you"]
+    expect(standings(page)).to_have_count(8)
+    for number in (3, 8):
+        page.keyboard.press(str(number))
+        expect(standings(page).and_(page.locator(".selected"))).to_contain_text(names[number - 1])
+        expect(choice).to_have_value(re.compile(f"^{number}\\."))
+    choice.select_option(index=8)
+    expect(map_number(page)).to_have_value("1")
+    expect(page.locator("#standings")).to_be_hidden()
+    choice.select_option(index=5)
+    expect(standings(page).and_(page.locator(".selected"))).to_contain_text("Greedy (6)")
     open_file(page, "flight.json", record_of(by_hand("easy", 5, [Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight. This flight is not finished")
     page.keyboard.press("End")
@@ -153,6 +171,9 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
     calls = get(server, f"episodes/{id_}/calls")["calls"]
     show(page, f"/?episode={id_}")
     answer, prompt = page.locator("#llm-answer"), page.locator("#llm-prompt")
+    # The arrows are the values of a network that does not fly here.
+    expect(page.get_by_role("checkbox", name="Network values")).to_be_hidden()
+    assert painted(page.locator("#boards .map-air"), "--network") == []
     # Its first answer was not legal, so it was asked again.
     expect(answer).to_have_text(f"Hm. (illegal)\n\nRetry: {calls[1]['answer']}")
     page.get_by_text("Prompt", exact=True).click()
@@ -184,8 +205,8 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     open_file(page, "flight.json", record.to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: ")
     expect(problem).to_be_hidden()
-    press(page, "Greedy")
+    pilot(page, "Greedy").click()
     expect(page.locator(".strip")).to_be_hidden()
-    expect(page.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
+    expect(task(page, "Easy")).to_be_checked()
     expect_step(page, 0, 60)
     expect(map_number(page)).to_have_value("21")

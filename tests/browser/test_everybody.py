@@ -5,8 +5,8 @@ import re
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
-from tests.browser.shown import changed, expect_step, pictures
-from tests.browser.stage import FASTEST, at_its_end, at_speed, ended, press, show, standings
+from tests.browser.shown import changed, expect_flying, expect_step, pictures
+from tests.browser.stage import FASTEST, at_its_end, at_speed, choices, ended, press, show, standings
 
 
 def findings(page: Page, part: str = "html") -> list[str]:
@@ -38,10 +38,14 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(page: Page) -> None
     expect_step(page, 0, 100)
     found = findings(page, "#hello")
     show(page, "/?task=easy&seed=7&pilots=human,random")
-    expect(page.get_by_role("group", name="Fly")).to_be_visible()
+    expect_flying(page, "Random", "You")
+    expect_step(page, 0, 60)
     page.keyboard.press("ArrowRight")
     expect_step(page, 1, 60)
+    choices(page)
     found += findings(page)
+    page.keyboard.press("Escape")
+    expect(page.locator(".plan-choices")).to_be_hidden()
     page.keyboard.press("?")
     expect(page.locator("#help")).to_be_visible()
     found += findings(page, "#help")
@@ -89,6 +93,8 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
     while names[-1:] != ["Start"]:
         assert len(names) < 40, names
         page.keyboard.press("Tab")
+        if not names:
+            page.keyboard.press("Enter")  # opens the choices
         names.append(focused.evaluate("e => e.getAttribute('aria-label') || e.innerText.trim() || e.id"))
     assert {"Easy", "Greedy", "Add Greedy", "New map", "Zoom in"} <= {*names}
     for _ in range(4):
@@ -103,7 +109,8 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
 
 def test_the_focus_comes_back_from_a_dialog_and_goes_to_a_fork(page: Page) -> None:
     show(page, "/?task=easy&seed=9&pilot=human")
-    expect(page.get_by_role("group", name="Fly")).to_be_visible()
+    expect_flying(page, "You")
+    expect_step(page, 0, 60)
     page.keyboard.press("ArrowRight")
     expect_step(page, 1, 60)
     another, dialog = page.get_by_role("button", name="New map"), page.get_by_role("dialog")

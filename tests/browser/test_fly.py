@@ -17,7 +17,7 @@ from tests.browser.shown import (
     expect_step,
     fixed,
 )
-from tests.browser.stage import at_speed, ended, fly, map_number, over, pilot, press, until
+from tests.browser.stage import at_speed, choices, ended, fly, map_number, over, pilot, press, until
 
 
 @pytest.mark.feature("D1")
@@ -96,6 +96,7 @@ def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callabl
     page.goto("/?task=easy&seed=3&pilot=greedy")
     until(page, lambda: bool(held))
     pilot(page, "You").click()
+    choices(page)
     map_number(page).fill("7")
     map_number(page).press("Enter")
     for _ in range(2):
@@ -105,5 +106,6 @@ def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callabl
         expect_flying(page, "You")
         expect(map_number(page)).to_have_value("7")
     held.pop(0)()
-    page.get_by_role("group", name="Fly").get_by_role("button", name="Wait", exact=True).click()
+    page.keyboard.press("Escape")
+    page.keyboard.press("ArrowUp")
     expect_step(page, 1, 60)

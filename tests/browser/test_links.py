@@ -3,12 +3,12 @@
 import re
 from collections.abc import Callable
 
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, newest
 from tests.browser.shown import expect_flying, expect_frame, expect_step
-from tests.browser.stage import along, ended, fly, map_number, over, pilot, press, show, slider, view
+from tests.browser.stage import along, at_speed, ended, fly, map_number, over, pilot, press, show, slider, until, view
 from tests.browser.tabs import Tabs
 
 PAGE_BYTES = 300_000
@@ -56,6 +56,13 @@ def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, serv
     expect(page).to_have_url(re.compile("seed=7&pilots=greedy,random&step=4$"))
     page.reload()
     expect_frame(page, flights[0][4], 100)
+    # The address follows a flight that flies by itself.
+    at_speed(page, "1")
+    press(page, "Resume")
+    expect(page).to_have_url(re.compile("&step=6$"))
+    page.reload()
+    expect_frame(page, flights[0][6], 100)
+    expect(page.get_by_role("button", name="Resume", exact=True)).to_be_enabled()
 
 
 def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page: Page, server: Server) -> None:
@@ -123,11 +130,18 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     unread = "The link contains invalid values, which were ignored: view=nosuch, step=-3, fork=junk."
     expect(page.locator("#toasts .toast").last).to_have_text(unread)
     expect(map_number(page)).to_have_value("6")
+    # Without its step, the moves of a fork are nobody's.
+    show(page, "/?task=hard&seed=6&pilots=greedy,human&fork=junk&of=greedy&actions=ULL")
+    expect(page.locator("#toasts .toast").last).to_have_text(
+        "The link contains invalid values, which were ignored: fork=junk."
+    )
+    expect_step(page, 0, 160)
+    expect(page).to_have_url(re.compile(r"\?task=hard&seed=6&pilots=greedy,human$"))
     problem, start = page.get_by_role("alert"), page.get_by_role("button", name="Start", exact=True)
     show(page, "/?view=compare&task=zzz")
     expect(problem.filter(has_text="unknown task 'zzz'; allowed: ")).to_be_visible()
     for link, why in (
-        ("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human", "pilots: List should have at most 4 items"),
+        (f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}", "pilots: List should have at most 8 items"),
         ("/?episode=nothing", "nothing"),
     ):
         page.goto(link)
@@ -169,7 +183,24 @@ def test_the_bare_address_is_light_and_shows_a_flight_until_one_is_flown(beside:
     expect_step(page, 0, 100)
     expect(page).to_have_url(bare)
     hello.get_by_role("link", name="Fly it yourself").click()
-    expect_step(page, 0, 100)
+    expect_step(page, 0, 60)
     expect_flying(page, "You")
-    expect(map_number(page)).to_have_value(seed)
     expect(hello).to_be_hidden()
+
+
+def test_a_click_before_the_page_has_started_loads_nothing_again(beside: Callable[..., Page]) -> None:
+    page, held = beside(), list[Route]()
+    page.route("**/tasks", lambda route, _: held.append(route))
+    page.goto("/")
+    hello = page.locator("#hello")
+    hello.get_by_role("link", name="Fly it yourself").click()
+    expect(page.locator("#toasts")).to_have_text("Loading …")
+    expect(hello).to_be_visible()
+    until(page, lambda: bool(held))
+    held[0].continue_()
+    expect_flying(page, "You")
+    expect(hello).to_be_hidden()
+    expect(page.locator("#toasts")).to_be_empty()
+    assert len(held) == 1
+    page.go_back()
+    expect(hello).to_be_visible()

@@ -42,6 +42,9 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         page.keyboard.press("v")
     until(page, lambda: changed(page, before) == [CELLS])
     page.keyboard.press("v")
+    page.keyboard.press("e")
+    expect(page.locator("#unsolved")).to_have_text("The network makes no mistake here.")
+    page.keyboard.press("e")
     page.keyboard.press("Home")
     page.on("request", note)
     try:

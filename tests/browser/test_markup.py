@@ -8,7 +8,7 @@ from urllib.parse import quote
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
 from tests.browser.conftest import MARKUP
-from tests.browser.stage import press, show, standings, view
+from tests.browser.stage import choices, press, show, standings, view
 
 
 def spoiled(text: str, *fields: str) -> str:
@@ -36,7 +36,7 @@ def test_in_tasks_pilots_and_messages(beside: Callable[..., Page]) -> None:
     expect(standings(page)).to_contain_text([MARKUP, MARKUP])
     press(page, "Step")
     expect(page.locator("#move-detail")).to_contain_text(MARKUP)
-    expect(page.get_by_role("group", name="Pilots")).to_contain_text(MARKUP)
+    expect(choices(page)).to_contain_text(MARKUP)
     show(page, f"/?task={quote(MARKUP)}&seed=7")
     expect(page.locator(".problems")).to_contain_text(MARKUP)
     view(page, "API")

@@ -15,7 +15,7 @@ from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import by_hand, flown, get
-from tests.browser.shown import expect_step, fixed, points
+from tests.browser.shown import expect_flying, expect_step, fixed, points
 from tests.browser.stage import at_speed, fly, press, view
 from tests.browser.test_several import KEYS
 
@@ -60,6 +60,9 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(0)
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy finish"])
+    # The button of the next task would leave the lesson.
+    expect(page.locator("#try-worst")).to_be_visible()
+    expect(page.locator("#next")).to_be_hidden()
     # The blunder counts as found when the visitor looks at it, not while the flight plays.
     at_speed(page, "10")  # slow enough that the page shows each step
     press(page, "Replay")
@@ -68,8 +71,8 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(1)
     page.locator("#worst").click()
     expect(reached).to_have_count(2)
-    page.locator("#try-worst").click()
-    expect(page.get_by_role("group", name="Fly")).to_be_visible()
+    page.locator("#again").click()
+    expect_flying(page, "Greedy", "You")
     for key in (" ", " ", *["ArrowLeft"] * 3):
         page.keyboard.press(key)
     expect(reached).to_have_count(3)

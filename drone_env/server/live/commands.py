@@ -12,7 +12,7 @@ from drone_env.server.json_routes import SMALL, parse_json
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
-MOST_EPISODES = 4
+MOST_EPISODES = 8
 
 
 Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The response contains it.")]
@@ -36,7 +36,7 @@ class Fork(Message):
 
 
 class Start(Message):
-    """Fly one map with one to four pilots, and end the current flights.
+    """Fly one map with one to eight pilots, and end the current flights.
 
     With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions. The agents
     start after as many steps of their own, or with `step` after that many.
@@ -117,4 +117,5 @@ def parse_command(data: bytes) -> Command:
     try:
         return _COMMAND.validate_python(value)
     except ValidationError as error:
-        raise InvalidValueError(text_of(error)) from None
+        # The first part of a name is the type of the command.
+        raise InvalidValueError(text_of(error, lambda name: name.partition(".")[2] or name)) from None

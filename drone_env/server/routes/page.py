@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.tasks import MAX_UNITS, get_task
+from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.models import Seed
 from drone_env.server.map_choice import DEFAULT_TASK
@@ -105,8 +105,14 @@ def _title(request: Request, shared: AppState) -> str | None:
             start, pilot = link.start(), link.first_pilot
             name = "Fly it yourself" if pilot == HUMAN else all_pilots()[pilot].name if pilot else ""
             task, seed = start.task.id, start.seed
-        title = f"{get_task(task).short_name.replace('_', ' ').title()}, map {seed}"
+        title = f"{_task_name(get_task(task))}, map {seed}"
     except (DroneEnvError, ValidationError):
         return None
     title = f"{name}: {title}" if name else title
     return title if link.step is None else f"{title}, step {link.step}"
+
+
+def _task_name(task: TaskConfig) -> str:
+    """The name of a task for people, as the page writes it: `Skyline Hard`, `Drawn map aadb`."""
+    name = task.short_name
+    return f"Drawn map {name[6:10]}" if task.family == "drawn" else name.replace("_", " ").title()

@@ -1,6 +1,6 @@
 """The routes for flights: replay frame by frame, analysis move by move, and the values of a flight after a step."""
 
-from itertools import chain
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
@@ -8,7 +8,8 @@ from fastapi import APIRouter, Body, Request, Response
 from pydantic import ConfigDict, Field
 
 from drone_env.agents.base import BatchAgent
-from drone_env.core.actions import Action
+from drone_env.core.actions import Action, Outcome
+from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rules import score
@@ -18,7 +19,7 @@ from drone_env.errors import TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score, Seed
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.results.analysis import Label, analyse_flight
-from drone_env.results.record import EpisodeRecord, fly_directions, record_of, replay_steps
+from drone_env.results.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
 from drone_env.server.jobs import job_context
@@ -60,6 +61,11 @@ class AnalysedFlight(Message):
     accuracy: float | None = Field(description="Fraction of best moves among moves with a margin.")
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
+    why: str = Field(description="Why it failed, in one sentence; empty if it delivered all parcels.")
+    rescue_step: Count | None = Field(
+        description="The last step after which all parcels could still be delivered; null if there is none, or if all "
+        "were delivered."
+    )
     optimal_steps: Count = Field(description="Steps of a best flight.")
     optimal_actions: list[Direction] = Field(description="Its actions.")
     optimal_path: list[Position] = Field(description="[x, y] of the drone from the start.")
@@ -93,7 +99,10 @@ async def annotate(request: Request, shared: AppStateDep, record: Record) -> Res
 def _annotated(record: EpisodeRecord) -> str:
     analysis = analyse_flight(record, lambda start: job_context().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
+    why = why_failed(replay(record))
     answer = AnalysedFlight(
+        why=why,
+        rescue_step=analysis.rescue_step if why else None,
         **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts")},
         optimal_score=analysis.optimum,
         moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
@@ -102,6 +111,32 @@ def _annotated(record: EpisodeRecord) -> str:
         optimal_path=path,
     )
     return answer.model_dump_json()
+
+
+def why_failed(flown: Episode) -> str:
+    """Why an ended flight failed, in one sentence; empty if it delivered all parcels: a job of a worker process."""
+    # Loads Numba, which the process that serves does without.
+    from drone_env.planning.cell_states import charging_pads
+
+    task, pads = flown.task, charging_pads(flown)
+    if flown.outcome is Outcome.OUT_OF_STEPS:
+        return f"The steps ran out: a flight has {task.max_steps}."
+    if flown.outcome is not Outcome.BATTERY_DEAD:
+        return ""
+    cells = FlightHeader.of(Episode(task, seed=flown.seed), "").cells
+    units = pairwise([task.battery_capacity, *(step.battery for step in flown.path)])
+    costly = {
+        CELL_KINDS[Cell(cells[step.y][step.x])].name: before - after
+        for step, (before, after) in zip(flown.path, units, strict=True)
+        if before - after > 1
+    }
+    costs = " and ".join(f"{kind}s cost {units} units" for kind, units in costly.items()) or "each step costs a unit"
+    x, y = flown.position
+    away = min((abs(x - pad % task.width) + abs(y - pad // task.width) for pad in pads), default=None)
+    if away is None:
+        return f"{costs.capitalize()}."
+    end = f"a pad was {away} {'cell' if away == 1 else 'cells'} away" if away else "the pad came one unit too late"
+    return f"{costs.capitalize()}; {end}."
 
 
 def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:

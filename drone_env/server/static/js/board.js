@@ -2,6 +2,7 @@
 import { fit, lessMotion, nextFrame } from "./base.js";
 import { el } from "./dom.js";
 import { title } from "./format.js";
+import { mountCellNote } from "./layer_costs.js";
 import { LAYERS } from "./layers.js";
 
 const SPIN = 0.03;
@@ -23,6 +24,7 @@ export class Board {
     air.setAttribute("role", "img");
     root.classList.add("map");
     root.replaceChildren(...this.canvases);
+    mountCellNote(root, context, this.names);
     this.before = 0;
     this.spin = 0;
     this.drawn = {};
@@ -83,6 +85,7 @@ export class Board {
       clock,
       layout,
       names: this.names,
+      byHand: this.context.byHand?.(track) ?? false,
       spin: this.spin,
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
     };

@@ -1,8 +1,8 @@
 // Compare: leaderboard, pairs, runs over the same maps, training curves and newest flights.
 import { el } from "./dom.js";
 import { Flights } from "./flights.js";
-import { title } from "./format.js";
-import { leaderboard, mapsOf, paired, runsOf } from "./rankings.js";
+import { title, who } from "./format.js";
+import { leaderboard, mapsOf, paired, runsOf, unflown } from "./rankings.js";
 import { Training } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
@@ -71,6 +71,11 @@ class Compare {
     return this.context.router.address.pilots.slice(0, MOST);
   }
 
+  /** Those of them that have not flown the task. */
+  get missing() {
+    return this.pilots.filter((pilot) => !this.board.rows.some(({ agent }) => agent === pilot));
+  }
+
   go(pilots, task = this.task.short_name) {
     this.context.router.go({ view: "compare", task, pilots });
   }
@@ -129,7 +134,7 @@ class Compare {
   /** Shows the leaderboard and the chosen pilots. */
   async choose(request) {
     const { api } = this.context;
-    const [a, b] = this.pilots;
+    const [a, b] = this.missing.length ? [] : this.pilots;
     const path = b ? `paired/${this.board.task}` : `leaderboard/${this.board.task}/maps`;
     const shown = JSON.stringify([this.board.task, a, b]);
     // Hides the previous choice until the new one is loaded.
@@ -142,18 +147,19 @@ class Compare {
   }
 
   draw(answer) {
-    const { context, task, board, pilots } = this;
+    const { context, task, board, pilots, missing } = this;
     const drawn = JSON.stringify([board, pilots, answer]);
     if (this.drawn === drawn) return;
     this.drawn = drawn;
     const two = pilots.length === 2;
-    const name = (agent) => board.rows.find((row) => row.agent === agent)?.name ?? agent;
-    const maps = !two && answer ? mapsOf(context, name(pilots[0]), answer.maps) : null;
+    const maps = !two && answer ? mapsOf(context, who(context, pilots[0]), answer.maps) : null;
+    const flown = pilots.filter((pilot) => !missing.includes(pilot));
     // The keyboard focus stays on its button.
     const { key } = document.activeElement.dataset;
-    this.rows.replaceChildren(leaderboard(context, board, pilots, maps, (chosen) => this.go(chosen)));
-    this.chosen.replaceChildren(...(two && answer ? paired(context, task, answer, pilots, name, board.rows) : []));
-    this.chosen.hidden = !two || !answer;
+    this.rows.replaceChildren(leaderboard(context, board, flown, maps, (chosen) => this.go(chosen)));
+    const pair = two && answer ? paired(context, task, answer, pilots, board.rows) : [];
+    this.chosen.replaceChildren(...(missing.length ? unflown(context, task, missing, pilots) : pair));
+    this.chosen.hidden = !this.chosen.childElementCount;
     if (key) this.rows.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
   }
 

@@ -37,7 +37,7 @@ export function mountControls(root, context, fleet, acts) {
     const [word, playing] = acts.word();
     // Replacing the children of a pressed button would cancel the click.
     if (toggle.textContent !== word) toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
-    toggle.title = `${word} (Space)`;
+    toggle.title = `${word} (${fleet.byHand ? "Enter" : "Space"})`;
     const away = context.live.state !== "open" && fleet.shown && !stage.over;
     toggle.disabled = !track || (away && !clock.playing);
     toggle.hidden = fleet.byHand && !fleet.automatic;

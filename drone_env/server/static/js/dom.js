@@ -99,7 +99,9 @@ export function ask(question, yes, no) {
 /** A short message at the top of the page, also for screen readers. */
 export function toast(text) {
   const node = el("div.toast", { text });
-  document.getElementById("toasts").append(node);
+  const toasts = document.getElementById("toasts");
+  [...toasts.children].find(({ textContent }) => textContent === text)?.remove();
+  toasts.append(node);
   announce(text);
   setTimeout(() => node.remove(), 4000);
 }

@@ -16,6 +16,8 @@ const SIDES = [2, 128];
 const EMPTY = 12;
 /** Milliseconds until the next request to a busy server. */
 const AGAIN = 2000;
+/** Milliseconds until the page stops showing the optimum of the map before. */
+const LATE = 400;
 const SHOWN = new Set(["city", "best", "parcels", "drones"]);
 const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
 const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
@@ -57,7 +59,8 @@ export function mount(root, context) {
   // Elements.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
-  const blank = el("a.button.small", { href: "?view=draw", text: "Empty map" });
+  const clear = () => (drawing.map ? drawing.edit(() => (drawing.map = empty())) : router.go({ view: "draw" }));
+  const blank = el("button.button.small", { text: "Empty map", press: clear });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
   const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
   const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
@@ -193,6 +196,7 @@ export function mount(root, context) {
     if (asking) return;
     asking = true;
     while (newest) {
+      const late = setTimeout(() => showWorth(null, null), LATE);
       const sent = newest;
       const parcels = sent.parcels.length;
       newest = null;
@@ -205,20 +209,25 @@ export function mount(root, context) {
         wrong = error.message;
         if (error.status === 503) setTimeout(() => sent === drawing.map && ask(), AGAIN);
       }
+      clearTimeout(late);
       // The visitor may have opened another map.
-      if (sent !== drawing.map) continue;
-      worth = answer && { ...answer, parcels };
-      tell(wrong);
-      drawBest();
+      if (sent === drawing.map) showWorth(answer && { ...answer, parcels }, wrong);
     }
     asking = false;
     score.classList.remove("waiting");
   }
 
+  /** Shows what the map is worth; null while the server computes, and for an invalid map. */
+  function showWorth(found, wrong) {
+    worth = found;
+    tell(wrong);
+    drawBest();
+  }
+
   function tell(wrong) {
     const { optimum, bounds, parcels } = worth ?? {};
     setText(score, optimum ? points(optimum.score) : "–");
-    setText(note, worth ? inWords(optimum, bounds, parcels) : "");
+    setText(note, worth ? inWords(optimum, bounds, parcels) : wrong === null ? "Computing …" : "");
     problem.hidden = wrong === null;
     setText(problem, wrong ?? "");
     for (const button of acts.children) button.disabled = wrong !== null;
@@ -347,6 +356,8 @@ export function mount(root, context) {
   async function look() {
     if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
+    // On a new map there is nothing to move.
+    tools.querySelector(`[value=${address.task ? "move" : "building"}]`).click();
     const wanted = keyOf(address);
     const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
     await load(wanted, left ?? (() => origin(address)));
@@ -354,6 +365,10 @@ export function mount(root, context) {
 
   async function origin({ task, seed }) {
     if (task) return api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
+    return empty();
+  }
+
+  function empty() {
     return { cells: drawing.empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
   }
 

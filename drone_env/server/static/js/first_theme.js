@@ -1,4 +1,4 @@
-// Sets the theme before the first paint. Modules would run too late; main.js handles later changes.
+// Sets the theme before the first paint. Modules would run too late; main.js handles later changes and clicks.
 (() => {
   let chosen = null;
   try {
@@ -8,4 +8,14 @@
   }
   const system = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
   document.documentElement.dataset.theme = chosen === "light" || chosen === "dark" ? chosen : system;
+
+  // A click on a link before the modules run only changes the address, which they then show: a load would start again.
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest("a[data-view], a[href^='?']");
+    if (!link || document.body.dataset.view || event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    history.pushState(null, "", link.href);
+    const note = Object.assign(document.createElement("div"), { id: "loading", className: "toast", textContent: "Loading …" });
+    document.getElementById("toasts")?.replaceChildren(note);
+  });
 })();

@@ -7,7 +7,7 @@ import { Track } from "./track.js";
 
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
-const lettersOf = (actions) => actions.map((action) => action[0]).join("");
+export const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
  * `setup` describes the flights as an `Address` of router.js. `phase` is the request that waits for an answer:
@@ -285,7 +285,7 @@ export class Fleet extends Emitter {
   begin({ flights, number, playing }) {
     // The answer to `end`: the page is closing.
     if (!flights.length) return;
-    const selected = this.phase === "attaching" ? this.stage.selected : null;
+    const attached = this.phase === "attaching";
     const wasShown = this.shown || this.phase === "starting";
     this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
     // An answer to an older request does not change the setup.
@@ -301,7 +301,10 @@ export class Fleet extends Emitter {
       this.setup = { ...this.setup, seed, task: short_name, pilots };
     }
     this.setPlaying(playing);
-    if (wasShown) this.show(step, selected);
+    const { clock, selected } = this.stage;
+    // After a lost connection, the page shows what it showed before.
+    if (wasShown && attached) this.show(clock.following ? null : clock.cursor, selected);
+    else if (wasShown) this.show(step);
     this.emit("setup");
     this.emit("begun");
     if (!newest) return;

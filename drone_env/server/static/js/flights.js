@@ -1,7 +1,7 @@
 // The newest flights of a task, by all pilots or one.
 import { el } from "./dom.js";
-import { fixed, flightName, moment, outcome, points, who } from "./format.js";
-import { grid } from "./rankings.js";
+import { fixed, flightName, moment, outcome, points, shortened } from "./format.js";
+import { grid, named } from "./rankings.js";
 
 const PAGE = 50;
 
@@ -33,7 +33,7 @@ export class Flights {
   show(task, rows) {
     if (this.task !== task) [this.task, this.pages, this.agent.value] = [task, [null], ""];
     const chosen = this.agent.value;
-    const known = rows.map(({ agent, name }) => el("option", { value: agent, text: name }));
+    const known = rows.map(({ agent, name }) => el("option", { value: agent, text: shortened(name) }));
     this.agent.replaceChildren(el("option", { value: "", text: "All" }), ...known);
     this.agent.value = chosen;
     return this.load();
@@ -69,7 +69,7 @@ export class Flights {
         press: () => this.context.router.go({ view: "fly", episode: e.id }),
       });
     const columns = [
-      ["Pilot", (e) => who(this.context, e.agent)],
+      ["Pilot", (e) => named(this.context, e.agent)],
       ["Map", (e) => String(e.seed), true],
       ["Score", (e) => points(e.score), true],
       ["Lost", (e) => points(e.regret), true],

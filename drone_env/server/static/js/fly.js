@@ -6,7 +6,8 @@ import { mountControls } from "./controls.js";
 import { el } from "./dom.js";
 import { Fleet } from "./fleet.js";
 import { help } from "./help.js";
-import { mountInstruments } from "./instruments.js";
+import { mountHint } from "./hint.js";
+import { mountGauges, mountInstruments } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
@@ -29,10 +30,13 @@ export function mountFly(root, context) {
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
   /** Whether values are hidden: a visitor flies and has not turned them on. */
-  context.secret = (track) => track.live && !track.done && !track.showsValues && !fleet.pilot(track.pilot).automatic;
+  context.secret = (track) => context.byHand(track) && !track.showsValues;
+  /** Whether a visitor flies. */
+  context.byHand = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic;
 
-  const plan = el("aside.plan", { "aria-label": "Flight plan" });
-  const middle = el("div.middle");
+  const plan = el("section.plan", { "aria-label": "Flight plan" });
+  const bar = el("div.plan-bar", plan);
+  const middle = el("div.middle", bar);
   const side = el("aside.side", { "aria-label": "Flight data" });
   const below = (name, mount, ...more) => mounted(middle, `div.${name}`, mount, ...more);
   const panel = (name, mount, ...more) => mounted(side, `section.panel.${name}`, mount, ...more);
@@ -41,19 +45,21 @@ export function mountFly(root, context) {
     parent.append(node);
     return mount(node, context, ...more);
   }
-  root.append(plan, middle, side);
+  root.append(middle, side);
 
-  mountPlan(plan, context, fleet, acts);
-  mountFiles(plan, past, open);
+  const choices = mountPlan(plan, context, fleet, acts);
+  mountFiles(choices, past, open);
+  mounted(bar, "div.gauges", mountGauges);
   const lesson = el("div.lesson-bar", { hidden: true });
   let lessons = null;
-  middle.append(lesson);
+  side.append(lesson);
   const problem = below("problems", mountProblem, fleet);
   below("boards-panel", mountBoards);
-  mountLegend(plan, context);
-  below("strip", mountStrip, fleet, acts);
-  below("controls-panel", mountControls, fleet, acts);
-  below("human", mountHuman, fleet);
+  mountLegend(choices, context);
+  below("hint", mountHint, fleet);
+  panel("strip", mountStrip, fleet, acts);
+  panel("human", mountHuman, fleet);
+  panel("controls-panel", mountControls, fleet, acts);
   panel("standings-panel", mountStandings);
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);
@@ -159,16 +165,11 @@ export function mountFly(root, context) {
   function isShown() {
     const { address } = router;
     if (context.view !== "fly") return false;
-    if (fleet.shown) return fleet.phase === "idle" && says(fleet.complete(address), fleet.setup);
+    if (fleet.shown) return fleet.phase !== "starting" && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
-  // While a flight moves by itself, the address does not follow each step.
-  stage.on("change", () => {
-    if (stage.clock.playing || !isShown()) return;
-    const now = moment();
-    if (now.actions || !stage.flying) router.moment(now);
-  });
+  stage.on("change", () => isShown() && router.moment(moment()));
 }
 
 /** An error above the map; if nothing is flown, with a button that starts a flight. */

@@ -26,9 +26,12 @@ export function percent(share, digits = 0) {
 
 const EMPTY = "Battery empty";
 
-/** `skyline_hard` -> `Skyline Hard`. */
+const DRAWN = /^drawn_[0-9a-f]{12}$/;
+
+/** `skyline_hard` -> `Skyline Hard`, `drawn_aadbbe374784` -> `Drawn map aadb`. */
 export function title(name) {
   if (name === "battery_dead") return EMPTY;
+  if (DRAWN.test(name)) return `Drawn map ${name.slice(6, 10)}`;
   return name
     .split("_")
     .map((word) => word.charAt(0).toUpperCase() + word.slice(1))
@@ -66,6 +69,11 @@ export function who({ pilots }, agent) {
     return pilot ? before + called(pilot) : whole;
   });
 }
+
+const LONGEST = 40;
+
+/** A name in a place that cannot grow. */
+export const shortened = (name) => (name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name);
 
 /** A flight in words: `Hard, map 7, Greedy`. */
 export function flightName(context, { task, seed, agent }) {

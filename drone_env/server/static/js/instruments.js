@@ -2,20 +2,8 @@
 import { el, setText } from "./dom.js";
 import { cellName, fixed, isLost, outcome, percent, points, signed } from "./format.js";
 
-export function mountInstruments(root, context) {
-  const { stage } = context;
-  const score = el("strong.hero-number", { id: "score" });
-  const scoreNote = el("span.hero-note", { id: "score-note" });
-  const possible = row("Still possible", "possible", "The best score that is possible from here");
-  const lost = row("Lost", "lost", "Optimum of this map minus the score still possible");
-  const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
-  const head = el(
-    "div.score",
-    el("div.score-main", el("span.eyebrow", { text: "Score" }), score, scoreNote),
-    el("dl.score-side", ...possible.nodes, ...lost.nodes),
-    reach,
-  );
-
+/** What counts in flight, beside the choices above the map: battery, parcels and steps. */
+export function mountGauges(root, { stage }) {
   const battery = gauge("Battery", "battery");
   const steps = gauge("Steps", "steps");
   const parcels = el(
@@ -24,6 +12,31 @@ export function mountInstruments(root, context) {
     el("span.gauge-name", { text: "Parcels" }),
     el("div.pips"),
     el("span.gauge-text"),
+  );
+  root.append(battery, parcels, steps);
+  stage.on("change", () => {
+    const { frame, world } = stage;
+    if (!frame) return;
+    fill(battery, frame.battery, `${frame.battery_units} of ${world.capacity}`, percent(frame.battery));
+    battery.dataset.low = String(frame.battery < 0.2);
+    fill(steps, frame.step / world.maxSteps, `${frame.step} of ${world.maxSteps}`, `step ${frame.step}`);
+    drawPips(parcels, frame.deliveries_done, world.parcels.length);
+  });
+}
+
+export function mountInstruments(root, context) {
+  const { stage } = context;
+  const name = el("span.eyebrow");
+  const score = el("strong.hero-number", { id: "score" });
+  const optimum = el("span.hero-of", { id: "optimum" });
+  const scoreNote = el("span.hero-note", { id: "score-note" });
+  const lost = row("Lost", "lost", "Optimum of this map minus the score still possible");
+  const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
+  const head = el(
+    "div.score",
+    el("div.score-main", name, el("p.hero", score, " ", optimum), scoreNote),
+    el("dl.score-side", ...lost.nodes),
+    reach,
   );
   const reward = row("Reward", "reward");
   const total = row("Total", "reward-total", "Sum of the rewards");
@@ -34,42 +47,41 @@ export function mountInstruments(root, context) {
   );
   const target = row("Target", "target");
   const below = row("Cell below", "below");
-  const ground = el("div.wide", ...below.nodes);
-  root.append(
-    head,
-    battery,
-    steps,
-    parcels,
-    el("dl.numbers", ...[reward, total, efficiency, target].map(({ nodes }) => el("div", ...nodes)), ground),
-  );
+  const numbers = [reward, total, efficiency, target, below].map(({ nodes }) => el("div", ...nodes));
+  root.append(head, el("details", el("summary.note", { text: "More numbers" }), el("dl.numbers", ...numbers)));
 
   function draw() {
-    const { frame, world } = stage;
+    const { frame, track, world } = stage;
     root.hidden = !frame;
     if (!frame) return;
-    setText(score, points(frame.score));
-    setText(scoreNote, frame.done ? outcome(frame) : "provisional");
+    // Without values, the score of a flight that goes on would mislead.
+    head.hidden = context.secret(track);
+    setText(name, frame.done ? "Score" : "Still possible");
+    setText(score, points(frame.done ? frame.score : frame.value));
+    const best = optimumOf(track);
+    setText(optimum, best === null ? "" : `of ${points(best)}${frame.done ? " possible" : ""}`);
+    setText(scoreNote, frame.done ? outcome(frame) : "");
     scoreNote.dataset.outcome = frame.outcome;
-    setText(possible.value, points(frame.value));
     setText(lost.value, points(frame.regret));
     lost.value.dataset.some = String(isLost(frame.regret));
     reach.style.setProperty("--value", String(frame.value ?? 0));
     reach.style.setProperty("--lost", String(frame.regret ?? 0));
     reach.hidden = frame.value === null;
-    fill(battery, frame.battery, `${frame.battery_units} of ${world.capacity}`, percent(frame.battery));
-    battery.dataset.low = String(frame.battery < 0.2);
-    fill(steps, frame.step / world.maxSteps, `${frame.step} of ${world.maxSteps}`, `step ${frame.step}`);
-    drawPips(parcels, frame.deliveries_done, world.parcels.length);
     setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
     setText(target.value, frame.target ? `[${frame.target.join(", ")}], distance ${frame.distance}` : "–");
-    setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : cellName(frame.cell_below));
-    ground.hidden = !world.task.pads;
+    setText(below.value, cellName(frame.cell_below));
+    below.value.parentElement.hidden = !world.task.pads;
   }
 
   stage.on("change", draw);
   draw();
+}
+
+/** The optimum of the map, or null. */
+function optimumOf({ annotation, frames: [{ value }] }) {
+  return annotation?.optimal_score ?? value;
 }
 
 function row(name, id, hint = null) {

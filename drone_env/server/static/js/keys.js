@@ -23,6 +23,7 @@ export function mountKeys(context, fleet, acts, help) {
   };
   const KEYS = {
     " ": acts.toggle,
+    Enter: acts.toggle,
     ".": acts.forward,
     n: acts.newMap,
     r: acts.reset,

@@ -99,7 +99,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
 /** The network's values as arrows: the longer, the better. The best one is highlighted; WAIT is a ring. */
 export function drawThoughts(ctx, { track, layout, clock }) {
   const values = track.frameAt(clock.cursor).q_values;
-  if (!values) return;
+  if (!values || !track.ours) return;
   const { cell } = layout;
   const [x, y] = middle(layout, track.at(clock.position));
   const size = droneSize(layout);

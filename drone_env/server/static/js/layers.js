@@ -1,5 +1,6 @@
 // The layers of a map, from the ground up. To add a layer, add an entry here.
 import { drawCity } from "./layer_city.js";
+import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
 import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
@@ -63,8 +64,9 @@ export const LAYERS = [
     hint: "An arrow for each move: the longer, the higher its value",
     key: "q",
     on: true,
-    when: ({ track }) => Boolean(track?.weighed),
+    when: ({ track }) => Boolean(track?.weighed && track.ours),
     draw: drawThoughts,
   },
   { id: "drones", place: "air", draw: drawDrones },
+  { id: "costs", place: "air", draw: drawCosts },
 ];

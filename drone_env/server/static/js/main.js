@@ -17,6 +17,7 @@ async function boot() {
   const [{ tasks }, { pilots, most }, { kinds }] = await firstAnswers(api);
   await figures;
   const live = new Live(api.protocols);
+  document.getElementById("loading")?.remove();
   const router = new Router();
   const context = createContext({ router, api, live, tasks, pilots, most, kinds });
 

@@ -1,6 +1,6 @@
 // The layers of the map: their switches, and the answers of `POST /values` for the present moment.
 import { ApiError } from "./api.js";
-import { el, toast } from "./dom.js";
+import { el, setText, toast } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
 const KEPT = 60;
@@ -76,8 +76,8 @@ export function mountSwitches(root, context, acts) {
     const key = el("kbd", { text: layer.key.toUpperCase(), "aria-hidden": "true" });
     return { layer, box, node: el("label.switch", { title: layer.hint }, box, el("span", { text: layer.name }), key) };
   });
-  const unsolved = el("p.note", { id: "unsolved", role: "status" });
-  root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), unsolved);
+  const note = el("p.note", { id: "unsolved", role: "status" });
+  root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), note);
 
   function draw() {
     root.hidden = !stage.world;
@@ -85,7 +85,9 @@ export function mountSwitches(root, context, acts) {
       node.hidden = layer.when ? !layer.when(stage) : false;
       box.checked = context.shows(layer.id);
     }
-    unsolved.textContent = stage.values?.answer?.unsolved ?? "";
+    const { cells, unsolved } = stage.values?.answer ?? {};
+    const faultless = context.shows("network") && cells?.disagree && !cells.disagree.flat().some(Boolean);
+    setText(note, unsolved ?? (faultless ? "The network makes no mistake here." : ""));
   }
 
   stage.on("change", draw);

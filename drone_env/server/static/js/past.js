@@ -15,9 +15,10 @@ export class Past {
     /** The records of the opened file, one of which is shown. */
     this.records = [];
     this.request = 0;
-    this.track = null;
+    /** The flights that are shown, as the stage has them. @type {Track[]|null} */
+    this.tracks = null;
     const { stage } = context;
-    stage.on("load", () => (stage.tracks.length === 1 && stage.track === this.track) || this.leave());
+    stage.on("load", () => stage.tracks === this.tracks || this.leave());
   }
 
   /** Shows a stored flight. @throws {ApiError} */
@@ -27,7 +28,8 @@ export class Past {
     if (request !== this.request) return;
     this.episode = id;
     this.records = [];
-    this.show(track, step);
+    this.show([track], { step });
+    this.askForCalls(track);
   }
 
   /** A stored flight as a track. */
@@ -46,20 +48,27 @@ export class Past {
     if (request === this.request) await this.openRecord(0, records);
   }
 
-  /** Shows a flight of the file. */
+  /** Shows a flight of the file, beside the others over the same map: as many as may fly together. */
   async openRecord(index, records = this.records) {
     const request = ++this.request;
-    const track = await this.flown(records[index]);
+    const { most } = this.context;
+    const mapOf = (record) => String([record?.task, record?.seed, record?.reward_profile]);
+    const all = records.filter((record) => mapOf(record) === mapOf(records[index]));
+    const at = all.indexOf(records[index]);
+    const first = at - (at % most);
+    const tracks = await Promise.all(all.slice(first, first + most).map((record) => this.flown(record)));
     if (request !== this.request) return;
+    const named = (track) => tracks.filter(({ called }) => called === track.called).length > 1;
+    tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
     this.episode = null;
     this.records = records;
-    this.show(track, 0);
+    this.show(tracks, { selected: at - first });
   }
 
   /** The stage shows something else. */
   leave() {
     this.request += 1;
-    this.episode = this.track = null;
+    this.episode = this.tracks = null;
     this.records = [];
   }
 
@@ -71,12 +80,11 @@ export class Past {
     return track;
   }
 
-  show(track, step) {
+  show(tracks, moment) {
     const { stage, tasks } = this.context;
-    this.track = track;
-    stage.show(worldOf(track.opening, tasks), [track], { step });
-    explain(this.context, track);
-    this.askForCalls(track);
+    this.tracks = tracks;
+    stage.show(worldOf(tracks[0].opening, tasks), tracks, moment);
+    for (const track of tracks) explain(this.context, track);
   }
 
   /** Loads the prompts and answers of a language model. */
@@ -186,7 +194,9 @@ export function mountFiles(root, past, open) {
   root.append(el("div.field", input, el("label.button.small", { for: "flight-file", text: "Open a file…" }), flights));
 
   let offered = past.records;
-  past.context.stage.on("load", () => {
+  const { stage } = past.context;
+  stage.on("selected", () => past.records.length && (flights.selectedIndex = past.records.indexOf(stage.track.record)));
+  stage.on("load", () => {
     if (past.records === offered) return;
     offered = past.records;
     flights.hidden = past.records.length < 2;

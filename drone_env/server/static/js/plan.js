@@ -2,19 +2,23 @@
 import { el, setText } from "./dom.js";
 import { title } from "./format.js";
 
+/** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
 export function mountPlan(root, context, fleet, acts) {
   const { stage } = context;
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed, edit, copy, typing } = mapForm(context, fleet, acts, () => update());
-  const narrow = matchMedia("(max-width: 1099px)");
+  const { form, seed, fresh, edit, copy, typing } = mapForm(context, fleet, acts, () => update());
   const choices = el("div.plan-choices", tasks, pilots, form);
-  const details = el("details.plan-details", { open: !narrow.matches }, heading, choices);
-  narrow.addEventListener("change", () => {
-    details.open = !narrow.matches;
+  const details = el("details.plan-details", heading, choices);
+  root.append(details, el("div.plan-ways", fresh, copy));
+  const close = () => (details.open = false);
+  document.addEventListener("pointerdown", ({ target }) => details.contains(target) || close());
+  document.addEventListener("keydown", ({ key, target }) => {
+    if (key !== "Escape" || !details.open) return;
+    if (details.contains(target)) heading.focus();
+    close();
   });
-  root.append(details);
 
   const note = el("p.note.task-note", { id: "task-note" });
   tasks.append(note);
@@ -64,7 +68,10 @@ export function mountPlan(root, context, fleet, acts) {
 
   function choosePilots(ids) {
     // The next arrow key is for the drone, not for this button.
-    if (ids.includes(fleet.person.id)) document.activeElement.blur();
+    if (ids.includes(fleet.person.id)) {
+      document.activeElement.blur();
+      close();
+    }
     acts.start({ pilots: ids }).finally(update);
   }
 
@@ -104,6 +111,7 @@ export function mountPlan(root, context, fleet, acts) {
   fleet.on("setup", update);
   stage.on("load", update);
   update();
+  return choices;
 }
 
 const withOrWithout = (ids, id) => (ids.includes(id) ? ids.filter((other) => other !== id) : [...ids, id]);
@@ -144,5 +152,6 @@ function mapForm({ router, stage }, fleet, acts, update) {
   // Enter triggers the change event of the number, which opens the map.
   const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
-  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy, edit)), seed, edit, copy, typing: () => typed };
+  const form = el("form.map-form", { on: { submit } }, label, seed, edit);
+  return { form, seed, fresh, edit, copy, typing: () => typed };
 }

@@ -1,6 +1,6 @@
 // Tables of Compare: the leaderboard, the maps of a pilot, runs over the same maps, and pairs.
 import { el, fact, table } from "./dom.js";
-import { fixed, percent, points, signed } from "./format.js";
+import { fixed, percent, points, shortened, signed, title, who } from "./format.js";
 
 /**
  * A table that scrolls if it is larger than its place.
@@ -44,11 +44,23 @@ const lost = (row) => {
   return el("span", within(row.regret, row.regret_ci95, points), some);
 };
 
-/** The colour of a pilot, or grey. */
-export const colourOf = ({ pilots }, agent) => {
+/** The colour of a pilot, as on the map. */
+const colourOf = ({ pilots }, agent) => {
   const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
-  return pilot?.colour ? `var(--pilot-${pilot.colour})` : "var(--ink-3)";
+  return `var(--pilot-${pilot?.colour ?? "other"})`;
 };
+
+/** A pilot: its colour, its name, and a remark. */
+export const named = (context, agent, remark = "") =>
+  el(
+    "span.named",
+    el("i.dot", { style: { "--colour": colourOf(context, agent) }, "aria-hidden": "true" }),
+    el("span", who(context, agent), el("span.margin", { text: remark })),
+  );
+
+/** The number of maps from which a mean says something. */
+const ENOUGH = 30;
+const counted = ({ maps }) => el("span", String(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
 
 /** A button that opens the details of its row. */
 const opener = (open, key, ...contents) =>
@@ -73,24 +85,20 @@ export function leaderboard(context, board, chosen, maps, choose) {
       on: { change: ({ target }) => choose(target.checked ? [...others, agent].slice(-2) : others) },
     });
   };
-  const who = (row) => {
-    const button = opener(
-      isOpen(row),
-      `open ${row.agent}`,
-      el("i.dot", { style: { "--colour": colourOf(context, row.agent) }, "aria-hidden": "true" }),
-      el("span", row.name, row.kind === "model" ? el("span.margin", { text: " language model" }) : ""),
-    );
+  const pilot = (row) => {
+    const remark = row.kind === "model" ? " language model" : "";
+    const button = opener(isOpen(row), `open ${row.agent}`, named(context, row.agent, remark));
     button.addEventListener("click", () => choose(isOpen(row) ? [] : [row.agent]));
     return button;
   };
   const columns = [
     ["Pair", pick],
-    ["Pilot", who],
+    ["Pilot", pilot],
     ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row.agent))],
     ["Lost", lost, true],
     ["Success", (row) => within(row.success_rate, row.success_ci95, percent), true],
     ["Steps", (row) => fixed(row.steps, 1), true],
-    ["Maps", (row) => String(row.maps), true],
+    ["Maps", counted, true],
     ["Flights", (row) => String(row.flights), true],
     ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
   ];
@@ -100,7 +108,7 @@ export function leaderboard(context, board, chosen, maps, choose) {
     "div",
     grid("Leaderboard, smallest loss first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
     el("p.note.below", {
-      text: `Means over the maps of each pilot, times 100, ± 95 %. Ranked by the points lost against the optimum of each map. ${how}${forks}`,
+      text: `Means over the maps of each pilot, times 100, ± 95 %. Ranked by the points lost against the optimum of each map. Few: under ${ENOUGH} maps. ${how}${forks}`,
     }),
   );
 }
@@ -148,9 +156,9 @@ const OF_MODELS = [
 /** Runs of agents and language models, one board per set of maps. */
 export function runsOf(context, { boards, unranked }) {
   const columns = [
-    ["Pilot", (row) => el("span", row.agent, el("span.margin", { text: row.prompt ? ` by ${row.prompt}` : "" }))],
-    ["Run", (row) => row.run],
-    ["Score", (row) => scoreBar(row.score, row.score_ci95, "var(--accent)")],
+    ["Pilot", (row) => named(context, row.agent, row.prompt ? ` by ${row.prompt}` : "")],
+    ["Run", (row) => el("span.named", row.run)],
+    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row.agent))],
     ["Lost", (row) => points(row.regret), true],
     ["Success", (row) => percent(row.success_rate), true],
     ["Random to optimum", (row) => percent(row.normalised), true],
@@ -159,8 +167,8 @@ export function runsOf(context, { boards, unranked }) {
   ];
   const shown = (rows) => (rows.some(({ kind }) => kind === "model") ? [...columns, ...OF_MODELS] : columns);
   const maps = (row) => [
-    el("summary", { text: `Maps of ${[...new Set([row.agent, row.run])].join(", ")}` }),
-    mapsOf(context, row.agent, row.maps),
+    el("summary", { text: `Maps of ${[...new Set([who(context, row.agent), row.run])].join(", ")}` }),
+    mapsOf(context, who(context, row.agent), row.maps),
   ];
   const draw = ({ maps: which, rows }) => [
     el("h3", { text: which }),
@@ -184,15 +192,15 @@ const gap = (difference) => signed(difference === null ? null : difference * 100
  *
  * @param {Object} answer From `GET /paired/{task_name}`.
  */
-export function paired(context, task, answer, pilots, name, rows) {
-  const [a, b] = pilots.map(name);
+export function paired(context, task, answer, pilots, rows) {
+  const [a, b] = pilots.map((agent) => who(context, agent));
   const head = el("h2", { text: `${a} against ${b}` });
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
   const ours = pilots.every((pilot) => rows.some(({ agent, kind }) => agent === pilot && kind === "pilot"));
   const go = (address) => () => context.router.go({ view: "fly", ...address });
   const button = (text, label, address) => el("button.button.small", { text, "aria-label": label, press: go(address) });
-  const flight = (who, { id }, seed) => button(who, `Open the flight of ${who} over map ${seed}`, { episode: id });
+  const flight = (who, { id }, seed) => button(shortened(who), `Open the flight of ${who} over map ${seed}`, { episode: id });
   const open = ({ seed, ...pair }) =>
     ours
       ? [button("Fly both", `Fly both over map ${seed}`, { task: task.short_name, seed, pilots })]
@@ -207,8 +215,8 @@ export function paired(context, task, answer, pilots, name, rows) {
     ["Map", ({ seed }) => String(seed), true],
     ["Difference", ({ difference }) => gap(difference), true],
     ["", bar],
-    [a, (pair) => points(pair.a.score), true],
-    [b, (pair) => points(pair.b.score), true],
+    [shortened(a), (pair) => points(pair.a.score), true],
+    [shortened(b), (pair) => points(pair.b.score), true],
     ["Optimum", ({ optimum }) => points(optimum), true],
     ["", (pair) => el("span.buttons", ...open(pair))],
   ];
@@ -224,5 +232,16 @@ export function paired(context, task, answer, pilots, name, rows) {
       fact(`${b} scores higher`, String(answer.losses)),
     ),
     grid(`${a} against ${b}, largest difference first`, columns, sorted),
+  ];
+}
+
+/** Pilots of the address that have not flown the task, with a button that lets all pilots of the address fly it. */
+export function unflown(context, task, missing, pilots) {
+  const able = pilots.filter((agent) => context.pilots.some(({ id, tasks }) => id === agent && tasks.includes(task.id)));
+  const fly = () => context.router.go({ view: "fly", task: task.short_name, pilots: able });
+  const names = missing.map((agent) => who(context, agent)).join(" or ");
+  return [
+    el("p", { role: "status", text: `No flights of ${title(task.short_name)} by ${names} yet.` }),
+    able.length ? el("button.button", { text: able.length > 1 ? "Fly both now" : "Fly now", press: fly }) : "",
   ];
 }

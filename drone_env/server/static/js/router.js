@@ -146,6 +146,9 @@ function read({ search }) {
   const named = link.get("view") ?? "fly";
   const view = VIEWS.has(named) ? named : "fly";
   if (view !== named) unread.push(`view=${named}`);
+  const [step, fork, lesson] = [count("step"), count("fork"), count("lesson", 1)];
+  // Without its step, a fork has no moves: they would be the visitor's own.
+  const forkless = link.get("fork") && fork === null;
   return {
     view,
     task: text("task"),
@@ -154,11 +157,11 @@ function read({ search }) {
     // Split before decoding: names may contain commas.
     pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
     episode: text("episode"),
-    step: count("step"),
-    fork: count("fork"),
-    actions: text("actions"),
-    of: text("of"),
-    lesson: count("lesson", 1),
+    step,
+    fork,
+    actions: forkless ? null : text("actions"),
+    of: forkless ? null : text("of"),
+    lesson,
     unread,
   };
 }

@@ -1,12 +1,13 @@
-// The mission results of a finished flight: outcome, worst move, efficiency, statistics and the next task.
+// The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
 import { announce, el, setText } from "./dom.js";
+import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
   let worst = null;
   const head = el("h2", { id: "results-title" });
-  const why = el("span.note");
+  const why = el("p.note");
   const see = el("button.link", { id: "worst", title: "Show this move", press: () => stage.clock.goTo(worst.step) });
   const tryIt = el("button.button.small", {
     id: "try-worst",
@@ -16,10 +17,13 @@ export function mountStrip(root, context, fleet, acts) {
     },
   });
   const worstLine = el("div.strip-worst", see, tryIt);
-  const next = el("button.button.small.primary", { id: "next", press: () => goOn(context, fleet, acts) });
+  const again = el("button.button.primary", { id: "again", press: () => tryAgain(context, fleet, acts) });
+  const next = el("button.button.primary", { id: "next", press: () => goOn(context, fleet, acts) });
   const efficiency = el("p.note.strip-efficiency", { id: "efficiency-parts" });
   const analysis = el("p.note.strip-analysis");
-  root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next), efficiency, analysis);
+  const reason = el("p.strip-reason");
+  const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
+  root.append(head, reason, el("div.strip-actions", again, next), why, worstLine, more);
   root.hidden = true;
   let announced = null;
 
@@ -32,15 +36,24 @@ export function mountStrip(root, context, fleet, acts) {
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
+    if (annotation?.why && reason.textContent !== annotation.why) announce(annotation.why);
+    setText(reason, annotation?.why ?? "");
+    again.hidden = !annotation?.why;
+    if (!again.hidden) {
+      const step = annotation.rescue_step ? `step ${annotation.rescue_step}` : "the start";
+      setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
+    }
     setText(efficiency, efficiencyOf(last));
     worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
+    tryIt.hidden = !again.hidden;
     if (worst) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
       setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}`);
     }
     const after = nextTask(context.families, stage.world.task);
     setText(next, `Next: ${title(after.short_name)}`);
+    next.hidden = last.outcome !== "delivered" || context.router.address.lesson !== null;
     if (announced === track) return;
     announced = track;
     analysis.hidden = Boolean(track.past);
@@ -96,6 +109,22 @@ function inWords(figures, task) {
 function nextTask(families, task) {
   const group = families.get(task.family);
   return group[(group.indexOf(task) + 1) % group.length];
+}
+
+/** Continues a failed flight from the last step at which all parcels could still be delivered. */
+function tryAgain({ stage }, fleet, acts) {
+  const { annotation, by, forkedAt, pilot } = stage.track;
+  const step = annotation.rescue_step ?? 0;
+  document.activeElement.blur();
+  if (fleet.pilot(pilot).automatic || forkedAt !== null) {
+    stage.clock.goTo(step);
+    acts.fork();
+  } else if (step === 0) acts.reset();
+  else {
+    // The record notes that moves were taken back.
+    const of = by.includes("undo") ? by : by.includes("values") ? `${by} and undo` : `${by} with undo`;
+    acts.start({ of, actions: lettersOf(stage.track.actionsTo(step)) });
+  }
 }
 
 function goOn(context, fleet, acts) {

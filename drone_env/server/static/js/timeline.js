@@ -41,8 +41,7 @@ export function mountTimeline(root, context) {
     drawMarks(ctx, track, x, y, height);
     ctx.fillStyle = colourOf("--ink");
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
-    const known = tracks.some(({ last }) => last.value !== null);
-    drawScale(ctx, y, [low, high], known ? "still possible" : "so far", width);
+    if (tracks.some(isKnown)) drawScale(ctx, y, [low, high], width);
   }
 
   /** The width of the graph in steps; a live flight has some free steps on the right. */
@@ -82,7 +81,7 @@ function tip(track, step) {
   return `Step ${step}: ${frame.message}${gave}${possible}`;
 }
 
-function drawScale(ctx, y, [low, high], what, width) {
+function drawScale(ctx, y, [low, high], width) {
   ctx.font = font(11, 400);
   ctx.fillStyle = colourOf("--ink-3");
   ctx.strokeStyle = colourOf("--line");
@@ -103,7 +102,7 @@ function drawScale(ctx, y, [low, high], what, width) {
     ctx.fillText(text, width - 4, at);
   };
   write(points(low, 0), y(low) - 2);
-  write(`${points(high, 0)} ${what}`, y(high) - 2);
+  write(`${points(high, 0)} still possible`, y(high) - 2);
 }
 
 /** The deliveries and charges of the selected flight. */
@@ -122,26 +121,24 @@ function drawEvents(ctx, { frames }, x, height) {
   });
 }
 
-/** The possible score; if it is hidden, the present score as a dashed line. */
+const isKnown = ({ frames }) => frames.some(({ value }) => value !== null);
+
+/** The possible score, unless it is hidden. */
 function drawLine(ctx, { frames, colour }, x, y, aside, front) {
-  const known = frames.some(({ value }) => value !== null);
   ctx.strokeStyle = colourOf(colour);
   ctx.globalAlpha = front ? 1 : 0.7;
   ctx.lineWidth = front ? 2.5 : 1.5;
   ctx.lineJoin = "round";
-  ctx.setLineDash(known ? [] : [3, 3]);
   ctx.beginPath();
   let before = null;
-  frames.forEach(({ value, score }, step) => {
-    const now = known ? value : score;
-    if (now === null) return;
+  frames.forEach(({ value }, step) => {
+    if (value === null) return;
     // A move loses its points at once.
     if (before !== null) ctx.lineTo(x(step), y(before) + aside);
-    ctx.lineTo(x(step), y(now) + aside);
-    before = now;
+    ctx.lineTo(x(step), y(value) + aside);
+    before = value;
   });
   ctx.stroke();
-  ctx.setLineDash([]);
   ctx.globalAlpha = 1;
 }
 

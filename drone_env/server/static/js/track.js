@@ -45,6 +45,11 @@ export class Track {
     return this.frames.some((frame) => frame.q_values);
   }
 
+  /** Whether a pilot of this page flies it, not another agent such as a language model. */
+  get ours() {
+    return this.colour !== "--pilot-other";
+  }
+
   /** The newest frame. */
   get last() {
     return this.frames.at(-1);

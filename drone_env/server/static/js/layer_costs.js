@@ -1,0 +1,77 @@
+// What cells cost in battery units: beside the drone of a visitor who flies, and of the cell under the pointer.
+import { colourOf, font } from "./base.js";
+import { el } from "./dom.js";
+import { cellName } from "./format.js";
+import { STEP } from "./layer_flights.js";
+
+const LEAST_CELL = 20;
+
+/** The kind of a cell at a frame, whether it is closed, the units of a step there, and those that a wait charges. */
+function cellAt({ task, cells }, names, frame, [x, y]) {
+  const kind = frame.delivered.some(([px, py]) => px === x && py === y) ? "delivered" : names[cells[y][x]];
+  const charge = kind === "pad" ? task.charge_rate : 0;
+  return { kind, closed: task.impassable.includes(kind), units: task.drain[kind] ?? 1, charge };
+}
+
+/** The cost of each neighbouring cell while the visitor flies: its units, a charge as `+4`, or a cross. */
+export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
+  const { cell, left, top, scale } = layout;
+  const { task } = world;
+  const equal = !task.pads && !task.impassable.length && Object.values(task.drain).every((units) => units === 1);
+  if (!byHand || equal || clock.cursor < track.steps || cell < LEAST_CELL * scale) return;
+  const frame = track.last;
+  const high = Math.max(15 * scale, cell * 0.24);
+  ctx.font = font(Math.round(high * 0.78), 500);
+  ctx.textAlign = "center";
+  ctx.textBaseline = "middle";
+  for (const [dx, dy] of [...Object.values(STEP), [0, 0]]) {
+    const [x, y] = [frame.x + dx, frame.y + dy];
+    if (!world.cells[y]?.[x] && world.cells[y]?.[x] !== 0) continue;
+    const { closed, units, charge } = cellAt(world, names, frame, [x, y]);
+    if (!dx && !dy && !charge) continue;
+    const text = closed ? "×" : charge ? `+${charge}` : String(units);
+    const wide = Math.max(high, ctx.measureText(text).width + high * 0.5);
+    const at = [left + x * cell + 2 * scale, top + y * cell + 2 * scale];
+    ctx.fillStyle = colourOf(closed ? "--bad" : charge ? "--good" : "--ink");
+    ctx.beginPath();
+    ctx.roundRect(...at, wide, high, high / 2);
+    ctx.fill();
+    ctx.fillStyle = colourOf("--ground");
+    ctx.fillText(text, at[0] + wide / 2, at[1] + high * 0.54);
+  }
+}
+
+/** A note at the cell under the pointer or the finger: what it is, and what it costs. */
+export function mountCellNote(field, context, names) {
+  const note = el("p.cell-note", { "aria-hidden": "true", hidden: true });
+  field.append(note);
+  let view = null;
+  context.on("drawn", (drawn) => (view = drawn));
+  const hide = () => (note.hidden = true);
+
+  function show({ clientX, clientY }) {
+    if (!view) return;
+    const { world, track, layout, clock } = view;
+    const { cell, left, top, scale } = layout;
+    const box = field.getBoundingClientRect();
+    const x = Math.floor(((clientX - box.left) * scale - left) / cell);
+    const y = Math.floor(((clientY - box.top) * scale - top) / cell);
+    note.hidden = world.cells[y]?.[x] === undefined;
+    if (note.hidden) return;
+    note.textContent = inWords(cellAt(world, names, track.frameAt(clock.cursor), [x, y]));
+    const right = x > world.width / 2;
+    note.style.setProperty("left", `${(left + (x + (right ? 0 : 1)) * cell) / scale}px`);
+    note.style.setProperty("top", `${(top + (y + 0.5) * cell) / scale}px`);
+    note.classList.toggle("before", right);
+  }
+  field.addEventListener("pointermove", (event) => event.pointerType === "mouse" && !event.buttons && show(event));
+  field.addEventListener("click", show);
+  field.addEventListener("pointerleave", ({ pointerType }) => pointerType === "mouse" && hide());
+  document.addEventListener("keydown", hide);
+}
+
+function inWords({ kind, closed, units, charge }) {
+  if (closed) return `${cellName(kind)}: closed`;
+  const cost = `costs ${units} ${units === 1 ? "unit" : "units"}`;
+  return `${cellName(kind)}: ${cost}${charge ? `, each wait charges ${charge}` : ""}`;
+}
