@@ -58,6 +58,9 @@ def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
             assert answer["regret"] == analysis.optimum - analysis.values[step]
             assert answer["best_actions"] == told["moves"][step]["best_actions"]
             assert answer["q_values"] == dict(zip(DIRECTIONS, solver.q_values(flight).tolist(), strict=True))
+            alone = ask(shared_client, task, 7, flown.actions[:step], range_only=True)
+            assert (alone["range"], alone["pads"]) == (answer["range"], answer["pads"])
+            assert (alone["optimum"], alone["cells"], alone["q_values"]) == (None, None, None)
             x, y = answer["position"]
             assert answer["cells"]["values"][y][x] == answer["value"]
             assert answer["cells"]["best_actions"][y][x] == answer["best_actions"]

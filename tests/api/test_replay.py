@@ -7,11 +7,11 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
-from drone_env.core.actions import Action
+from drone_env.core.actions import Action, Outcome
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import TASKS
-from drone_env.planning.optimal import solve
+from drone_env.planning.optimal import solve, solve_episode
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.results.store import Store
@@ -69,6 +69,31 @@ def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestC
     best = start.copy().fly([Action[action] for action in told["optimal_actions"]])
     assert told["optimal_path"] == [list(start.position), *([at.x, at.y] for at in best.path)]
     assert (best.steps, best.score) == (told["optimal_steps"], analysis.optimum)
+
+
+@pytest.mark.parametrize(
+    ("task", "actions", "why"),
+    [
+        ("skyline_easy", ["LEFT", "RIGHT"] * 6, "Each step costs a unit; a pad was 4 cells away."),
+        ("skyline_easy", ["UP", "LEFT", "DOWN"] * 5, "Buildings cost 3 units; a pad was 3 cells away."),
+        ("easy", ["WAIT"] * 60, "Each step costs a unit."),
+    ],
+)
+def test_a_failed_flight_says_why_and_from_where_it_could_still_be_won(
+    shared_client: TestClient, task: str, actions: list[str], why: str
+) -> None:
+    episode = Episode(task, "tiered", 7)
+    won = []
+    for name in actions:
+        if episode.ended:
+            break
+        won.append(episode.copy().fly(solve_episode(episode).actions).outcome is Outcome.DELIVERED)
+        episode.step(Action[name])
+    told = shared_client.post("/annotate", content=record_of(episode, "me").to_json(), headers=JSON).json()
+    assert (told["why"], told["rescue_step"]) == (why, sum(won) - 1)
+    best = record(task, agent="optimal")
+    told = shared_client.post("/annotate", content=best.to_json(), headers=JSON).json()
+    assert (told["why"], told["rescue_step"]) == ("", None)
 
 
 def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(

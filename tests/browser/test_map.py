@@ -1,7 +1,9 @@
 """The map: its layers, asked of the server once a moment, and cities, joined to blocks and seen from nearby."""
 
 import json
+from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
 from tests.browser.shown import changed, expect_step, painted, pictures, points
@@ -128,3 +130,16 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     expect(columns).to_have_text(["Move", "Still possible", "Loss"])
     expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
     expect(ranges).to_be_visible()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1024, 768), (390, 844), (360, 740)])
+def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page], width: int, height: int) -> None:
+    page = beside()
+    page.set_viewport_size({"width": width, "height": height})
+    page.goto("/?task=skyline_easy&seed=7&pilot=human")
+    expect_step(page, 0, 60)
+    for shown in ("#battery", "#boards .map-air", "#undo"):
+        expect(page.locator(shown)).to_be_in_viewport(ratio=1)
+    size = page.locator("#boards .map-air").bounding_box()
+    assert size
+    assert min(size["width"], size["height"]) ** 2 >= 0.4 * width * height

@@ -9,8 +9,21 @@ from drone_env.core.episode import Episode
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import by_hand, frames, newest
-from tests.browser.shown import counter, expect_flying, expect_frame, expect_step, pictures
-from tests.browser.stage import along, at_speed, choices, ended, fly, map_number, moves, over, pilot, press, standings
+from tests.browser.shown import counter, expect_flying, expect_frame, expect_step, painted, pictures
+from tests.browser.stage import (
+    FASTEST,
+    along,
+    at_speed,
+    choices,
+    ended,
+    map_number,
+    moves,
+    over,
+    pilot,
+    press,
+    standings,
+    until,
+)
 
 DASH = "\u2013"
 """Stands where the page shows no number."""
@@ -67,6 +80,7 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     along(page, "Random").press(" ")
     other, person = (standings(page).filter(has_text=name) for name in ("Random", "You"))
     expect(other.get_by_role("cell").nth(3)).to_have_text("0.0")
+    expect(page.locator(".hint")).to_contain_text("Press Enter to start the race.")
     press(page, "Step")
     expect(standings(page).get_by_role("rowheader")).to_have_text(["You", "Random"])
     expect(person.get_by_role("cell")).to_have_text(["0", "0/1", DASH, DASH])
@@ -75,7 +89,9 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     expect(other.get_by_role("cell").first).to_have_text("2")
     expect(person).to_have_class("selected")
     # Once the others have ended, no pilot is left that flies by itself.
-    fly(page, "Resume")
+    at_speed(page, FASTEST)
+    page.locator("#step-counter").click()
+    page.keyboard.press("Enter")
     expect(page.locator("#start")).to_be_hidden()
 
 
@@ -147,3 +163,33 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     page.keyboard.press("n")
     expect_step(page, 0, 60)
     expect(map_number(page)).not_to_have_value(re.compile("^8?$"))
+
+
+def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_could_be_won(page: Page) -> None:
+    over(page, 7, "/?task=skyline_easy&seed=7&pilot=human")
+    expect(page.locator(".hint")).to_contain_text("A step costs 1 battery unit, 3 above a building, 2 above a tree.")
+    air = page.locator("#boards .map-air")
+    size = air.bounding_box()
+    for key in ["ArrowLeft", "ArrowRight"] * 6:
+        page.keyboard.press(key)
+    expect(ended(page)).to_contain_text("Each step costs a unit; a pad was 4 cells away.")
+    assert air.bounding_box() == size
+    expect(page.locator("#next")).to_be_hidden()
+    press(page, "Try again from step 6")
+    expect_step(page, 6, 60, "RIGHT")
+    expect(page).to_have_url(re.compile("pilot=human&of=human%20with%20undo&actions=LRLRLR$"))
+
+
+def test_cells_show_what_they_cost_beside_the_drone_and_under_the_pointer(page: Page) -> None:
+    over(page, 152, "/?task=skyline_easy&seed=152&pilot=human")
+    expect_step(page, 0, 60)
+    # Beside the drone are a pad and an obstacle.
+    air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
+    until(page, lambda: painted(air, "--good", "--bad") == ["--good", "--bad"])
+    box = air.bounding_box()
+    assert box
+    words: set[str] = set()
+    for column in range(16):
+        page.mouse.move(box["x"] + box["width"] * column / 16, box["y"] + box["height"] * 0.45)
+        words.add(note.inner_text() if note.is_visible() else "")
+    assert {"Pad: costs 1 unit, each wait charges 4", "Obstacle: closed", "Road: costs 1 unit"} <= words

@@ -164,6 +164,8 @@ class FlightSoFar(Message):
         default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
 
+    range_only: bool = Field(default=False, description="Whether to compute only the range of the battery and `pads`.")
+
     def episode(self) -> Episode:
         """The episode after these actions.
 
@@ -210,7 +212,10 @@ class PadRange(Message):
 
 
 class ValuesAnswer(Message):
-    """The values of a flight after a step. The fields from `q_values` on are null after the end."""
+    """The values of a flight after a step. The fields from `q_values` on are null after the end.
+
+    With `range_only`, only `range` and `pads` of the values are computed, and all others are null.
+    """
 
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
@@ -246,7 +251,7 @@ def values_json(flight: FlightSoFar) -> str:
     episode = flight.episode()
     solver = unsolved = optimum = value = None
     try:
-        solver = job_context().solver_of(episode.task, episode.seed)
+        solver = None if flight.range_only else job_context().solver_of(episode.task, episode.seed)
     except TooLargeError as error:
         unsolved = str(error)
     if solver is not None:
@@ -264,15 +269,13 @@ def values_json(flight: FlightSoFar) -> str:
         optimum=optimum,
         value=value,
         regret=None if optimum is None or value is None else optimum - value,
-        **({} if episode.ended else _in_flight(episode, solver)),
+        **({} if episode.ended else _ranges(episode)),
+        **({} if episode.ended or flight.range_only else _in_flight(episode, solver)),
     )
     return answer.model_dump_json()
 
 
 def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
-    # Loads Numba, which the process that serves does without.
-    from drone_env.planning.cell_states import battery_range, charging_pads
-
     task, networks = episode.task, job_context().networks
     pilot, agent, network = networks.map_network(task), None, None
     if pilot is not None:
@@ -281,6 +284,15 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
         network = CellNetwork(pilot=pilot, file=networks.file(pilot, task).name, digest=str(agent.config["network"]))
     cells, q_values = _cell_values(episode, solver, agent)
     x, y = episode.position
+    best_actions = None if cells.best_actions is None else cells.best_actions[y][x]
+    return {"q_values": q_values, "best_actions": best_actions, "network": network, "cells": cells}
+
+
+def _ranges(episode: Episode) -> dict[str, Any]:
+    # Loads Numba, which the process that serves does without.
+    from drone_env.planning.cell_states import battery_range, charging_pads
+
+    task = episode.task
 
     def reached(cell: int, units: int) -> Rows[int]:
         most = battery_range(episode, cell, units)
@@ -289,10 +301,6 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
         return rows.reshape(task.height, task.width).tolist()
 
     return {
-        "q_values": q_values,
-        "best_actions": None if cells.best_actions is None else cells.best_actions[y][x],
-        "network": network,
-        "cells": cells,
         "range": reached(episode.cell, episode.battery_units),
         "pads": [
             PadRange(position=(pad % task.width, pad // task.width), units=reached(pad, task.battery_capacity))

@@ -2,7 +2,6 @@
 import { fit, lessMotion, nextFrame } from "./base.js";
 import { el } from "./dom.js";
 import { title } from "./format.js";
-import { mountCellNote } from "./layer_costs.js";
 import { LAYERS } from "./layers.js";
 
 const SPIN = 0.03;
@@ -24,7 +23,6 @@ export class Board {
     air.setAttribute("role", "img");
     root.classList.add("map");
     root.replaceChildren(...this.canvases);
-    mountCellNote(root, context, this.names);
     this.before = 0;
     this.spin = 0;
     this.drawn = {};
@@ -85,15 +83,15 @@ export class Board {
       clock,
       layout,
       names: this.names,
-      byHand: this.context.byHand?.(track) ?? false,
+      byHand: this.context.byHand?.(track),
       spin: this.spin,
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
     };
     const shown = LAYERS.filter((layer) => this.context.shows(layer.id));
     // Cells are drawn for the whole map; CSS moves them with the camera.
     this.drawCells(ground, view, shown, "ground", "");
-    this.drawCells(cells, view, shown, "cells", stage.values?.key);
-    cells.classList.toggle("waiting", stage.answer === null);
+    this.drawCells(cells, view, shown, "cells", `${stage.values?.what} ${stage.values?.key}`);
+    cells.classList.toggle("waiting", stage.answer === null && stage.values?.what !== "range");
     for (const layer of shown) if (layer.place === "air") layer.draw(ctx, view);
     this.context.emit("drawn", view);
     if (moving && !still) this.refresh();

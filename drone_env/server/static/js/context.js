@@ -14,6 +14,7 @@ import { Stage } from "./stage.js";
  * @property {Object[]} pilots From `GET /pilots`. @property {number} most The maximum number of pilots of a flight.
  * @property {Object[]} kinds From `GET /kinds`.
  * @property {Stage} stage The map, the flights and the moment of Fly.
+ * @property {(track: import("./track.js").Track) => boolean} byHand Whether a visitor flies it.
  * @property {Camera} camera @property {(id: string) => boolean} shows Whether a layer is shown.
  * @property {string} view "fly", "compare", "learn", "api" or "draw".
  * @property {(name: string|null) => Promise} meet Loads the task of a drawn map, which `/tasks` does not list.
@@ -27,16 +28,19 @@ import { Stage } from "./stage.js";
 export function createContext(parts) {
   const families = new Map();
   for (const task of parts.tasks) families.set(task.family, [...(families.get(task.family) ?? []), task]);
-  const layers = new Set(LAYERS.filter(({ name, on }) => on || !name).map(({ id }) => id));
+  const chosen = new Map();
   const context = Object.assign(new Emitter(), parts, {
     families,
     stage: new Stage(),
     camera: new Camera(),
     view: "fly",
-    shows: (id) => layers.has(id),
+    byHand: () => false,
+    shows(id) {
+      const { name, on } = LAYERS.find((layer) => layer.id === id);
+      return chosen.get(id) ?? (!name || (on?.(context) ?? false));
+    },
     showLayer(id, shown) {
-      if (shown) layers.add(id);
-      else layers.delete(id);
+      chosen.set(id, shown);
       context.emit("layers");
     },
   });

@@ -9,6 +9,7 @@ import { help } from "./help.js";
 import { mountHint } from "./hint.js";
 import { mountGauges, mountInstruments } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
+import { mountCellNote } from "./layer_costs.js";
 import { mountLegend } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
@@ -54,7 +55,8 @@ export function mountFly(root, context) {
   let lessons = null;
   side.append(lesson);
   const problem = below("problems", mountProblem, fleet);
-  below("boards-panel", mountBoards);
+  const board = below("boards-panel", mountBoards);
+  mountCellNote(middle.querySelector(".map"), context, board.names);
   mountLegend(choices, context);
   below("hint", mountHint, fleet);
   panel("strip", mountStrip, fleet, acts);

@@ -9,6 +9,7 @@ export const ABOUT =
 const KEYS = [
   ["↑ ↓ ← → or W A S D", "Fly, if you are the pilot"],
   ["Space", "Start or pause; wait, if you fly"],
+  ["Enter", "Start a race that you fly in"],
   ["U", "Undo your last move"],
   ["← → Home End", "Previous, next, first, last step"],
   [".", "Next step"],

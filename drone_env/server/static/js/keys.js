@@ -107,13 +107,12 @@ export function mountHuman(root, context, fleet) {
     const press = () => fleet.fly(direction);
     return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, icon(drawing));
   });
-  const pad = el("div.pad", { role: "group", "aria-label": "Fly", hidden: true }, ...buttons);
+  const pad = el("div.pad", { role: "group", "aria-label": "Fly" }, ...buttons);
   root.append(pad);
 
   function update() {
     const own = fleet.shown ? fleet.tracks[fleet.human] : undefined;
-    pad.hidden = !own;
-    for (const button of buttons) button.disabled = own?.done ?? true;
+    root.hidden = !own || own.done;
     document.body.classList.toggle("human-flies", Boolean(own) && !own.done);
   }
 

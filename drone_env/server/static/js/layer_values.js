@@ -54,20 +54,21 @@ function drawMove(ctx, { cell, left, top }, action, x, y) {
   drawArrow(ctx, cx + dx * cell * 0.12, cy + dy * cell * 0.12, cx + dx * cell * 0.42, cy + dy * cell * 0.42, cell * 0.11);
 }
 
-/** The cells in reach, with the battery units left there. */
-export function drawRange(ctx, { stage, world, layout }) {
+/** The cells in reach, with the battery units left there; only a faint shade while a visitor flies. */
+export function drawRange(ctx, { stage, world, layout, byHand }) {
   const range = stage.values?.answer?.range;
   if (!range) return;
   const { cell, left, top, scale } = layout;
   range.forEach((row, y) =>
     row.forEach((units, x) => {
       ctx.fillStyle = colourOf(units === null ? "--ground" : "--good");
-      ctx.globalAlpha = units === null ? 0.55 : 0.06 + (0.34 * units) / world.capacity;
+      const strength = units === null ? 0.55 : 0.06 + (0.34 * units) / world.capacity;
+      ctx.globalAlpha = byHand ? strength * 0.6 : strength;
       ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
     }),
   );
   ctx.globalAlpha = 1;
-  if (cell < SMALL * 1.8 * scale) return;
+  if (byHand || cell < SMALL * 1.8 * scale) return;
   ctx.fillStyle = colourOf("--ink");
   ctx.font = font(Math.round(cell * 0.26));
   ctx.textAlign = "right";

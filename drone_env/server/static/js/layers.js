@@ -8,7 +8,7 @@ import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
  * @typedef {Object} Layer
  * @property {string} id @property {"ground"|"cells"|"air"} place "air" is drawn in every animation frame, the others on change.
  * @property {string} [name] The label of its switch; a layer without a name is always shown. @property {string} [key]
- * @property {string} [hint] @property {boolean} [on] Whether it is shown at first.
+ * @property {string} [hint] @property {(context: Object) => boolean} [on] Whether it is shown until the visitor chooses.
  * @property {boolean} [needsValues] Whether it needs `POST /values`.
  * @property {(stage: import("./stage.js").Stage) => boolean} [when] Whether it has something to show.
  * @property {(ctx: CanvasRenderingContext2D, view: Object) => void} draw
@@ -41,7 +41,7 @@ export const LAYERS = [
     name: "Battery range",
     hint: "The cells in reach of the battery, with the units left there",
     key: "b",
-    needsValues: true,
+    on: ({ stage, byHand }) => stage.track !== null && byHand(stage.track),
     when: ({ world }) => Boolean(world?.task.pads),
     draw: drawRange,
   },
@@ -52,7 +52,7 @@ export const LAYERS = [
     name: "Best flight",
     hint: "A best flight as a ghost, after the end of the selected flight",
     key: "g",
-    on: true,
+    on: () => true,
     when: ({ track }) => Boolean(track?.annotation),
     draw: drawBest,
   },
@@ -63,7 +63,7 @@ export const LAYERS = [
     name: "Network values",
     hint: "An arrow for each move: the longer, the higher its value",
     key: "q",
-    on: true,
+    on: () => true,
     when: ({ track }) => Boolean(track?.weighed && track.ours),
     draw: drawThoughts,
   },

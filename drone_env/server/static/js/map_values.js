@@ -14,32 +14,39 @@ export function mountMapValues(context) {
   let timer = 0;
   let asking = false;
 
+  /** "range" is all that a visitor sees who flies without values; null for nothing. */
   function wanted() {
-    const { track } = stage;
-    if (!track || context.secret(track)) return false;
-    return track.showsValues || track.forkedAt !== null || LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
+    const { track, world } = stage;
+    if (!track) return null;
+    const range = world.task.pads > 0 && context.shows("range");
+    if (context.secret(track)) return range ? "range" : null;
+    const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
+    return track.showsValues || track.forkedAt !== null || range || values ? "values" : null;
   }
 
   function look() {
-    if (!wanted()) {
+    const what = wanted();
+    if (!what) {
       if (stage.values) show(null);
       return;
     }
     const key = stage.moment;
-    if (key === stage.values?.key) return;
-    if (cached.has(key)) show({ key, answer: cached.get(key) });
+    if (key === stage.values?.key && what === stage.values.what) return;
+    const known = cached.get(`${what} ${key}`);
+    if (known !== undefined) show({ key, what, answer: known });
     else if (!asking) timer ||= setTimeout(ask, LOOK);
   }
 
   // One request at a time, then one for the newest moment: large maps are slow.
   async function ask() {
     timer = 0;
-    if (!wanted() || cached.has(stage.moment)) {
+    const what = wanted();
+    if (!what || cached.has(`${what} ${stage.moment}`)) {
       look();
       return;
     }
     const { world, track, actions, moment: key } = stage;
-    const flight = { task: world.task.id, seed: world.seed, actions };
+    const flight = { task: world.task.id, seed: world.seed, actions, range_only: what === "range" };
     asking = true;
     let answer = null;
     try {
@@ -52,8 +59,8 @@ export function mountMapValues(context) {
     }
     // A rejected request is not repeated.
     if (cached.size === KEPT) cached.delete(cached.keys().next().value);
-    cached.set(key, answer);
-    if (answer && wanted() && stage.track === track && !stage.answer) show({ key, answer });
+    cached.set(`${what} ${key}`, answer);
+    if (answer && wanted() === what && stage.track === track && !stage.answer) show({ key, what, answer });
     look();
   }
 
