@@ -145,15 +145,18 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
     # Flights over one map are shown together.
-    pilots = ["greedy", "optimal", "random", "pathqnet", "tournet", "greedy", "me", "you"]
-    labels = [flown("easy", 4, "greedy" if name in ("me", "you") else name, label=name) for name in pilots]
+    long = "model/" + "x" * 100
+    pilots = ["greedy", "optimal", "random", "pathqnet", "tournet", "greedy", "me", long]
+    labels = [flown("easy", 4, "greedy" if name in ("me", long) else name, label=name) for name in pilots]
     open_file(page, "race.jsonl", "".join(flight.to_json() + "\n" for flight in [*labels, flights[0]]))
-    names = ["Greedy (1)", "Optimal", "Random", "PathQNet", "Tournet", "Greedy (6)", "me", "you"]
+    names = ["Greedy (1)", "Optimal", "Random", "PathQNet", "Tournet", "Greedy (6)", "me", long]
     expect(standings(page)).to_have_count(8)
     for number in (3, 8):
         page.keyboard.press(str(number))
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(names[number - 1])
         expect(choice).to_have_value(re.compile(f"^{number}\\."))
+    # A long name is broken into lines.
+    assert page.evaluate("[...document.querySelectorAll('.side, .middle')].every(e => e.scrollWidth <= e.clientWidth)")
     choice.select_option(index=8)
     expect(map_number(page)).to_have_value("1")
     expect(page.locator("#standings")).to_be_hidden()

@@ -48,6 +48,10 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     fly(page, "Resume")
     expect(page.locator("#standings-note")).to_have_text(f"A tie with {points(best)}.")
     expect_ranked(60)
+    page.keyboard.press("Home")
+    expect_ranked(0)
+    expect(page.locator("#standings-note")).to_have_text(f"A tie with {points(best)}.")
+    page.keyboard.press("End")
     for number, (agent, name) in enumerate(NAMES.items(), 1):
         page.keyboard.press(str(number))
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(name)

@@ -4,8 +4,8 @@ import { copyText } from "./dom.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 
-/** Milliseconds between two changes of a history entry: browsers limit their rate. */
-const PAUSE = 200;
+/** Milliseconds between two changes of a history entry: Safari allows 100 in 30 s. */
+const PAUSE = 400;
 
 /**
  * @typedef {Object} Address Missing parts are null or an empty list.

@@ -46,11 +46,13 @@ export function mountStandings(root, { stage }) {
       body.replaceChildren(...ranked.map(({ node }) => node));
       if (body.contains(focused)) focused.focus();
     }
-    setText(note, describe(ranked));
+    setText(note, describe());
   }
 
-  function describe([first, second]) {
+  function describe() {
     if (!stage.over) return "Ranked by the score still possible.";
+    // The result, also while the page shows an earlier moment.
+    const [first, second] = [...rows].sort((a, b) => b.track.last.score - a.track.last.score);
     const best = first.track.last.score;
     if (second.track.last.score === best) return `A tie with ${points(best)}.`;
     return `${first.track.name} wins with ${points(best)}: ${outcome(first.track.last).toLowerCase()}.`;
