@@ -80,7 +80,7 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     along(page, "Random").press(" ")
     other, person = (standings(page).filter(has_text=name) for name in ("Random", "You"))
     expect(other.get_by_role("cell").nth(3)).to_have_text("0.0")
-    expect(page.locator(".hint")).to_contain_text("Press Enter to start the race.")
+    expect(page.locator(".hint")).to_contain_text("Press Start (Enter) to start the race.")
     press(page, "Step")
     expect(standings(page).get_by_role("rowheader")).to_have_text(["You", "Random"])
     expect(person.get_by_role("cell")).to_have_text(["0", "0/1", DASH, DASH])

@@ -1,7 +1,9 @@
 // One sentence below the map: what decides there, or what starts a race.
 import { setText } from "./dom.js";
 
-const RACE = "Press Enter to start the race. Or just fly: then the others move when you move.";
+/** What waits: a key, or a button of the pad. */
+const WAIT = matchMedia("(pointer: coarse)").matches ? "■" : "Space";
+const RACE = "Press Start (Enter) to start the race. Or just fly: then the others move when you move.";
 
 export function mountHint(root, { stage }, fleet) {
   const draw = () => setText(root, stage.world ? (atRace(fleet) ? RACE : rule(stage.world.task)) : "");
@@ -17,6 +19,6 @@ const atRace = (fleet) => fleet.mine !== null && fleet.automatic && !fleet.playi
 function rule({ drain, charge_rate: charge, pads, battery_capacity: capacity }) {
   const costly = Object.entries(drain).filter(([, units]) => units > 1);
   const costs = costly.map(([kind, units]) => `, ${units} above a ${kind}`).join("");
-  const ends = pads ? `On a blue pad, each wait (Space) charges ${charge}.` : `The battery holds ${capacity}.`;
+  const ends = pads ? `On a blue pad, each wait (${WAIT}) charges ${charge}.` : `The battery holds ${capacity}.`;
   return `A step costs 1 battery unit${costs}. ${ends}`;
 }

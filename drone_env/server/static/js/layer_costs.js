@@ -67,7 +67,7 @@ export function mountCellNote(field, context, names) {
   field.addEventListener("pointermove", (event) => event.pointerType === "mouse" && !event.buttons && show(event));
   field.addEventListener("click", show);
   field.addEventListener("pointerleave", ({ pointerType }) => pointerType === "mouse" && hide());
-  document.addEventListener("keydown", hide);
+  context.stage.on("cursor", hide);
 }
 
 function inWords({ kind, closed, units, charge }) {
