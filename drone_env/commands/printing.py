@@ -14,6 +14,8 @@ from drone_env.errors import UnknownNameError
 
 def print_error(error: object) -> None:
     """Print an error on standard error."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        error = f"{error.filename}: {error.strerror}"
     also = ", CITY.toml" if isinstance(error, UnknownNameError) and error.kind == "task" else ""  # for commands alone
     print(f"drone-env: {error}{also}", file=sys.stderr)
 

@@ -194,7 +194,9 @@ class Database:
         try:
             yield
         except sqlite3.Error as error:
-            raise StoreError(f"store {self.path}: {error}") from error
+            damaged = any(words in str(error) for words in ("malformed", "not a database", "no such"))
+            remedy = ": move the file away, or use another data folder" if damaged else ""
+            raise StoreError(f"store {self.path}: {error}{remedy}") from error
 
     def _when_free(self, operation: Callable[[], object]) -> None:
         """Run an operation once no other process writes, and give up after `busy_seconds`."""

@@ -32,12 +32,17 @@ MOST_PARTS = 500
 strings. 40,000 new lists would start a full garbage collection, which takes 60 ms."""
 
 
-def parse_json(data: bytes) -> Any:
+def parse_json(data: bytes | None) -> Any:
     """Parse JSON. NaN, Infinity, duplicate keys, lone surrogates and nesting beyond 200 are errors.
+
+    Args:
+        data: The text; None for a binary frame.
 
     Raises:
         InvalidValueError: if it is not JSON, or has too many parts.
     """
+    if data is None:
+        raise InvalidValueError("this is a binary frame: send text frames with JSON")
     if data.count(b"[") + data.count(b"{") + data.count(b":") > MOST_PARTS:
         raise InvalidValueError(f"JSON may have {MOST_PARTS} lists, objects and keys here")
     try:

@@ -30,7 +30,9 @@ from drone_env.server.state import AppState
 
 log = logging.getLogger(__name__)
 
-NORMAL, GOING_AWAY = 1000, 1001
+NORMAL, GOING_AWAY, POLICY_VIOLATION = 1000, 1001, 1008
+LARGEST_FRAME = 2 * SMALL
+"""Limit of a frame in bytes: enough for a list with the longest route."""
 ALLOWED_TYPES = "reset, step, state, close, mcp"
 PARSE_ERROR = -32700
 
@@ -46,6 +48,7 @@ class RefusedError(Exception):
 
     def __init__(self, code: str, message: str, **more: object) -> None:
         super().__init__(message)
+        self.code = code
         data = {"message": message, "code": code, **more}
         self.frame = _frame("error", to_json(data).decode())
 
@@ -74,7 +77,7 @@ class Connection:
             RefusedError: if the frame is invalid or cannot be executed.
         """
         try:
-            frame = parse_json(received or b"")
+            frame = parse_json(received)
         except InvalidValueError as error:
             if self._mcp:
                 problem = {"code": PARSE_ERROR, "message": str(error)}
@@ -148,7 +151,8 @@ class OpenEnvSocket:
                 await self._serve(socket, await self._open(socket))
             except RefusedError as refusal:
                 await socket.send_text(refusal.frame)
-                await socket.close(TRY_LATER, str(refusal)[:120])
+                full = refusal.code == "CAPACITY_REACHED"
+                await socket.close(TRY_LATER if full else POLICY_VIOLATION, str(refusal)[:120])
             finally:
                 self.touched.pop(socket, None)
 
@@ -169,7 +173,7 @@ class OpenEnvSocket:
         return Connection(self.shared, session, socket.scope.get("path") == "/mcp")
 
     async def _serve(self, socket: WebSocket, connection: Connection) -> None:
-        async for data in received(socket, SMALL):
+        async for data in received(socket, LARGEST_FRAME):
             if socket not in self.touched:
                 return  # closed because it was idle
             self.touched[socket] = self._clock()

@@ -10,7 +10,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.json_routes import SMALL
+from drone_env.server.openenv import LARGEST_FRAME
 from drone_env.server.schemas import MAX_ROUTE
 from drone_env.server.settings import Settings
 
@@ -81,7 +81,7 @@ def test_a_frame_that_is_not_json_is_an_error_and_a_large_one_closes(shared_clie
             assert socket.receive_json()["error"]["code"] == -32700
         socket.send_bytes(b"{}")
         assert socket.receive_json()["error"]["code"] == -32700
-        socket.send_text(json.dumps(request("ping")).ljust(SMALL + 1))
+        socket.send_text(json.dumps(request("ping")).ljust(LARGEST_FRAME + 1))
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_text()
     assert closed.value.code == 1009

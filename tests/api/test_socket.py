@@ -17,7 +17,7 @@ from drone_env.models import observation_fields, openenv_json
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
-from drone_env.server.json_routes import SMALL
+from drone_env.server.openenv import LARGEST_FRAME
 from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
@@ -77,11 +77,13 @@ def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
         assert ask(socket, {"type": "state"}) == before
 
 
-@pytest.mark.parametrize("frame", ['{"type": "reset"}'.ljust(SMALL + 1), "🚁" * (SMALL // 4 + 1)])
+@pytest.mark.parametrize("frame", ['{"type": "reset"}'.ljust(LARGEST_FRAME + 1), "🚁" * (LARGEST_FRAME // 4 + 1)])
 def test_a_large_frame_closes(shared_client: TestClient, frame: str) -> None:
     with shared_client.websocket_connect("/ws") as socket:
-        assert ask(socket, '{"type": "reset"}'.ljust(SMALL))["type"] == "observation"
-        assert ask(socket, "🚁" * (SMALL // 4))["data"]["code"] == "INVALID_JSON"
+        assert ask(socket, '{"type": "reset"}'.ljust(LARGEST_FRAME))["type"] == "observation"
+        route = {"type": "step", "data": {"route": ["RIGHT"] * MAX_ROUTE}}
+        assert ask(socket, json.dumps(route))["type"] == "observation"
+        assert ask(socket, "🚁" * (LARGEST_FRAME // 4))["data"]["code"] == "INVALID_JSON"
         socket.send_text(frame)
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_text()

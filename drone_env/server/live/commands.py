@@ -105,14 +105,18 @@ Command = Start | Attach | Play | Plain | Fly | ByHand | Subscribe
 _COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="type")])
 
 
-def parse_command(data: bytes) -> Command:
+def parse_command(data: bytes | None) -> Command:
     """Parse a command.
 
     Raises:
         InvalidValueError: if it is not a valid command.
     """
     value: Any = parse_json(data)
-    if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):
+    if (
+        data is not None
+        and len(data) > SMALL
+        and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start")
+    ):
         raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {len(data)}")
     try:
         return _COMMAND.validate_python(value)

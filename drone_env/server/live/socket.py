@@ -106,7 +106,7 @@ class Page:
 
     async def _listen(self) -> None:
         async for data in received(self._socket, LARGE):
-            await self._reporting(self._obey, data or b"")
+            await self._reporting(self._obey, data)
         self._tasks.cancel_scope.cancel()
 
     async def _reporting(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
@@ -119,7 +119,7 @@ class Page:
             return False
         return True
 
-    async def _obey(self, data: bytes) -> None:
+    async def _obey(self, data: bytes | None) -> None:
         command = parse_command(data)
         async with self._flying:
             match command:
