@@ -163,7 +163,8 @@ class OpenEnvSocket:
         try:
             if path:
                 named = OpenEnvReset(task_name=path["task"], prompt=path["prompt"])
-                task, prompt = get_task(str(named.task_name)).id, get_prompt(str(named.prompt))
+                task = get_task(str(named.task_name)).id
+                prompt = await asyncio.to_thread(get_prompt, str(named.prompt))
             session = OpenEnvSession(self.shared, stored, task, prompt)
             if stored is not None:
                 await session.look()

@@ -78,7 +78,9 @@ class OpenEnvSession:
             UnknownNameError, InvalidValueError: if there is no such map, profile or prompt.
         """
         named = options.prompt if isinstance(options, OpenEnvReset) else None
-        prompt, agent = self._text if named is None else get_prompt(named), options.agent or ANONYMOUS
+        # Reading a prompt loads Jinja, which takes 0.1 s.
+        prompt = self._text if named is None else await asyncio.to_thread(get_prompt, named)
+        agent = options.agent or ANONYMOUS
         if self._stored is None:
             last = None if self._session is None else self._session.seed
             episode = start_episode(options, last, self._task)
