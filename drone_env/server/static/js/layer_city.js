@@ -1,14 +1,8 @@
 // The fixed parts of the map: ground, grid, numbers and figures.
 import { colourOf, font } from "./base.js";
-import { drawBlocks, isJoined } from "./blocks.js";
 import { drawFigure } from "./figures.js";
 
-export function drawCity(ctx, view) {
-  if (isJoined(view.world)) {
-    drawBlocks(ctx, view);
-    return;
-  }
-  const { world, layout, names } = view;
+export function drawCity(ctx, { world, layout, names }) {
   const { cell, left, top } = layout;
   const field = [left, top, world.width * cell, world.height * cell];
   ctx.fillStyle = colourOf("--map-ground");

@@ -1,4 +1,5 @@
 // The layers of a map, from the ground up. To add a layer, add an entry here.
+import { drawBlocks, isJoined } from "./blocks.js";
 import { drawCity } from "./layer_city.js";
 import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
@@ -16,7 +17,7 @@ import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
 /** @type {Layer[]} */
 export const LAYERS = [
-  { id: "city", place: "ground", draw: drawCity },
+  { id: "city", place: "ground", draw: (ctx, view) => (isJoined(view.world) ? drawBlocks : drawCity)(ctx, view) },
   {
     id: "values",
     place: "cells",
