@@ -94,9 +94,10 @@ def _same_maps(keys: list[tuple[str, EpisodesKey]]) -> tuple[tuple[str, ...], st
     for name, key in keys:
         same = (key.split, key.seeds) == (one.split, one.seeds)
         if not same or get_task(key.task) != get_task(key.task, key.version):
+            start, stop = key.seeds
             raise InvalidValueError(
                 f"folders are compared over the same maps of the present version of a task: {name} has "
-                f"{key.task} v{key.version}, {range(*key.seeds)}, {first} {maps}"
+                f"{key.task} v{key.version}, maps {start}:{stop}; {first} has maps {maps.start}:{maps.stop}"
             )
     return tuple(dict.fromkeys(key.task for _, key in keys)), one.split, maps
 

@@ -1,5 +1,6 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -80,7 +81,12 @@ def evaluate(
             raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
         agents = tuple(f"{agent}:{checkpoint}" if agent in NETWORK_AGENTS else agent for agent in agents)
     json_file(json)
-    flown = fly_grid(task, agents, maps, chosen_split, repeats, engine, address, out)
+    try:
+        flown = fly_grid(task, agents, maps, chosen_split, repeats, engine, address, out)
+    except KeyboardInterrupt:
+        if out is not None:
+            print(f"interrupted; the same command goes on from {out}", file=sys.stderr)
+        raise
     report = {
         "package": __version__,
         "tasks": {
@@ -236,7 +242,7 @@ def _print(report: dict[str, Any]) -> None:
     start, stop = flown["seeds"]
     caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
     if flown["repeats"] > 1:
-        caption += f", {flown['repeats']} flights over each of who draws lots"
+        caption += f", {flown['repeats']} flights of each stochastic agent per map"
     table = Table("Graded score beside the exact optimum of the same maps", head, rows)
     print_table(table, width=120, names=2, caption=caption, sections=True)
     for task_id, of_task in report["tasks"].items():

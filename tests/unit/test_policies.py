@@ -144,7 +144,7 @@ def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.Captu
     command = ["evaluate", "--task", "easy", "--agents", "random", "greedy", "--seeds", "0:9", "--repeats", "2"]
     folder = tmp_path / "results"
     assert main([*command, "--out", str(folder)]) == 0
-    assert "2 flights over each of who draws lots" in " ".join(capsys.readouterr().out.split())
+    assert "2 flights of each stochastic agent per map" in " ".join(capsys.readouterr().out.split())
     assert len(list((folder / "pieces").iterdir())) == 3
     assert main([*command[:-1], "1", "--out", str(folder)]) == 2
     assert "repeats: {'random on easy_delivery': 2} is now {}" in capsys.readouterr().err
