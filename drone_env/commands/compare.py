@@ -96,7 +96,7 @@ def _same_maps(keys: list[tuple[str, EpisodesKey]]) -> tuple[tuple[str, ...], st
         if not same or get_task(key.task) != get_task(key.task, key.version):
             start, stop = key.seeds
             raise InvalidValueError(
-                f"folders are compared over the same maps of the present version of a task: {name} has "
+                f"folders are compared over the same maps of the present version: {name} has "
                 f"{key.task} v{key.version}, maps {start}:{stop}; {first} has maps {maps.start}:{maps.stop}"
             )
     return tuple(dict.fromkeys(key.task for _, key in keys)), one.split, maps
