@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
+from drone_env.llm.text_episode import LimitReachedError
 
 if TYPE_CHECKING:
     from drone_env.llm.transcript import Call
@@ -20,10 +21,6 @@ FIRST_CONCURRENCY = 8
 OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
 Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
-
-
-class LimitReachedError(DroneEnvError):
-    """The budget of a run is spent."""
 
 
 class StoppedError(DroneEnvError):

@@ -14,10 +14,10 @@ from drone_env.llm.answers import TURN_KINDS, Answer, ChatMessage, TurnKind, Unu
 from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
-from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
+from drone_env.llm.limiter import RateLimiter, StoppedError
 from drone_env.llm.progress import Progress
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, RunFolder, results_of
-from drone_env.llm.text_episode import CallFailedError, Flight, fly
+from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
 from drone_env.llm.transcript import Call, Failure, Transcript, digest
 from drone_env.results.statistics import Summary
 

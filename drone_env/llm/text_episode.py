@@ -9,12 +9,15 @@ from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, TurnKind
-from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.transcript import CallKey
 from drone_env.models import NAMES
 
 Status = Literal["finished", "errored", "budget_stop"]
+
+
+class LimitReachedError(DroneEnvError):
+    """The budget of a run is spent."""
 
 
 class CallFailedError(DroneEnvError):

@@ -7,9 +7,8 @@ from pathlib import Path
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig, request_bodies
-from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
-from drone_env.llm.text_episode import CallFailedError, Flight, fly
+from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
 from drone_env.llm.transcript import Call, CallKey, digest, read_calls
 from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 

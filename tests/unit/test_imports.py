@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "drone_env"
 HEAVY = {
     *("PIL", "fastapi", "fastmcp", "gradio", "httpx", "matplotlib", "numba", "openenv", "pandas", "pydantic"),
-    *("pygame", "ray", "torch"),
+    *("pygame", "ray", "torch", "tyro"),
 }
 ALLOWED_IN_CORE = {"drone_env", "numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_module_names}
 
@@ -58,7 +58,7 @@ def floor(part: str) -> int:
     ("code", "allowed"),
     [
         ("import drone_env.core.episode", ()),
-        ("from drone_env.cli import main; main(['fly', '--agent', 'pathqnet'])", ()),
+        ("from drone_env.cli import main; main(['fly', '--agent', 'pathqnet'])", ("tyro",)),
         ("import drone_env.client", ("httpx",)),
         ("import drone_env.commands.serve, drone_env.server.app; drone_env.server.app.app", ("fastapi", "pydantic")),
     ],
