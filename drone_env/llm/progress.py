@@ -73,8 +73,8 @@ class Progress:
 def log_text(flight: Flight, model: str) -> str:
     """The log lines of a flight, each with its newline.
 
-    The error of a step is the outcome of the unusable answer. A flight that stopped early has fewer steps, and its
-    score is that of waiting to the end.
+    A step with an unusable answer shows the outcome of that answer as its error. A flight that stopped early has fewer
+    steps, and its score is that of waiting to the end.
     """
     episode = flight.episode
     lines = [start_line(episode.task, model)]

@@ -151,7 +151,7 @@ class TextEpisode:
 
 
 def status_text(episode: Episode) -> str:
-    """Where the drone is now, as the answer to a tool call."""
+    """The position, battery, target and deliveries in words, as the answer to a tool call."""
     below = below_text(episode.task, NAMES[episode.under])
     return (
         f"Position: {episode.position}. Battery: {episode.battery_units} units. "

@@ -150,10 +150,17 @@ class FlightAnalysis:
 
     @property
     def rescue_step(self) -> int | None:
-        """The last step after which all parcels could still be delivered; None if there is none."""
-        task = self.task
-        least = score_of(interpreted(task), task.deliveries, 0, task.max_steps)
-        return sum(value >= least for value in self.values) - 1 if self.optimum >= least else None
+        """The last step after which all parcels could still be delivered; None if there is none, or if it is unknown.
+
+        It is unknown for a task in which a failed flight may score as much as one that delivers all parcels.
+        """
+        task, tables = self.task, interpreted(self.task)
+        n, full = task.deliveries, task.battery_capacity
+        least = score_of(tables, n, 0, task.max_steps)
+        # A flight fails without battery or without steps.
+        failed = max(score_of(tables, n - 1, 0, 0), score_of(tables, n - 1, full, task.max_steps))
+        known = failed < least <= self.optimum
+        return sum(value >= least for value in self.values) - 1 if known else None
 
     @property
     def counts(self) -> dict[Label, int]:

@@ -92,7 +92,7 @@ async def call_tool(session: OpenEnvSession, name: object, arguments: object) ->
 
 
 async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[str, Any]:
-    """Return the result of a step whose action is OpenEnv's `ListToolsAction` or `CallToolAction`."""
+    """Execute OpenEnv's `ListToolsAction` or `CallToolAction` as a step, and return its result."""
     if action["type"] == "list_tools":
         return {"observation": {"tools": _listed("input_schema"), "metadata": {}}, "reward": None, "done": False}
     name = action.get("tool_name")

@@ -99,7 +99,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect_frame(page, flight[worst], 60)
     lost = f"Lost {points(move['regret'], 2)}. Best move: {' or '.join(move['best_actions'])}."
     expect(page.locator("#move-detail")).to_contain_text(lost)
-    page.keyboard.press("ArrowRight")  # the line of the moment lies beside the mark
+    page.keyboard.press("ArrowRight")  # the line of the moment is beside the mark
     expect_frame(page, flight[worst + 1], 60)
     pictures(page)  # drawn
     graph = page.locator(".timeline-graph")

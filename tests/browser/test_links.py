@@ -130,7 +130,7 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     unread = "The link contains invalid values, which were ignored: view=nosuch, step=-3, fork=junk."
     expect(page.locator("#toasts .toast").last).to_have_text(unread)
     expect(map_number(page)).to_have_value("6")
-    # Without its step, the moves of a fork are nobody's.
+    # The moves of a fork without a step belong to no flight.
     show(page, "/?task=hard&seed=6&pilots=greedy,human&fork=junk&of=greedy&actions=ULL")
     expect(page.locator("#toasts .toast").last).to_have_text(
         "The link contains invalid values, which were ignored: fork=junk."

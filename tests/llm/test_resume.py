@@ -54,7 +54,7 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
         second = scripted.infer(*flights, "--resume", folder=folder)
         assert (second.status, second.out) == (2, "")
         assert "another process is working on the run" in second.err
-        # What was paid is kept at once: a kill would lose none of it.
+        # Each paid answer is written at once, so a kill would lose none.
         paid = json_lines(folder / "calls.jsonl")
         assert [(call["turn"], call["attempt"]) for call in paid] == [(turn, 1) for turn in range(1, 10)]
         process.send_signal(signal.SIGINT)

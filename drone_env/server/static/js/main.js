@@ -59,7 +59,7 @@ async function firstAnswers(api) {
 
 const THEME = "drone-env-theme";
 
-/** Switches between dark and light; first_theme.js has set the first theme. Emits "theme". */
+/** Switches between dark and light; before_modules.js has set the first one. Emits "theme". */
 function mountTheme(context) {
   const button = document.getElementById("theme-button");
   const system = matchMedia("(prefers-color-scheme: light)");
