@@ -102,6 +102,7 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     for _ in range(3):
         nearer.click()
     shift = page.locator(FIELD)
+    pictures(page)  # drawn
     before = shift.bounding_box()
     page.keyboard.press("Shift+ArrowRight")
     pictures(page)  # drawn
