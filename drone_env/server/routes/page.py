@@ -13,7 +13,7 @@ from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.models import Seed
 from drone_env.server.map_choice import DEFAULT_TASK
-from drone_env.server.page_files import PAGE, edition
+from drone_env.server.page_files import PAGE, edition, script
 from drone_env.server.pilots import HUMAN, all_pilots, display_name
 from drone_env.server.sessions import LONGEST_ID
 from drone_env.server.state import AppState, AppStateDep
@@ -75,6 +75,7 @@ def page(request: Request, shared: AppStateDep) -> Response:
     if not request.url.query:
         html = html.replace("<!-- hello -->", (PAGE / "first_paint.html").read_text(encoding="utf-8"))
         html = html.replace("</head>", f"{STYLES}\n</head>")
+    html = html.replace("static/js/main.js", script())
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
 

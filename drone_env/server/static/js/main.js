@@ -8,8 +8,13 @@ import { mountFly } from "./fly.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 
-/** Views that are loaded on their first visit. */
-const LATER = { compare: "compare", learn: "learn", api: "api_view", draw: "editor" };
+/** Views that are loaded on their first visit, with the names of their style sheets. */
+const LATER = {
+  compare: ["compare", () => import("./compare.js")],
+  learn: ["learn", () => import("./learn.js")],
+  api: ["api_view", () => import("./api_view.js")],
+  draw: ["editor", () => import("./editor.js")],
+};
 
 async function boot() {
   const api = createApi();
@@ -34,17 +39,18 @@ async function boot() {
 
 /** Loads a view and shows it. */
 async function mountLater(name, context) {
-  const file = LATER[name];
+  const later = LATER[name];
+  const [sheet, module] = later;
   const root = document.getElementById(`view-${name}`);
   delete LATER[name];
   try {
-    const style = el("link", { rel: "stylesheet", href: new URL(`../css/${file}.css`, import.meta.url) });
-    const [view] = await Promise.all([import(`./${file}.js`), loaded(style)]);
+    const style = el("link", { rel: "stylesheet", href: new URL(`../css/${sheet}.css`, import.meta.url) });
+    const [view] = await Promise.all([module(), loaded(style)]);
     root.replaceChildren();
     view.mount(root, context);
     if (context.view === name) context.emit("view", name);
   } catch (error) {
-    LATER[name] = file;
+    LATER[name] = later;
     console.warn(error);
     const again = el("button.button.small", { text: "Try again", press: () => mountLater(name, context) });
     root.replaceChildren(el("p.problem", { role: "alert" }, "This view could not be loaded. ", again));
