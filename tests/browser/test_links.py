@@ -189,16 +189,12 @@ def test_the_bare_address_is_light_and_shows_a_flight_until_one_is_flown(beside:
     expect(hello).to_be_hidden()
 
 
-def with_modules(route: Route) -> None:
-    """The page after a change of its modules, which the bundle lacks."""
-    answer = route.fetch()
-    route.fulfill(response=answer, body=answer.text().replace("bundle/main.js", "js/main.js"))
-
-
 def test_a_click_before_the_page_has_started_loads_nothing_again(beside: Callable[..., Page]) -> None:
     page, held = beside(), list[Route]()
     page.route("**/tasks", lambda route, _: held.append(route))
-    page.route("**/", with_modules)
+    # After a change of its modules, the page is served without the bundle.
+    modules = 'import "../js/main.js";'
+    page.route("**/bundle/main.js", lambda route, _: route.fulfill(content_type="text/javascript", body=modules))
     page.goto("/")
     hello = page.locator("#hello")
     hello.get_by_role("link", name="Fly it yourself").click()
