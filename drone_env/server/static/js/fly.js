@@ -167,7 +167,7 @@ export function mountFly(root, context) {
   function isShown() {
     const { address } = router;
     if (context.view !== "fly") return false;
-    if (fleet.shown) return fleet.phase !== "starting" && says(fleet.complete(address), fleet.setup);
+    if (fleet.shown) return !fleet.starting && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
