@@ -72,6 +72,10 @@ check: $(VENV)/.dev $(PAGE_TOOLS)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/python tools/plain.py
+	$(NODE) $(PAGE_TOOLS)/.bin/eslint -c tools/page/eslint.config.js drone_env/server/static/js
+	$(BIN)/python tools/page/openapi.py >$(VENV)/openapi.json
+	$(NODE) $(PAGE_TOOLS)/.bin/openapi-typescript $(VENV)/openapi.json -o tools/page/api.d.ts >/dev/null
+	$(NODE) $(PAGE_TOOLS)/.bin/tsc -p tools/page
 	$(MAKE) --no-print-directory bundle BUNDLE=$(abspath $(VENV))/bundle
 	diff -r $(VENV)/bundle drone_env/server/static/bundle
 

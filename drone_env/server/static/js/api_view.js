@@ -7,7 +7,7 @@ const KEPT = 200;
 const TOKEN = "Authorization: Bearer TOKEN";
 const TOPICS = ["requests", "training"];
 
-/** Example clients. @param {string} url Of the server. */
+/** Example clients. @param {string} url Of the server. @returns {[string, string][]} Names and programs. */
 const snippets = (url) => [
   [
     "HTTP, by curl",

@@ -10,12 +10,14 @@ import { Stage } from "./stage.js";
  * @property {import("./router.js").Router} router The address of the page.
  * @property {ReturnType<import("./api.js").createApi>} api HTTP calls.
  * @property {import("./live.js").Live} live The socket.
- * @property {Object[]} tasks From `GET /tasks`. @property {Map<string, Object[]>} families The tasks by family.
- * @property {Object[]} pilots From `GET /pilots`. @property {number} most The maximum number of pilots of a flight.
- * @property {Object[]} kinds From `GET /kinds`.
+ * @property {Answer<"TaskInfo">[]} tasks @property {Map<string, Answer<"TaskInfo">[]>} families The tasks by family.
+ * @property {Answer<"PilotInfo">[]} pilots @property {number} most The maximum number of pilots of a flight.
+ * @property {Answer<"KindInfo">[]} kinds
  * @property {Stage} stage The map, the flights and the moment of Fly.
  * @property {(track: import("./track.js").Track) => boolean} byHand Whether a visitor flies it.
+ * @property {(track: import("./track.js").Track) => boolean} secret Whether values are hidden: a visitor flies without them.
  * @property {Camera} camera @property {(id: string) => boolean} shows Whether a layer is shown.
+ * @property {(id: string, shown: boolean) => void} showLayer
  * @property {string} view "fly", "compare", "learn", "api" or "draw".
  * @property {(name: string|null) => Promise} meet Loads the task of a drawn map, which `/tasks` does not list.
  * @property {(event: string, f: Function) => () => void} on
@@ -35,6 +37,7 @@ export function createContext(parts) {
     camera: new Camera(),
     view: "fly",
     byHand: () => false,
+    secret: () => false,
     shows(id) {
       const { name, on } = LAYERS.find((layer) => layer.id === id);
       return chosen.get(id) ?? (!name || (on?.(context) ?? false));

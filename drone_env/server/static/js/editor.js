@@ -23,6 +23,7 @@ const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 
 
 /** Drawings of this tab, by their origin: Back and Reload restore them. */
 const drawings = new Map();
+/** @param {Partial<import("./router.js").Address>} address */
 const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`;
 
 function keep(key, map) {
@@ -46,7 +47,7 @@ export function mount(root, context) {
     shows: (id) => SHOWN.has(id),
   });
   context.on("theme", () => own.emit("theme"));
-  const { stage, camera } = own;
+  const { stage } = own;
   const drawing = new Drawing(kinds);
   const worth = new Worth(context, drawing);
   let key = null;
@@ -89,9 +90,9 @@ export function mount(root, context) {
   );
   root.classList.add("draw");
   const board = mountBoards(middle, own);
+  /** @type {HTMLElement} */
   const grid = middle.querySelector(".boards");
-  grid.id = "drawing";
-  Object.assign(grid, { tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });
+  Object.assign(grid, { id: "drawing", tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });
   const paints = [...tools.querySelectorAll("input")];
   const point = mountInput(grid, own, drawing, (i) => {
     paints[i]?.click();
@@ -148,7 +149,9 @@ export function mount(root, context) {
     const [height, width] = [map.cells.length, map.cells[0].length];
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
-    const track = new Track({ opening: { pilot: "", by: "", forked_at: null }, frames }, { name: "", colour: "--accent" });
+    /** @type {any} What the board reads of a flight. */
+    const start = { opening: { pilot: "", by: "", forked_at: null }, frames };
+    const track = new Track(start, { name: "", colour: "--accent" });
     const task = { short_name: "drawing", attribution: map.attribution };
     stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
     stage.tracks = [track];
@@ -166,7 +169,7 @@ export function mount(root, context) {
     fill();
   }
   worth.on("answer", (wrong) => {
-    for (const button of acts.children) button.disabled = wrong !== null;
+    for (const button of acts.querySelectorAll("button")) button.disabled = wrong !== null;
     drawBest();
   });
 
@@ -221,9 +224,10 @@ export function mount(root, context) {
     input.value = "";
   }
 
+  const isNumber = (target) => target instanceof HTMLInputElement && target.type === "number";
   document.addEventListener("keydown", (event) => {
     const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
-    if (!undoes || context.view !== "draw" || event.target.matches("input[type=number]")) return;
+    if (!undoes || context.view !== "draw" || isNumber(event.target)) return;
     event.preventDefault();
     drawing.undo();
   });
@@ -233,7 +237,7 @@ export function mount(root, context) {
     if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
     // On a new map there is nothing to move.
-    tools.querySelector(`[value=${address.task ? "move" : "building"}]`).click();
+    paints[PALETTE.indexOf(address.task ? "move" : "building")].click();
     const wanted = keyOf(address);
     const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
     await load(wanted, left ?? (() => origin(address)));

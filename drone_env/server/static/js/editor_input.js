@@ -8,7 +8,7 @@ const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowR
  * @param {HTMLElement} grid Contains the canvas. @param {import("./context.js").Context} context Of the editor.
  * @param {import("./drawing.js").Drawing} drawing
  * @param {(i: number) => boolean} choose Chooses a tool; false if there are not so many.
- * @returns {() => void} Moves the cursor to a cell, or hides it; without one, keeps it if the map still contains its cell.
+ * @returns {(cell?: number[]|null) => void} Moves the cursor to a cell, or hides it; without one, keeps it if the map still contains its cell.
  */
 export function mountInput(grid, context, drawing, choose) {
   const { camera } = context;
@@ -85,7 +85,7 @@ export function mountInput(grid, context, drawing, choose) {
     } else if ("+=-".includes(event.key)) {
       if (camera.nearer(event.key === "-" ? -1 : 1)) context.emit("camera");
       if (cursor) follow(cursor);
-    } else if (!choose(event.key - 1)) return;
+    } else if (!choose(Number(event.key) - 1)) return;
     event.preventDefault();
   });
   grid.addEventListener("blur", () => {

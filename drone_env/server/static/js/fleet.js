@@ -157,7 +157,7 @@ export class Fleet extends Emitter {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
-  /** An address whose missing parts come from the present flights. @param {import("./router.js").Address} address */
+  /** An address whose missing parts come from the present flights. @param {Partial<import("./router.js").Address>} address */
   complete(address) {
     const { lesson, ...rest } = { ...NOTHING, ...address };
     const { task, pilots } = rest;
@@ -174,10 +174,12 @@ export class Fleet extends Emitter {
   /**
    * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
    *
+   * @param {Partial<import("./router.js").Address>} change
    * @param {{play?: boolean, beside?: Track[], flown?: string[], moves?: string[]}} how Whether to play at once, finished flights
    *   to show beside them, the pilots of the setup that still fly, and the visitor's first moves.
    */
-  start(change = {}, { play = false, beside = [], flown = null, moves = [] } = {}) {
+  start(change = {}, how = {}) {
+    const { play = false, beside = [], flown = null, moves = [] } = how;
     const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {

@@ -8,7 +8,9 @@
  * @typedef {"idle"|"playing"|"starting"|"launching"|"interrupted"|"attaching"|"returning"} State
  * @typedef {"start"|"launch"|"pause"|"rest"|"attach"|"lost"|"flights"|"refused"|"plays"|"pauses"} Cause
  */
+/** @type {Partial<Record<Cause, State>>} */
 const START = { start: "starting", launch: "launching" };
+/** @type {Partial<Record<Cause, State>>} */
 const ANSWER = { flights: "idle", refused: "idle" };
 /** The next state after each cause; a cause that is not listed changes nothing. @type {Record<State, Partial<Record<Cause, State>>>} */
 export const NEXT = {

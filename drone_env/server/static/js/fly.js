@@ -30,9 +30,7 @@ export function mountFly(root, context) {
   const fleet = new Fleet(context);
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
-  /** Whether values are hidden: a visitor flies and has not turned them on. */
   context.secret = (track) => context.byHand(track) && !track.showsValues;
-  /** Whether a visitor flies. */
   context.byHand = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic;
 
   const plan = el("section.plan", { "aria-label": "Flight plan" });

@@ -124,7 +124,10 @@ const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "AP
 /** Shows the view of the address. */
 function mountViews(context) {
   const { router, live } = context;
-  const links = [...document.querySelectorAll(".views a")];
+  /** @type {NodeListOf<HTMLElement>} */
+  const sections = document.querySelectorAll("main > .view");
+  /** @type {NodeListOf<HTMLAnchorElement>} */
+  const links = document.querySelectorAll(".views a");
 
   function show({ view, unread }) {
     if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
@@ -133,7 +136,7 @@ function mountViews(context) {
     if (context.view !== view) live.subscribe([]);
     context.view = view;
     document.body.dataset.view = view;
-    for (const section of document.querySelectorAll("main > .view")) section.hidden = section.id !== `view-${view}`;
+    for (const section of sections) section.hidden = section.id !== `view-${view}`;
     for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");
@@ -147,8 +150,8 @@ function mountViews(context) {
 
   // Links within the page do not reload it.
   document.addEventListener("click", (event) => {
-    const link = event.target.closest?.("a[data-view], a[href^='?']");
-    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
+    const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
+    if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
     event.preventDefault();
     if (link.dataset.view) router.open(link.dataset.view);
     else router.follow(link.href);

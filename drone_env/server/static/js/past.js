@@ -140,10 +140,10 @@ async function readFlights(file) {
   } catch {
     const lines = text
       .split("\n")
-      .map((line, i) => [line, i + 1])
-      .filter(([line]) => line.trim());
+      .map((line, i) => ({ line, number: i + 1 }))
+      .filter(({ line }) => line.trim());
     if (!lines.length) throw new Error(`${file.name} is empty.`);
-    return lines.map(([line, number]) => parsed(line, `${file.name}, line ${number}`));
+    return lines.map(({ line, number }) => parsed(line, `${file.name}, line ${number}`));
   }
 }
 

@@ -137,9 +137,11 @@ function read({ search }) {
     return value !== null && Number.isSafeInteger(Number(value)) ? Number(value) : value;
   };
   const unread = [];
+  /** @returns {number|null} */
   const count = (name, least = 0) => {
     const value = number(name);
-    if (value === null || (Number.isInteger(value) && value >= least)) return value;
+    if (value === null) return null;
+    if (typeof value === "number" && value >= least) return value;
     unread.push(`${name}=${value}`);
     return null;
   };

@@ -3,12 +3,12 @@ import { Emitter, nextFrame } from "./base.js";
 
 /**
  * @typedef {Object} World The map.
- * @property {Object} task From `GET /tasks`. @property {number} seed @property {string} profile
+ * @property {Answer<"TaskInfo">} task @property {number} seed @property {string} profile
  * @property {number} width @property {number} height @property {number} maxSteps @property {number} capacity Of the battery.
  * @property {number[][]} cells Kinds of the cells at the start, [y][x]. @property {number[][]} parcels [x, y] of each.
  */
 
-/** @returns {World} */
+/** @param {Answer<"FlightHeader">} opening @param {Answer<"TaskInfo">[]} tasks @returns {World} */
 export function worldOf(opening, tasks) {
   return {
     task: tasks.find((task) => task.id === opening.task),

@@ -44,7 +44,7 @@ export function mountStandings(root, { stage }) {
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
       const focused = document.activeElement;
       body.replaceChildren(...ranked.map(({ node }) => node));
-      if (body.contains(focused)) focused.focus();
+      if (focused instanceof HTMLElement && body.contains(focused)) focused.focus();
     }
     setText(note, describe());
   }

@@ -1,5 +1,5 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
-import { announce, el, setText } from "./dom.js";
+import { announce, el, leaveFocus, setText } from "./dom.js";
 import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 
@@ -115,7 +115,7 @@ function nextTask(families, task) {
 function tryAgain({ stage }, fleet, acts) {
   const { annotation, by, forkedAt, pilot } = stage.track;
   const step = annotation.rescue_step ?? 0;
-  document.activeElement.blur();
+  leaveFocus();
   if (fleet.pilot(pilot).automatic || forkedAt !== null) {
     stage.clock.goTo(step);
     acts.fork();
@@ -134,6 +134,6 @@ function goOn(context, fleet, acts) {
   const pilots = able.length ? able : fleet.able(next).slice(0, 1);
   acts.start({ task: next.short_name, seed: null, pilots });
   // The focus moves to Start; if the visitor flies, the keys are for the drone.
-  if (pilots.includes(fleet.person.id)) document.activeElement.blur();
+  if (pilots.includes(fleet.person.id)) leaveFocus();
   else document.getElementById("start").focus();
 }

@@ -38,7 +38,7 @@ export function mountTimeline(root, context) {
     const y = (value) => ROOM.top + ((high - value) / (high - low)) * (height - ROOM.top - ROOM.bottom);
     drawEvents(ctx, track, x, height);
     tracks.forEach((one, i) => drawLine(ctx, one, x, y, (i - stage.selected) * ASIDE, one === track));
-    drawMarks(ctx, track, x, y, height);
+    drawMarks(ctx, track, x, y);
     ctx.fillStyle = colourOf("--ink");
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
     if (tracks.some(isKnown)) drawScale(ctx, y, [low, high], width);
