@@ -2,7 +2,7 @@
 import { ask, leaveFocus } from "./dom.js";
 import { SPEEDS } from "./stage.js";
 
-/** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+/** @param {Context} context @param {Fleet} fleet */
 export function actionsOf(context, fleet) {
   const { stage } = context;
   const { clock } = stage;

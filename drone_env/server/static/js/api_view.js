@@ -29,6 +29,7 @@ with DroneDeliveryClient("${url}").sync() as env:
   ],
 ];
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { api, live } = context;
   const url = address(".").href.replace(/\/$/, "");

@@ -10,6 +10,7 @@ const TOPICS = ["episodes", "training"];
 const PAUSE = 300;
 const MOST = 2;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);

@@ -23,7 +23,7 @@ const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 
 
 /** Drawings of this tab, by their origin: Back and Reload restore them. */
 const drawings = new Map();
-/** @param {Partial<import("./router.js").Address>} address */
+/** @param {Partial<Address>} address */
 const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`;
 
 function keep(key, map) {
@@ -38,6 +38,7 @@ async function openMap(file, { api, router }) {
   router.go(address);
 }
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { api, router, kinds } = context;
   const own = Object.assign(new Emitter(), context, {
@@ -149,11 +150,13 @@ export function mount(root, context) {
     const [height, width] = [map.cells.length, map.cells[0].length];
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
-    /** @type {any} What the board reads of a flight. */
+    // Only what the board reads.
+    /** @type {any} */
     const start = { opening: { pilot: "", by: "", forked_at: null }, frames };
     const track = new Track(start, { name: "", colour: "--accent" });
-    const task = { short_name: "drawing", attribution: map.attribution };
-    stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
+    /** @type {any} */
+    const world = { task: { short_name: "drawing", attribution: map.attribution }, seed: 0, width, height };
+    stage.world = { ...world, cells: map.cells, parcels: map.parcels };
     stage.tracks = [track];
     board.reload();
     setText(credit, map.attribution);
@@ -163,7 +166,9 @@ export function mount(root, context) {
   /** Draws the optimal path. */
   function drawBest() {
     if (stage.track) {
-      stage.track.annotation = worth.answer?.optimum ? { optimal_path: worth.answer.optimum.path, moves: [] } : null;
+      /** @type {any} */
+      const best = worth.answer?.optimum ? { optimal_path: worth.answer.optimum.path, moves: [] } : null;
+      stage.track.annotation = best;
       board.refresh();
     }
     fill();

@@ -17,16 +17,16 @@ export const lettersOf = (actions) => actions.map((action) => action[0]).join(""
  * server has opened the flights, "ended" (track) a flight has ended and is stored.
  */
 export class Fleet extends Emitter {
-  /** @param {import("./context.js").Context} context */
+  /** @param {Context} context */
   constructor(context) {
     super();
     this.context = context;
     this.stage = context.stage;
-    /** @type {Partial<import("./router.js").Address>} */
+    /** @type {Partial<Address>} */
     this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
     /** The flights that the server runs for this page. @type {Track[]} */
     this.tracks = [];
-    /** @type {import("./fleet_states.js").State} */
+    /** @type {FleetState} */
     this.state = "idle";
     /** The number of the newest request. */
     this.number = 0;
@@ -50,7 +50,7 @@ export class Fleet extends Emitter {
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
   }
 
-  /** Goes to the next state. @param {import("./fleet_states.js").Cause} cause */
+  /** Goes to the next state. @param {FleetCause} cause */
   turn(cause) {
     const next = NEXT[this.state][cause];
     if (!next) return;
@@ -157,7 +157,7 @@ export class Fleet extends Emitter {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
-  /** An address whose missing parts come from the present flights. @param {Partial<import("./router.js").Address>} address */
+  /** An address whose missing parts come from the present flights. @param {Partial<Address>} address */
   complete(address) {
     const { lesson, ...rest } = { ...NOTHING, ...address };
     const { task, pilots } = rest;
@@ -174,7 +174,7 @@ export class Fleet extends Emitter {
   /**
    * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
    *
-   * @param {Partial<import("./router.js").Address>} change
+   * @param {Partial<Address>} change
    * @param {{play?: boolean, beside?: Track[], flown?: string[], moves?: string[]}} how Whether to play at once, finished flights
    *   to show beside them, the pilots of the setup that still fly, and the visitor's first moves.
    */

@@ -6,7 +6,7 @@ import { grid, named } from "./rankings.js";
 const PAGE = 50;
 
 export class Flights {
-  /** @param {import("./context.js").Context} context */
+  /** @param {Context} context */
   constructor(context) {
     this.context = context;
     this.task = null;

@@ -23,7 +23,7 @@ import { mountThinking } from "./thinking.js";
 /**
  * Fills its element, as every `mountX(root, context, ...)` of this page does.
  *
- * @param {HTMLElement} root An empty element. @param {import("./context.js").Context} context
+ * @param {HTMLElement} root An empty element. @param {Context} context
  */
 export function mountFly(root, context) {
   const { router, stage } = context;
@@ -172,7 +172,7 @@ export function mountFly(root, context) {
   stage.on("change", () => isShown() && router.moment(moment()));
 }
 
-/** An error above the map; if nothing is flown, with a button that starts a flight. */
+/** An error above the map; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 function mountProblem(root, context, fleet) {
   const text = el("p.problem", { role: "alert", hidden: true });
   root.append(text);

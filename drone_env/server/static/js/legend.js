@@ -8,6 +8,7 @@ const SIDE = 24;
 const LEFT_OUT = new Set(["road", "unknown", "drone"]);
 const OPEN_STREET_MAP = "https://www.openstreetmap.org/copyright";
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountLegend(root, context) {
   const signs = context.kinds
     .filter((kind) => !LEFT_OUT.has(kind.name))

@@ -37,7 +37,7 @@ async function boot() {
   live.connect();
 }
 
-/** Loads a view and shows it. */
+/** Loads a view and shows it. @param {Context} context */
 async function mountLater(name, context) {
   const later = LATER[name];
   const [sheet, module] = later;
@@ -65,7 +65,7 @@ async function firstAnswers(api) {
 
 const THEME = "drone-env-theme";
 
-/** Switches between dark and light; before_modules.js has set the first one. Emits "theme". */
+/** Switches between dark and light; before_modules.js has set the first one. Emits "theme". @param {Context} context */
 function mountTheme(context) {
   const button = document.getElementById("theme-button");
   const system = matchMedia("(prefers-color-scheme: light)");
@@ -90,7 +90,7 @@ const other = (theme) => (theme === "dark" ? "light" : "dark");
 
 const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", full: "Server full", refused: "Refused" };
 
-/** Shows the state of the connection: a dot in the top bar, and a banner while the server is away. */
+/** Shows the state of the connection: a dot in the top bar, and a banner while the server is away. @param {Context} context */
 function mountConnection({ live, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
@@ -121,7 +121,7 @@ function mountConnection({ live, stage }) {
 
 const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs", draw: "Draw a map" };
 
-/** Shows the view of the address. */
+/** Shows the view of the address. @param {Context} context */
 function mountViews(context) {
   const { router, live } = context;
   /** @type {NodeListOf<HTMLElement>} */

@@ -153,7 +153,7 @@ const OF_MODELS = [
   ["Tokens", (row) => figure(row.tokens), true],
 ];
 
-/** Runs of agents and language models, one board per set of maps. */
+/** Runs of agents and language models, one board per set of maps. @param {Context} context */
 export function runsOf(context, { boards, unranked }) {
   const columns = [
     ["Pilot", (row) => named(context, row.agent, row.prompt ? ` by ${row.prompt}` : "")],
@@ -235,7 +235,7 @@ export function paired(context, task, answer, pilots, rows) {
   ];
 }
 
-/** Pilots of the address that have not flown the task, with a button that lets all pilots of the address fly it. */
+/** Pilots of the address that have not flown the task, with a button that lets all pilots of the address fly it. @param {Context} context */
 export function unflown(context, task, missing, pilots) {
   const able = pilots.filter((agent) => context.pilots.some(({ id, tasks }) => id === agent && tasks.includes(task.id)));
   const fly = () => context.router.go({ view: "fly", task: task.short_name, pilots: able });

@@ -4,6 +4,7 @@ import { outcome, points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Possible", true], ["Lost", true]];
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountStandings(root, { stage }) {
   const body = el("tbody");
   const note = el("p.note", { id: "standings-note" });

@@ -3,6 +3,7 @@ import { announce, el, leaveFocus, setText } from "./dom.js";
 import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 
+/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
   let worst = null;
@@ -111,7 +112,7 @@ function nextTask(families, task) {
   return group[(group.indexOf(task) + 1) % group.length];
 }
 
-/** Continues a failed flight from the last step at which all parcels could still be delivered. */
+/** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Fleet} fleet */
 function tryAgain({ stage }, fleet, acts) {
   const { annotation, by, forkedAt, pilot } = stage.track;
   const step = annotation.rescue_step ?? 0;

@@ -10,6 +10,7 @@ const ASIDE = 1.5;
 /** The minimum width of the graph in steps. */
 const SHORTEST = 10;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountTimeline(root, context) {
   const { stage } = context;
   const canvas = el("canvas.timeline-graph", { "aria-hidden": "true" });
