@@ -1,5 +1,6 @@
 """The page, and the `meta` elements by which other sites preview a link to it."""
 
+import re
 from html import escape
 from urllib.parse import urlencode
 
@@ -13,13 +14,14 @@ from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.models import Seed
 from drone_env.server.map_choice import DEFAULT_TASK
-from drone_env.server.page_files import PAGE, edition, script
+from drone_env.server.page_files import PAGE, edition, is_bundled
 from drone_env.server.pilots import HUMAN, all_pilots, display_name
 from drone_env.server.sessions import LONGEST_ID
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["page"])
 STYLES = "".join(f'<link rel="stylesheet" href="static/css/{name}.css">' for name in ("hello", "hello-motion"))
+SHEETS = re.compile('(<link rel="stylesheet" .*\n)+')
 NAME = "Drone Delivery"
 ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a network, and see what every move gave away."
 
@@ -72,10 +74,12 @@ def page(request: Request, shared: AppStateDep) -> Response:
     """The page; without a query it contains a flight that moves before its scripts run."""
     shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
+    if is_bundled():
+        html = SHEETS.sub('<link rel="stylesheet" href="static/bundle/page.css">\n', html)
+        html = html.replace("static/js/main.js", "static/bundle/main.js")
     if not request.url.query:
         html = html.replace("<!-- hello -->", (PAGE / "first_paint.html").read_text(encoding="utf-8"))
         html = html.replace("</head>", f"{STYLES}\n</head>")
-    html = html.replace("static/js/main.js", script())
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
 
