@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib import import_module
 
 from drone_env.agents import make_agent
-from drone_env.agents.tour_encoder import encode_kernel
+from drone_env.agents.tour_features import encode_kernel
 from drone_env.core.compile_cache import is_compiled
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from drone_env.agents import make_agent
-from drone_env.agents.tour_encoder import CHUNK, FeatureEncoder
-from drone_env.agents.tour_features import Features
+from drone_env.agents.tour_features import CHUNK, FeatureEncoder, Features
 from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
 from drone_env.agents.tournet import TournetAgent, best_options
 from drone_env.agents.weights_file import LARGEST, MOST_BYTES, Weights, network_of
