@@ -20,11 +20,11 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS
 from drone_env.errors import TooLargeError
 from drone_env.planning.bounds import bounds
-from drone_env.planning.cell_states import states_at_cells
 from drone_env.planning.legs import Legs, LegSolver, begin_row, mark_delivered, raise_by_paths, row_of
 from drone_env.planning.optimal import solve_episode
 from drone_env.planning.paths import find_paths
 from drone_env.planning.solver import ExactSolver
+from drone_env.planning.states import states_at_cells
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)

@@ -14,9 +14,9 @@ from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import units_left
-from drone_env.core.tasks import TERRAIN, TaskConfig
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.planning.from_observation import drone_positions, hidden_kind
+from drone_env.planning.from_observation import read_observations
 from drone_env.planning.paths import NO_STOP, UNREACHED, PathSearch, find_paths, make_search
 from drone_env.planning.states import require_memory
 
@@ -389,8 +389,8 @@ class FeatureEncoder:
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        self._task, self._counts = task, not task.uniform
-        self._pads = task.pads if self._counts and task.charge_rate else 0
+        self._task = task
+        self._pads = 0 if task.uniform or not task.charge_rate else task.pads
         n = task.deliveries + self._pads
         search = make_search(task, n)
         options = n * search.paths.units.shape[1]
@@ -413,12 +413,10 @@ class FeatureEncoder:
             InvalidValueError: if they are no observations of the task: one shows more parcels, pads or battery than the
                 task has, or a drone beside its grid.
         """
-        drones = self._drones(grids, telemetry)
+        grounds, drones = read_observations(self._task, grids, telemetry)
         most = self._task.battery_capacity, self._task.max_steps
         if not ((drones[:, 1:] >= 0) & (drones[:, 1:] <= most)).all():
             raise InvalidValueError(f"an observation has battery or steps left that {self._task.id!r} does not have")
-        grounds = grids.reshape(len(grids), -1).copy()
-        grounds[np.arange(len(grids)), drones[:, 0]] = self._below(grounds, telemetry)
         return self.encode(grounds, drones)
 
     def encode(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> Features:
@@ -443,17 +441,3 @@ class FeatureEncoder:
             self._place_of.clear()  # it contains maps whose distances are missing
             raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
         return first_states(self._features, m)
-
-    def _drones(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """Cell, units left and steps left of each drone, int64[M, 3]."""
-        task = self._task
-        x, y = drone_positions(task, grids, telemetry).T
-        units = np.rint(telemetry[:, 2] * task.battery_capacity)
-        left = np.rint(telemetry[:, 5] * task.max_steps) if task.telemetry_size > 5 else units
-        return np.stack([y * task.width + x, units, left], axis=1).astype(np.int64)
-
-    def _below(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Any:
-        """The kinds of the cells below the drones; road if the kind makes no difference."""
-        if self._task.telemetry_size > 6:
-            return np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)]
-        return [hidden_kind(self._task, grid) for grid in grids] if self._counts else 0

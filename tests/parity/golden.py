@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import observation, rules
+from drone_env.core import rules
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards
 from drone_env.core.seeds import SPLITS, next_seed
@@ -98,8 +98,8 @@ class Reference:
 
     def observe(self, i: int) -> None:
         grid, state, telemetry = self.episodes[i]
-        observation.write_telemetry(self.tables, state, telemetry)
-        self.open_actions[i] = observation.open_actions(self.tables, grid, state)
+        rules.write_telemetry(self.tables, state, telemetry)
+        self.open_actions[i] = rules.open_actions(self.tables, grid, state)
 
     def step(self, actions: Sequence[int]) -> None:
         self.finals = []
