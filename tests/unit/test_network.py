@@ -14,7 +14,6 @@ from safetensors.numpy import save
 from drone_env.agents import make_agent
 from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, load_network, shipped_network
 from drone_env.agents.weights_file import LARGEST, METADATA, MOST_BYTES, write_weights
-from drone_env.core.actions import Action
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
@@ -52,15 +51,6 @@ def test_the_network_is_as_drawn() -> None:
         "head.7.weight": (5, 64),
     }
     assert isinstance(PathQNet().head[1], torch.nn.LayerNorm)
-
-
-@pytest.mark.feature("L2")
-def test_five_values_of_telemetry() -> None:
-    episode = Episode("easy")
-    episode.reset(14)  # the drone at (6, 3), the parcel at (5, 1)
-    np.testing.assert_allclose(episode.observation()["telemetry"], [0.6, 0.3, 1.0, 0.5, 0.1], rtol=1e-6)
-    episode.step(Action.LEFT)
-    np.testing.assert_allclose(episode.observation()["telemetry"], [0.5, 0.3, 59 / 60, 0.5, 0.1], rtol=1e-6)
 
 
 @pytest.mark.parametrize(("height", "width", "telemetry_size"), [(10, 10, 5), (18, 18, 6), (7, 11, 5), (3, 2, 5)])
