@@ -120,20 +120,6 @@ def test_so_they_do_where_every_number_is_the_highest_allowed() -> None:
 
 
 @pytest.mark.parametrize("same_step", [False, True], ids=["next_step", "same_step"])
-def test_a_batch_whose_grids_are_fetched_early_flies_as_its_two_halves_do(same_step: bool) -> None:
-    task = replace(LARGEST, max_steps=40)
-    half = PREFETCH_BYTES // (task.width * task.height)
-    n = 2 * half
-    whole, halves = Batch(task, n, same_step=same_step), [Batch(task, half, same_step=same_step) for _ in range(2)]
-    rng = np.random.default_rng(0)
-    whole.reset(np.arange(n))
-    for start, part in zip((0, half), halves, strict=True):
-        part.reset(np.arange(start, start + half))
-    for _ in range(100):
-        actions = rng.integers(N_ACTIONS, size=n)
-        whole.step(actions)
-        for start, part in zip((0, half), halves, strict=True):
-            part.step(actions[start : start + half])
-            together = slice(start, start + half)
-            for name in ("grids", "telemetry", "rewards", "terminated", "action_masks", "seeds"):
-                assert np.array_equal(getattr(part, name), getattr(whole, name)[together]), name
+def test_so_they_do_where_grids_are_fetched_early(same_step: bool) -> None:
+    task = replace(LARGEST, max_steps=20)
+    assert_parity(task, "aligned", same_step, 1, n=2 * PREFETCH_BYTES // (task.width * task.height))

@@ -12,10 +12,9 @@ from fastapi.testclient import TestClient
 from safetensors.numpy import save
 
 from drone_env.agents import make_agent
-from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, load_network, shipped_network
+from drone_env.agents.pathqnet import load_network, shipped_network
 from drone_env.agents.weights_file import LARGEST, METADATA, MOST_BYTES, write_weights
 from drone_env.core.cells import N_CELL_KINDS
-from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, UnsupportedTaskError
@@ -66,18 +65,6 @@ def test_the_network_without_torch_is_the_same(height: int, width: int, telemetr
     found = load_network(tmp_path / "net.safetensors")(grids, telemetry)
     assert found.shape == (20, 5)
     assert np.abs(found - expected).max() < 1e-5
-
-
-def test_the_agent_flies_alone_as_in_a_batch() -> None:
-    agent = PathQNetAgent(get_task("easy"))
-    observations = [Episode("easy", seed=seed).observation() for seed in range(30)]
-    grids = np.stack([observation["grid"] for observation in observations])
-    telemetry = np.stack([observation["telemetry"] for observation in observations])
-    alone = [agent.act(observation) for observation in observations]
-    assert len(set(alone)) > 1
-    # More than it takes at a time, in another order in each part.
-    order = np.random.default_rng(0).integers(0, 30, 2 * CHUNK + 1)
-    assert agent.act_batch(grids[order], telemetry[order]).tolist() == [alone[i] for i in order]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
