@@ -116,7 +116,7 @@ def _annotated(record: EpisodeRecord) -> str:
 def why_failed(flown: Episode) -> str:
     """Why an ended flight failed, in one sentence; empty if it delivered all parcels: a job of a worker process."""
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.cell_states import charging_pads
+    from drone_env.planning.states import charging_pads
 
     task, pads = flown.task, charging_pads(flown)
     if flown.outcome is Outcome.OUT_OF_STEPS:
@@ -290,7 +290,7 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
 
 def _ranges(episode: Episode) -> dict[str, Any]:
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.cell_states import battery_range, charging_pads
+    from drone_env.planning.states import battery_range, charging_pads
 
     task = episode.task
 
@@ -313,7 +313,7 @@ def _cell_values(
     episode: Episode, solver: "Solver | None", agent: BatchAgent | None
 ) -> tuple[CellValues, dict[Direction, float] | None]:
     """The values at each cell, and the best score still possible after each action at the drone's."""
-    from drone_env.planning.cell_states import states_in_chunks
+    from drone_env.planning.states import states_in_chunks
 
     task, q_here = episode.task, None
     shape = (task.height, task.width)
