@@ -2,14 +2,14 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
+from drone_env.errors import InvalidValueError
 from drone_env.llm.text_episode import LimitReachedError
 
 if TYPE_CHECKING:
@@ -21,10 +21,6 @@ FIRST_CONCURRENCY = 8
 OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
 Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
-
-
-class StoppedError(DroneEnvError):
-    """The run stops; its flights are abandoned."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +71,6 @@ class Options:
         ):
             raise InvalidValueError("prices must be 0 or more US dollars per million tokens")
 
-    def cost(self, prompt_tokens: int, completion_tokens: int) -> float | None:
-        """The price of tokens in US dollars; None if it is unknown."""
-        if self.price_prompt is None or self.price_completion is None:
-            return None
-        return (prompt_tokens * self.price_prompt + completion_tokens * self.price_completion) / 1e6
-
 
 class Budget:
     """Counts the requests and tokens of a run.
@@ -91,12 +81,12 @@ class Budget:
     Attributes:
         requests: Number of requests sent.
         prompt_tokens, completion_tokens: Number of tokens used.
+        unmetered: Number of answers without a count of their tokens.
     """
 
     def __init__(self, options: Options) -> None:
-        self.requests = self.prompt_tokens = self.completion_tokens = 0
+        self.requests = self.prompt_tokens = self.completion_tokens = self.unmetered = 0
         self._options = options
-        self._unmetered = False
 
     @property
     def tokens(self) -> int:
@@ -106,12 +96,21 @@ class Budget:
     @property
     def cost(self) -> float | None:
         """US dollars spent; None if prices are unknown."""
-        return self._options.cost(self.prompt_tokens, self.completion_tokens)
+        prompt, completion = self._options.price_prompt, self._options.price_completion
+        if prompt is None or completion is None:
+            return None
+        return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
+
+    def resume(self, calls: Iterable["Call"]) -> None:
+        """Count the requests and tokens of earlier calls."""
+        for call in calls:
+            self.requests += call.requests
+            self.count(call)
 
     def count(self, call: "Call") -> None:
         """Count the tokens of a call."""
         if (answer := call.answer) is not None:
-            self._unmetered |= answer.prompt_tokens is None or answer.completion_tokens is None
+            self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
             self.prompt_tokens += answer.prompt_tokens or 0
             self.completion_tokens += answer.completion_tokens or 0
 
@@ -124,7 +123,7 @@ class Budget:
         limits = self._options
         if limits.max_calls is not None and self.requests >= limits.max_calls:
             raise LimitReachedError(f"all {limits.max_calls} calls have been made")
-        if self._unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
+        if self.unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
             raise LimitReachedError("the endpoint does not report its tokens, so they cannot be limited")
         if limits.max_tokens is not None and self.tokens >= limits.max_tokens:
             raise LimitReachedError(f"{self.tokens} of {limits.max_tokens} tokens have been used")
@@ -158,7 +157,6 @@ class RateLimiter:
         budget: The requests and tokens so far.
         active: Number of open requests.
         limit: Current maximum number of open requests.
-        fatal: Why every further request would fail; None if there is no such reason.
     """
 
     def __init__(self, options: Options, clock: Clock | None = None) -> None:
@@ -167,7 +165,6 @@ class RateLimiter:
         self.budget = Budget(options)
         self.active = 0
         self.limit = float(min(FIRST_CONCURRENCY, options.concurrency))
-        self.fatal: EndpointError | None = None
         self._slow_start = True
         self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
@@ -180,7 +177,6 @@ class RateLimiter:
         Yields the time at which the request is sent.
 
         Raises:
-            StoppedError: if the run stops.
             LimitReachedError: if the budget is spent.
         """
         async with self._changed:
@@ -188,7 +184,6 @@ class RateLimiter:
             self.active += 1
         try:
             await self._pace()
-            self.check_running()
             self.budget.check()
             self.budget.requests += 1
             yield self.clock.now()
@@ -230,8 +225,3 @@ class RateLimiter:
         if sent_at > self._halved_at:
             self.limit = max(1.0, self.limit / 2)
             self._halved_at = self.clock.now()
-
-    def check_running(self) -> None:
-        """Raise `StoppedError` if every further request would fail."""
-        if self.fatal is not None:
-            raise StoppedError("the run stops")

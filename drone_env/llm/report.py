@@ -5,7 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median_high
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
-from drone_env.llm.limiter import Options
+from drone_env.llm.limiter import Budget, Options
 from drone_env.llm.run_folder import RESULTS, FlightResult, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
@@ -174,20 +174,14 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
 
 
 def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
-    answered = [call for call in run.calls if call.answer is not None]
-    answers = [call.answer for call in answered if call.answer is not None]
-    prompt = sum(answer.prompt_tokens or 0 for answer in answers)
-    completion = sum(answer.completion_tokens or 0 for answer in answers)
-    latencies = sorted(call.latency for call in answered)
+    budget = Budget(options or Options())
+    budget.resume(run.calls)
+    latencies = [call.latency for call in run.calls if call.answer is not None]
     return {
-        "calls": {
-            "answered": len(answers),
-            "requests": sum(call.requests for call in run.calls),
-            "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in answers),
-        },
-        "tokens": {"prompt": prompt, "completion": completion},
-        "cost_usd": None if options is None else options.cost(prompt, completion),
-        "latency_median": latencies[len(latencies) // 2] if latencies else None,
+        "calls": {"answered": len(latencies), "requests": budget.requests, "without_usage": budget.unmetered},
+        "tokens": {"prompt": budget.prompt_tokens, "completion": budget.completion_tokens},
+        "cost_usd": budget.cost,
+        "latency_median": median_high(latencies) if latencies else None,
     }
 
 

@@ -4,14 +4,15 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drone_env.core.seeds import SPLITS
-from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.answers import Answer
 from drone_env.llm.limiter import Options
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
@@ -82,13 +83,13 @@ def test_many_flights_have_their_requests_under_way_at_once(tmp_path: Path) -> N
     class Counting(Scripted):
         now = most = 0
 
-        async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+        async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
             self.now += 1
             self.most = max(self.most, self.now)
             for _ in range(99):
                 await asyncio.sleep(0)
             self.now -= 1
-            return await super().send(messages, call_id, repeat)
+            return await super().send(request, call_id)
 
     sender = Counting("greedy")
     flown = fly(sender, tmp_path / "run", Options(concurrency=60), seeds=(0, 100))
