@@ -57,7 +57,7 @@ class FlightResult(Message):
         )
 
 
-def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mapping[int, float]) -> Results:
+def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mapping[int, float | None]) -> Results:
     """The results of the flights that count: all that did not error.
 
     Args:
