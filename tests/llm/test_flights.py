@@ -131,16 +131,3 @@ def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(endpoint
     text = (done.folder / "report.md").read_text()
     assert f"**valid**; {mark}\n" in text
     assert f"| score (95 %) | 0.0100 |\n| unusable answers | {told} |\n" in text
-
-
-def test_bad_answers_are_repaired_once_then_wait(endpoint: Start) -> None:
-    pilot = "I would fly to the right. " * 4_000
-    done = endpoint(pilot=pilot, finish_reason="length").infer("--seeds", "14:15", "--max-calls", "4")
-    assert (done.status, done.turns) == (3, {"truncated": 2, "budget_stop": 1}), done.err
-    assert [call["answer"]["text"] for call in done.calls] == [pilot] * 4
-    # The model sees the beginning of its long answer.
-    assert done.calls[1]["messages"][2]["content"] == pilot[:2000]
-    assert [(call["turn"], call["attempt"]) for call in done.calls] == [(1, 1), (1, 2), (2, 1), (2, 2)]
-    (lines,) = blocks(done.out)
-    assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", "error=truncated"]] * 2
-    verified(done)
