@@ -1,8 +1,12 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, Literal, cast
 
 import tyro
@@ -180,9 +184,12 @@ def _fly(
         from drone_env.results.folder import ResultsFolder  # loads Pydantic
 
         folder = ResultsFolder(out, keys)
-    with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
+    total = sum(key.seeds[1] - key.seeds[0] for key in keys)
+    with progress_bar("maps", total) as advance, noted_interrupts() as interrupts:
 
         def arrived(chunk: Results) -> None:
+            if interrupts:
+                raise KeyboardInterrupt
             advance(len(chunk.seeds), f"{get_task(chunk.key.task).short_name} {chunk.key.agent}")
 
         if engine == "local":
@@ -193,6 +200,26 @@ def _fly(
             from drone_env.cluster.episodes import fly_on_nodes
 
             return evaluate_keys(keys, fly_on_nodes, folder, arrived)
+
+
+@contextmanager
+def noted_interrupts() -> Generator[list[int], None, None]:
+    """Yield a list that contains each Ctrl-C: callbacks and finalizers of the compiler lose its exception."""
+    noted: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.append(number)
+        signal.default_int_handler(number, frame)
+
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def json_file(json: str | None) -> Path | None:
