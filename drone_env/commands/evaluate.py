@@ -1,12 +1,9 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
-import signal
 import sys
-import threading
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, Literal, cast
 
 import tyro
@@ -203,23 +200,14 @@ def _fly(
 
 
 @contextmanager
-def noted_interrupts() -> Generator[list[int], None, None]:
-    """Yield a list that contains each Ctrl-C: callbacks and finalizers of the compiler lose its exception."""
-    noted: list[int] = []
-    before = signal.getsignal(signal.SIGINT)
-
-    def note(number: int, frame: FrameType | None) -> None:
-        noted.append(number)
-        signal.default_int_handler(number, frame)
-
-    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
-        yield noted
-        return
-    signal.signal(signal.SIGINT, note)
+def noted_interrupts() -> Generator[list[bool], None, None]:
+    """Yield a list that contains an entry for each Ctrl-C whose exception a callback of the compiler has lost."""
+    noted, hook = list[bool](), sys.unraisablehook
+    sys.unraisablehook = lambda lost: noted.append(True) if lost.exc_type is KeyboardInterrupt else hook(lost)
     try:
         yield noted
     finally:
-        signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = hook
 
 
 def json_file(json: str | None) -> Path | None:

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -131,18 +131,6 @@ class Budget:
             raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
 
 
-class Clock:
-    """The machine's clock; tests replace it."""
-
-    def now(self) -> float:
-        """Monotonic seconds."""
-        return time.monotonic()
-
-    async def sleep(self, seconds: float) -> None:
-        """Wait."""
-        await asyncio.sleep(seconds)
-
-
 class RateLimiter:
     """Decides when a request of a run is sent.
 
@@ -151,7 +139,8 @@ class RateLimiter:
 
     Args:
         options: Limits, rate, prices and maximum concurrency.
-        clock: The time, and how to wait.
+        now: Returns monotonic seconds.
+        sleep: Waits for seconds.
 
     Attributes:
         budget: The requests and tokens so far.
@@ -159,9 +148,14 @@ class RateLimiter:
         limit: Current maximum number of open requests.
     """
 
-    def __init__(self, options: Options, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        options: Options,
+        now: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
         self.options = options
-        self.clock = clock or Clock()
+        self.now, self.sleep = now, sleep
         self.budget = Budget(options)
         self.active = 0
         self.limit = float(min(FIRST_CONCURRENCY, options.concurrency))
@@ -186,7 +180,7 @@ class RateLimiter:
             await self._pace()
             self.budget.check()
             self.budget.requests += 1
-            yield self.clock.now()
+            yield self.now()
         finally:
             async with self._changed:
                 self.active -= 1
@@ -196,17 +190,17 @@ class RateLimiter:
         """Wait until the end of a pause, and space requests evenly."""
         per_minute = self.options.requests_per_minute
         if per_minute is not None:
-            gap, now = 60 / per_minute, self.clock.now()
+            gap, now = 60 / per_minute, self.now()
             # After an idle time, one request may follow without a gap.
             sent_at = max(self._next_request, now)
             self._next_request = max(self._next_request, now - gap) + gap
             await self._sleep_until(sent_at)
-        while self._paused_until > self.clock.now():
+        while self._paused_until > self.now():
             await self._sleep_until(self._paused_until)
 
     async def _sleep_until(self, when: float) -> None:
-        if (seconds := when - self.clock.now()) > 0:
-            await self.clock.sleep(seconds)
+        if (seconds := when - self.now()) > 0:
+            await self.sleep(seconds)
 
     def answered(self) -> None:
         """Allow more requests at once after an answer."""
@@ -221,7 +215,7 @@ class RateLimiter:
             pause: Seconds.
         """
         self._slow_start = False
-        self._paused_until = max(self._paused_until, self.clock.now() + pause)
+        self._paused_until = max(self._paused_until, self.now() + pause)
         if sent_at > self._halved_at:
             self.limit = max(1.0, self.limit / 2)
-            self._halved_at = self.clock.now()
+            self._halved_at = self.now()

@@ -110,7 +110,7 @@ class Calls:
         stored = self.transcript.answered.get(key)
         if stored is not None:
             return stored.answer_to(request)
-        began = self.limiter.clock.now()
+        began = self.limiter.now()
         failures: list[Failure] = []
 
         def record(answer: Answer | None, outcome: str) -> None:
@@ -126,7 +126,7 @@ class Calls:
                 answer=answer,
                 outcome=outcome,
                 failures=failures,
-                latency=self.limiter.clock.now() - began,
+                latency=self.limiter.now() - began,
                 at=time.time(),
             )
             self.limiter.budget.count(call)
@@ -171,7 +171,7 @@ class Calls:
                 raise failed
             attempt = f"attempt {len(failures)} of {options.tries} failed"
             self.progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
-            await limiter.clock.sleep(wait)
+            await limiter.sleep(wait)
 
 
 async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLimiter, progress: Progress) -> RunResult:
@@ -200,7 +200,7 @@ async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLi
                 with following(limiter.options.server, config.model) as follow:
                     await fly(flight, calls.ask, follow)
                 # A flight that reached a limit before its first answer has not begun.
-                if flight.begun or flight.status != "budget_stop":
+                if flight.status != "budget_stop" or flight.attempt == 2 or flight.step_errors:
                     flights.append(flight)
                     progress.on_flight(flight)
                 if calls.fatal is not None:

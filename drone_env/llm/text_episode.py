@@ -185,11 +185,6 @@ class Flight(TextEpisode):
         """The body of the next request."""
         return {"messages": self.messages, **self.parameters}
 
-    @property
-    def begun(self) -> bool:
-        """Whether any answer came."""
-        return self.attempt == 2 or bool(self.step_errors)
-
     def stop(self, error: CallFailedError | LimitReachedError) -> None:
         """End the flight because a call has no answer."""
         failed = isinstance(error, CallFailedError)

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import read_lines
+from drone_env.files import append_line, read_lines
 from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.models import Count, Message
 
@@ -98,7 +98,6 @@ class Transcript:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         self.calls: list[Call] = []
         path.touch()
         end = 0
@@ -115,12 +114,7 @@ class Transcript:
         Raises:
             OSError: if it cannot be written.
         """
-        data = f"{call.model_dump_json()}\n".encode()
-        written = self._file.write(data)
-        if written != len(data):
-            # The next call would continue this line.
-            self._file.truncate(self._file.tell() - (written or 0))
-            raise OSError(f"a call could not be written whole to {self.path}")
+        append_line(self._file, call.model_dump_json())
         self.calls.append(call)
         if call.answer is not None:
             self.answered[call.key] = call

@@ -12,7 +12,7 @@ from drone_env.files import RUNS
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.limiter import Clock, Options, RateLimiter
+from drone_env.llm.limiter import Options, RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import locked_run
@@ -22,7 +22,7 @@ from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
 
 
-class VirtualClock(Clock):
+class VirtualClock:
     """Stands still but for waits, which are over at once and noted."""
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ def fly(
     config = run_config(**change, **({"base_url": at} if isinstance(at, str) else {}))
     clock = VirtualClock()
     sender = Endpoint(at, None, options.timeout) if isinstance(at, str) else at
-    limiter = RateLimiter(options, clock)
+    limiter = RateLimiter(options, clock.now, clock.sleep)
     with locked_run(folder, config, resume=False):
         result = asyncio.run(run(config, folder, sender, limiter, Progress(config, limiter.budget, folder, store)))
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])

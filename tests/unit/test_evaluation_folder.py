@@ -40,7 +40,6 @@ def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     press = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
-    monkeypatch.setattr("sys.unraisablehook", lambda lost: None)
 
     def fly(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
         for key in keys:
