@@ -240,7 +240,7 @@ def fine_tune(options: Options, name: str, maps: int) -> None:
 
 def losses(trainer: Any) -> list[dict[str, float]]:
     """The trainer's log of losses and rewards."""
-    kept = ("step", "loss", "reward", "reward_std")
+    kept = ("step", "loss", "reward", "frac_reward_zero_std", "unusable")
     return [{key: row[key] for key in kept if key in row} for row in trainer.state.log_history if "loss" in row]
 
 
@@ -257,15 +257,20 @@ def pilot(options: Options, model: Any, tokenizer: Any) -> Pilot:
                 **inputs, max_new_tokens=options.answer_tokens, pad_token_id=tokenizer.pad_token_id, do_sample=False
             )
         answers = tokenizer.batch_decode(answers[:, inputs["input_ids"].shape[1] :], skip_special_tokens=True)
-        return [action_of(prompt, text) for text in answers]
+        return [waiting(action_of(prompt, text)) for text in answers]
 
     return choose
 
 
-def action_of(prompt: Prompt, text: str) -> Action:
-    """The action of an answer; WAIT if it is unusable, as in `drone-env infer`."""
+def action_of(prompt: Prompt, text: str) -> Action | None:
+    """The action of an answer; None if it is unusable."""
     actions = prompt.read_answer(Answer(text=text)).actions
-    return actions[0] if actions else Action.WAIT
+    return actions[0] if actions else None
+
+
+def waiting(action: Action | None) -> Action:
+    """The action to fly; WAIT for an unusable answer, as in `drone-env infer`."""
+    return Action.WAIT if action is None else action
 
 
 def fly(options: Options, flights: Sequence[Episode], choose: Pilot) -> None:
@@ -283,19 +288,39 @@ def reward_of(options: Options, kind: Reward, choose: Pilot) -> Callable[..., li
       necessary; 0 for all answers to a request if they are the same, which GRPO ignores anyway;
     - `regret`: Q* of the action minus V*, which only an exact oracle can pay;
     - `rank`: 1 for the best actions of this state, 0 for the worst ones; equal actions share a rank.
+
+    An unusable answer gets what the worst action gets; under `score`, the worst one of its group and WAIT. A fixed
+    penalty would also act where all actions are equal, and there it would only strengthen the most frequent answer.
     """
     prompt = get_prompt(options.prompt)
 
-    def reward(completions: list[Any], values: list[list[float]], flown: list[list[int]], **_: Any) -> list[float]:
+    def reward(
+        completions: list[Any],
+        values: list[list[float]],
+        flown: list[list[int]],
+        log_metric: Callable[[str, float], None] | None = None,
+        **_: Any,
+    ) -> list[float]:
         actions = [action_of(prompt, completion[0]["content"]) for completion in completions]
-        if kind != "score":
+        if log_metric:
+            log_metric("unusable", actions.count(None) / len(actions))
+        tables: list[dict[Action, float]]
+        if kind == "score":
+            tables = flown_on([tuple(start) for start in flown], [waiting(action) for action in actions])
+        else:
             pay = {"regret": lambda q: q - q.max(), "rank": rank}[kind]
-            return [float(pay(np.round(q, 12))[action]) for q, action in zip(values, actions, strict=True)]
-        keys = [(*start, int(action)) for start, action in zip(flown, actions, strict=True)]
-        different = Counter(key[:-1] for key in set(keys))
-        flights = {key: Episode(options.task, seed=key[0]).fly(key[1:]) for key in set(keys) if different[key[:-1]] > 1}
-        fly(options, list(flights.values()), choose)
-        return [flights[key].score if key in flights else 0.0 for key in keys]
+            tables = [dict(zip(Action, pay(np.round(q, 12)).tolist(), strict=True)) for q in values]
+        return [min(table.values()) if a is None else table[a] for a, table in zip(actions, tables, strict=True)]
+
+    def flown_on(starts: list[tuple[int, ...]], actions: list[Action]) -> list[dict[Action, float]]:
+        groups: dict[tuple[int, ...], dict[Action, Episode]] = {start: {} for start in starts}
+        for start, action in set(zip(starts, actions, strict=True)):
+            groups[start][action] = Episode(options.task, seed=start[0]).fly([*start[1:], action])
+        fly(options, [flight for group in groups.values() if len(group) > 1 for flight in group.values()], choose)
+        return [
+            {a: flight.score if len(groups[start]) > 1 else 0.0 for a, flight in groups[start].items()}
+            for start in starts
+        ]
 
     reward.__name__ = kind
     return reward
