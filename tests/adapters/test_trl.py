@@ -130,7 +130,7 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     assert log["tools/failure_frequency"] == pytest.approx(1 / calls)
     assert all('"name": "fly_route"' in text and '"enum": ["UP"' in text for text in asked)
     assert any("Mission accomplished" in text for text in asked)
-    assert any("'NORTH' is no direction" in text for text in asked)
+    assert any("'NORTH' is not an action" in text for text in asked)
 
 
 @pytest.mark.timeout(600)
