@@ -257,7 +257,8 @@ def pilot(options: Options, model: Any, tokenizer: Any) -> Pilot:
                 **inputs, max_new_tokens=options.answer_tokens, pad_token_id=tokenizer.pad_token_id, do_sample=False
             )
         answers = tokenizer.batch_decode(answers[:, inputs["input_ids"].shape[1] :], skip_special_tokens=True)
-        return [waiting(action_of(prompt, text)) for text in answers]
+        actions = [action_of(prompt, text) for text in answers]
+        return [Action.WAIT if action is None else action for action in actions]
 
     return choose
 
@@ -266,11 +267,6 @@ def action_of(prompt: Prompt, text: str) -> Action | None:
     """The action of an answer; None if it is unusable."""
     actions = prompt.read_answer(Answer(text=text)).actions
     return actions[0] if actions else None
-
-
-def waiting(action: Action | None) -> Action:
-    """The action to fly; WAIT for an unusable answer, as in `drone-env infer`."""
-    return Action.WAIT if action is None else action
 
 
 def fly(options: Options, flights: Sequence[Episode], choose: Pilot) -> None:
@@ -289,8 +285,8 @@ def reward_of(options: Options, kind: Reward, choose: Pilot) -> Callable[..., li
     - `regret`: Q* of the action minus V*, which only an exact oracle can pay;
     - `rank`: 1 for the best actions of this state, 0 for the worst ones; equal actions share a rank.
 
-    An unusable answer gets what the worst action gets; under `score`, the worst one of its group and WAIT. A fixed
-    penalty would also act where all actions are equal, and there it would only strengthen the most frequent answer.
+    An unusable answer gets what the worst usable one of its group gets, and 0 if all are unusable. A lower reward would
+    strengthen the other answers even where they are the same, and the model would stop exploring.
     """
     prompt = get_prompt(options.prompt)
 
@@ -304,23 +300,24 @@ def reward_of(options: Options, kind: Reward, choose: Pilot) -> Callable[..., li
         actions = [action_of(prompt, completion[0]["content"]) for completion in completions]
         if log_metric:
             log_metric("unusable", actions.count(None) / len(actions))
-        tables: list[dict[Action, float]]
+        starts = [tuple(start) for start in flown]
         if kind == "score":
-            tables = flown_on([tuple(start) for start in flown], [waiting(action) for action in actions])
+            paid = flown_on(starts, actions)
         else:
-            pay = {"regret": lambda q: q - q.max(), "rank": rank}[kind]
-            tables = [dict(zip(Action, pay(np.round(q, 12)).tolist(), strict=True)) for q in values]
-        return [min(table.values()) if a is None else table[a] for a, table in zip(actions, tables, strict=True)]
+            value_of = {"regret": lambda q: q - q.max(), "rank": rank}[kind]
+            paid = [float(value_of(np.round(q, 12))[action or 0]) for q, action in zip(values, actions, strict=True)]
+        rows = list(zip(starts, actions, paid, strict=True))
+        usable = sorted(((start, pay) for start, action, pay in rows if action is not None), key=lambda row: -row[1])
+        worst = dict(usable)
+        return [worst.get(start, 0.0) if action is None else pay for start, action, pay in rows]
 
-    def flown_on(starts: list[tuple[int, ...]], actions: list[Action]) -> list[dict[Action, float]]:
-        groups: dict[tuple[int, ...], dict[Action, Episode]] = {start: {} for start in starts}
-        for start, action in set(zip(starts, actions, strict=True)):
-            groups[start][action] = Episode(options.task, seed=start[0]).fly([*start[1:], action])
-        fly(options, [flight for group in groups.values() if len(group) > 1 for flight in group.values()], choose)
-        return [
-            {a: flight.score if len(groups[start]) > 1 else 0.0 for a, flight in groups[start].items()}
-            for start in starts
-        ]
+    def flown_on(starts: list[tuple[int, ...]], actions: list[Action | None]) -> list[float]:
+        keys = [(*start, action) for start, action in zip(starts, actions, strict=True)]
+        usable = {key for key in keys if key[-1] is not None}
+        different = Counter(key[:-1] for key in usable)
+        flights = {key: Episode(options.task, seed=key[0]).fly(key[1:]) for key in usable if different[key[:-1]] > 1}
+        fly(options, list(flights.values()), choose)
+        return [flights[key].score if key in flights else 0.0 for key in keys]
 
     reward.__name__ = kind
     return reward
