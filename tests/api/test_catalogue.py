@@ -17,7 +17,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
-from drone_env.models import DroneObservation
+from drone_env.models import NAMES, DroneObservation
 from drone_env.server.logs import KEPT, LONGEST_PATH, POINTS, RequestLog, TrainLog
 from drone_env.server.routes.flight import Prediction, arrays_of
 from drone_env.server.routes.history import LINES
@@ -201,14 +201,14 @@ def test_openenvs_routes(client: TestClient) -> None:
     assert client.get("/other/splits").status_code == 404
 
 
-def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient) -> None:
+def test_what_tasks_tell_of_rewards_and_drain_is_what_steps_pay(shared_client: TestClient) -> None:
     paid: set[tuple[str, int]] = set()
     for told in shared_client.get("/tasks").json()["tasks"]:
         assert told["rewards"]["aligned"] == told["rewards"]["score"] == {}
         for profile in ("tiered", "composite"):
             episode, chance = Episode(told["id"], profile, 7), np.random.default_rng(7)
             while not episode.ended:
-                before, target = episode.position, episode.target
+                before, target, units = episode.position, episode.target, episode.battery_units
                 reward = episode.step(int(chance.integers(5)))
                 pays = told["rewards"][profile][episode.event.name.lower()]
                 assert target is not None
@@ -216,6 +216,8 @@ def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient)
                 far = abs(x - target[0]) + abs(y - target[1])
                 closer = abs(was_x - target[0]) + abs(was_y - target[1]) - far
                 assert reward == pays[closer + 1 if len(pays) == 3 else 0]
+                if NAMES[episode.under] != "pad":
+                    assert episode.battery_units == max(0, units - told["drain"][NAMES[episode.under]])
                 paid.add((episode.event.name, len(pays)))
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
 

@@ -12,7 +12,7 @@ from drone_env import __version__
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.models import Count, Message
 from drone_env.server.exceptions import RequestError, error_responses
@@ -35,7 +35,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     """One task: the fields of its `TaskConfig`, except for the terrain."""
 
     name: str = Field(description="Same as `id`.")
-    drain: dict[str, int] = Field(description="Battery units per step by kind of cell below the drone; default 1.")
+    drain: dict[str, int] = Field(description="Battery units of a step by kind of cell below the drone.")
     impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
     charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
     rewards: dict[str, dict[str, list[float]]] = Field(
@@ -51,7 +51,9 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
         return cls(
             **{name: getattr(task, name) for name in _PLAIN},
             name=task.id,
-            drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
+            drain={
+                CELL_KINDS[cell].name: units for cell, units in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()
+            },
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             published=published,
