@@ -190,7 +190,7 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
 
 
 # Written without the models, which take a third of a step's time.
-def flat_json(episode: Episode, _: float | None = None) -> str:
+def flat_json(episode: Episode) -> str:
     """Return the JSON of `DroneObservation.of(episode)`."""
     return _observation_json(episode, observation_numbers(episode)) + "}"
 

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError
 from drone_env import __version__
 from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, text_of
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
-from drone_env.models import Message, flat_json
+from drone_env.models import Message
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState
@@ -142,7 +142,7 @@ async def _call(
     try:
         if method in ("initialize", "openenv/session/create"):
             if session is None:
-                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), flat_json)
+                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset())
             opened = {"session_id": named if session is None else session.episode_id}
             return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
         named = params.get("session_id", named)

@@ -5,9 +5,10 @@ Another process may have stepped a session, so each use first applies the action
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from typing import NamedTuple, TypeVar
+from dataclasses import replace
+from typing import NamedTuple
 
 from fastapi import Request, Response
 from typing_extensions import Self
@@ -28,9 +29,6 @@ NEW = "new"
 LONGEST_ID = 200
 ANONYMOUS = "anonymous"
 """Default name of an agent."""
-Result = TypeVar("Result")
-Show = Callable[[Episode, float | None], Result]
-"""Makes the response from an episode and the reward of its last step, such as `flat_json` and `openenv_json`."""
 
 
 class OtherStepError(EpisodeError):
@@ -67,6 +65,11 @@ class Caller(NamedTuple):
         return session
 
 
+def copied(row: Session) -> Session:
+    """Copy a session with its episode, which other threads may fly on."""
+    return replace(row, episode=row.fly().copy())
+
+
 class _Cached:
     """A session as this process used it last, and the lock of its user."""
 
@@ -91,20 +94,17 @@ class Sessions:
         self._cache: OrderedDict[str, _Cached] = OrderedDict()
         self._lock = threading.Lock()
 
-    def reset(
-        self, session: str | None, options: ResetOptions, show: Show[Result], address: str | None = None
-    ) -> tuple[str, Result]:
+    def reset(self, session: str | None, options: ResetOptions, address: str | None = None) -> tuple[str, Episode]:
         """Start an episode in the session, or in a new one if there is none.
 
         Args:
             session: The session id of the request, or None.
             options: The body of the request.
-            show: Makes the response.
             address: The address of a caller without an id, who shares the session of the address. A shared session
                 without steps is not reused, because the caller who opened it may still use its id.
 
         Returns:
-            The session id, and the result of `show`.
+            The session id, and the episode at its start.
 
         Raises:
             UnknownNameError: if there is no such task, profile or split.
@@ -116,7 +116,7 @@ class Sessions:
         if session is not None:
             # If the session is gone, open a new one.
             with suppress(NoSessionError, SessionGoneError):
-                return session, self._begin(session, options, show, address, flown=address is not None)
+                return session, self._begin(session, options, address, flown=address is not None)
         episode = start_episode(options, None)
         arguments = episode, options.agent or ANONYMOUS, self.capacity, address
         try:
@@ -125,62 +125,51 @@ class Sessions:
             if self.expire():
                 opened = self.store.open_session(*arguments)
             elif session is not None and address is not None:
-                return session, self._begin(session, options, show, address)
+                return session, self._begin(session, options, address)
             else:
                 raise
-        return opened, show(episode, None)
+        return opened, episode
 
-    def _begin(
-        self, session: str, options: ResetOptions, show: Show[Result], address: str | None, flown: bool = False
-    ) -> Result:
-        with self._locked(session):
-            with self.changing(session, address) as row:
-                if flown and not row.actions:
-                    raise NoSessionError("this session has no steps yet")
-                episode = start_episode(options, row.seed)
-                row.begin(episode, options.agent)
-            return show(episode, None)
+    def _begin(self, session: str, options: ResetOptions, address: str | None, flown: bool = False) -> Episode:
+        with self.changing(session, address) as row:
+            if flown and not row.actions:
+                raise NoSessionError("this session has no steps yet")
+            episode = start_episode(options, row.seed)
+            row.begin(episode, options.agent)
+            return episode.copy()
 
     def advance(
-        self,
-        session: str,
-        action: int,
-        show: Show[Result],
-        after: int | None = None,
-        address: str | None = None,
-    ) -> Result:
+        self, session: str, action: int, after: int | None = None, address: str | None = None
+    ) -> tuple[Episode, float]:
         """Fly one action, and store the step, and the episode if it ends.
 
         Args:
             session: The session id.
             action: The action.
-            show: Makes the response, after the transaction.
             after: The caller's step count. A repeated request with the same count is flown once and returns the same
                 result. None flies the action in any case.
             address: The address of a caller without an id.
 
         Returns:
-            The result of `show`.
+            A copy of the episode, and the reward.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
             OtherStepError: if its step count differs from `after`, and the last action is not this one.
         """
-        with self._locked(session):
-            with self.changing(session, address) as row:
-                flown = len(row.actions)
-                if after is None or after == flown:
-                    reward = advance(row, action)
-                elif after == flown - 1 and row.actions[-1] == action:
-                    # Replay the row: a step after the end may have changed the episode in memory.
-                    row.episode = None
-                    reward = row.fly().reward_last
-                else:
-                    raise OtherStepError(
-                        f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
-                    )
-            return show(row.fly(), reward)
+        with self.changing(session, address) as row:
+            flown = len(row.actions)
+            if after is None or after == flown:
+                reward = advance(row, action)
+            elif after == flown - 1 and row.actions[-1] == action:
+                # Replay the row: a step after the end may have changed the episode in memory.
+                row.episode = None
+                reward = row.fly().reward_last
+            else:
+                detail = f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
+                raise OtherStepError(detail)
+            return row.fly().copy(), reward
 
     @contextmanager
     def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
@@ -197,9 +186,8 @@ class Sessions:
                 yield row
             cached.session = row
 
-    @contextmanager
-    def reading(self, session: str) -> Generator[Session, None, None]:
-        """Context manager of a session to read; its episode is in memory.
+    def read(self, session: str) -> Session:
+        """Return a copy of a session; its episode is in memory.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -208,9 +196,8 @@ class Sessions:
         with self._locked(session) as cached:
             row = self.store.read_session(session)
             row.go_on_from(cached.session)
-            row.fly()
             cached.session = row
-            yield row
+            return copied(row)
 
     def end(self, session: str) -> None:
         """End a session.

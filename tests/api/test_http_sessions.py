@@ -10,8 +10,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
-from drone_env.models import DroneObservation, flat_json
+from drone_env.models import DroneObservation
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME, Store
 from drone_env.server.app import create_app
@@ -58,28 +57,14 @@ class TestSessions:
         with Store(tmp_path) as store:
             sessions = Sessions(store, capacity=2, idle_seconds=900)
             for number in range(5):
-                session, _ = sessions.reset(None, ResetOptions(seed=number), flat_json)
-                sessions.advance(session, Action.WAIT, flat_json)
+                session, _ = sessions.reset(None, ResetOptions(seed=number))
+                sessions.advance(session, Action.WAIT)
                 assert len(sessions._cache) <= 2
                 store.end_session(session)  # as another process would, which tells nobody
-            first, second = (sessions.reset(None, ResetOptions(seed=7), flat_json)[0] for _ in range(2))
+            first, second = (sessions.reset(None, ResetOptions(seed=7))[0] for _ in range(2))
             for session in (first, second, first):
-                sessions.advance(session, Action.WAIT, flat_json)
-            with sessions.reading(first) as row:
-                assert row.fly().steps == 2
-
-    def test_an_answer_is_put_together_when_others_may_write_and_the_step_is_kept(self, tmp_path: Path) -> None:
-        with Store(tmp_path) as store, Store(tmp_path, busy_seconds=0) as other:
-            sessions = Sessions(store, capacity=2, idle_seconds=900)
-
-            def show(episode: Episode, reward: float | None) -> str:
-                kept = other.read_session(name).actions
-                other.touch_sessions([name])  # refused where somebody else writes
-                return f"{reward} {kept} {episode.actions}"
-
-            name, _ = sessions.reset(None, ResetOptions(seed=7), flat_json)
-            assert sessions.advance(name, Action.WAIT, show).endswith("(4,) [4]")
-            assert sessions.reset(name, ResetOptions(seed=7), show) == (name, "None () []")
+                sessions.advance(session, Action.WAIT)
+            assert sessions.read(first).fly().steps == 2
 
     def test_an_idle_session_makes_room_and_reading_does_not_keep_it(self, tmp_path: Path, clock: Clock) -> None:
         with TestClient(create_app(Settings(data=tmp_path, capacity=1), clock)) as client:

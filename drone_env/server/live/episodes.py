@@ -4,7 +4,6 @@ import asyncio
 import secrets
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from typing import Any, TypeVar
@@ -16,7 +15,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import DIRECTIONS, Direction, flat_json
+from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import (
@@ -34,6 +33,7 @@ from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import HUMAN, Provenance, all_pilots
 from drone_env.server.schemas import ResetOptions
+from drone_env.server.sessions import copied
 from drone_env.server.state import AppState
 
 Result = TypeVar("Result")
@@ -47,7 +47,7 @@ class LiveEpisode:
     """An episode that a page flies. The row of its session in the store is the truth; this is a copy.
 
     Args:
-        row: The session.
+        row: A copy of the session.
         shared: The parts of the server.
         caller: The address of the page, for the queue of the workers.
 
@@ -56,7 +56,7 @@ class LiveEpisode:
     """
 
     def __init__(self, row: Session, shared: AppState, caller: str) -> None:
-        self.row = _copy(row)
+        self.row = row
         self.pilot = self.provenance.pilot
         if self.pilot not in all_pilots():
             raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
@@ -216,8 +216,8 @@ class LiveEpisode:
             if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
                 raise SessionGoneError("another page or client flies this session now: start a new flight")
             yield row
-            copied = _copy(row)
-        self.row = copied
+            changed = copied(row)
+        self.row = changed
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -240,11 +240,6 @@ class LiveEpisode:
     @property
     def _shown(self) -> bool:
         return shows_values(self.provenance, self.episode)
-
-
-def _copy(row: Session) -> Session:
-    """Copy a session with its episode, which other threads may fly on."""
-    return replace(row, episode=row.fly().copy())
 
 
 async def _finished(job: "asyncio.Future[Result]") -> Result:
@@ -302,7 +297,7 @@ async def attach(session: str, shared: AppState, caller: str) -> tuple[LiveEpiso
         EpisodeError: if the agent of the session is not a pilot of the page.
         RequestError: if too many requests are waiting for a worker process.
     """
-    live = await run_in_threadpool(_attached, session, shared, caller)
+    live = await run_in_threadpool(lambda: LiveEpisode(shared.sessions.read(session), shared, caller))
     run = partial(shared.workers.run, caller=caller, task=live.start.task.id)
     frames = await run(frames_json, live.start, live.row.agent, [DIRECTIONS[action] for action in live.row.actions])
     return live, await run_in_threadpool(live.view_json, frames)
@@ -317,11 +312,6 @@ def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
     for live in episodes:
         with suppress(NoSessionError, SessionGoneError):  # it may have expired
             shared.sessions.end(live.row.id)
-
-
-def _attached(session: str, shared: AppState, caller: str) -> LiveEpisode:
-    with shared.sessions.reading(session) as row:
-        return LiveEpisode(row, shared, caller)
 
 
 def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Episode, list[str], int | None]:
@@ -351,8 +341,8 @@ def _open(
     try:
         for agent, beginning in zip(agents, beginnings, strict=True):
             options = ResetOptions(task_name=task, seed=start.seed, reward_profile=profile, agent=agent)
-            session, _ = shared.sessions.reset(None, options, flat_json)
-            live = _attached(session, shared, caller)
+            session, _ = shared.sessions.reset(None, options)
+            live = LiveEpisode(shared.sessions.read(session), shared, caller)
             opened.append(live)
             actions, frames, planned = beginning or ((), None, None)
             live.begin_with(actions, planned)
