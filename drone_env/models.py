@@ -299,7 +299,7 @@ class DroneState(Message):
         return self
 
     @classmethod
-    def of(cls, episode: Episode) -> Self:
+    def of(cls, episode: Episode, episode_id: str | None = None) -> Self:
         """Return the full state of an episode.
 
         Raises:
@@ -307,6 +307,7 @@ class DroneState(Message):
         """
         return cls(
             **{name: value for name, value in observation_numbers(episode).items() if name in cls.model_fields},
+            episode_id=episode_id,
             task_name=episode.task.id,
             task_version=episode.task.version,
             seed=episode.seed,

@@ -207,7 +207,7 @@ def end_session(shared: AppStateDep, caller: CallerDep, response: Response) -> N
 @router.get("/state", responses=SESSION_ERRORS)
 def state(session: SessionDep) -> DroneState:
     """The full state of the session's episode."""
-    return DroneState.of(session.fly()).model_copy(update={"episode_id": session.episode_id})
+    return DroneState.of(session.fly(), session.episode_id)
 
 
 @router.get("/grade/{task_name}", responses=SESSION_ERRORS | error_responses(404))
