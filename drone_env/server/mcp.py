@@ -153,7 +153,7 @@ async def _call(
             return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
         # That of a connection ends with it.
         if method == "openenv/session/close" and session is None:
-            await asyncio.to_thread(shared.sessions.end, str(named))
+            await asyncio.to_thread(shared.store.end_session, str(named))
             return {"session_id": named, "closed": True}
     except CapacityError as error:
         raise ToolError("execution_error", str(error), SERVER_ERROR) from None

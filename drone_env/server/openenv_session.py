@@ -147,4 +147,4 @@ class OpenEnvSession:
     def _use_stored(self, stored: str, change: Callable[[Session], Result]) -> tuple[Episode, Result]:
         with self._shared.sessions.changing(stored) as session:
             result = change(session)
-            return session.fly().copy(), result
+            return session.fly(), result

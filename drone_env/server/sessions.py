@@ -1,13 +1,13 @@
 """HTTP sessions: which one a request flies, their rows in the store, and a cache of their episodes in memory.
 
-Another process may have stepped a session, so each use first applies the actions of the row to the cached episode.
+Another process may have stepped a session, so each use first flies the actions of the row on from a copy of the cached
+episode. Cached sessions are never changed, so that threads may read them without a lock.
 """
 
 import threading
 from collections import OrderedDict
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from typing import NamedTuple
 
 from fastapi import Request, Response
@@ -65,19 +65,6 @@ class Caller(NamedTuple):
         return session
 
 
-def copied(row: Session) -> Session:
-    """Copy a session with its episode, which other threads may fly on."""
-    return replace(row, episode=row.fly().copy())
-
-
-class _Cached:
-    """A session as this process used it last, and the lock of its user."""
-
-    def __init__(self) -> None:
-        self.lock = threading.RLock()
-        self.session: Session | None = None
-
-
 class Sessions:
     """The HTTP sessions of a store. Thread-safe.
 
@@ -91,7 +78,7 @@ class Sessions:
         self.store = store
         self.capacity = capacity
         self.idle_seconds = idle_seconds
-        self._cache: OrderedDict[str, _Cached] = OrderedDict()
+        self._cache: OrderedDict[str, Session] = OrderedDict()
         self._lock = threading.Lock()
 
     def reset(self, session: str | None, options: ResetOptions, address: str | None = None) -> tuple[str, Episode]:
@@ -136,7 +123,7 @@ class Sessions:
                 raise NoSessionError("this session has no steps yet")
             episode = start_episode(options, row.seed)
             row.begin(episode, options.agent)
-            return episode.copy()
+            return episode
 
     def advance(
         self, session: str, action: int, after: int | None = None, address: str | None = None
@@ -151,7 +138,7 @@ class Sessions:
             address: The address of a caller without an id.
 
         Returns:
-            A copy of the episode, and the reward.
+            The episode, and the reward.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -169,68 +156,42 @@ class Sessions:
             else:
                 detail = f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
                 raise OtherStepError(detail)
-            return row.fly().copy(), reward
+            return row.fly(), reward
 
     @contextmanager
     def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
-        """Context manager of a session to change; stored at the end of the block.
+        """Context manager of a session to change; stored at the end of the block, and not changed from then on.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._locked(session) as cached:
-            previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
-            with self.store.session(session, address) as row:
-                row.go_on_from(previous)
-                yield row
-            cached.session = row
+        with self.store.session(session, address) as row:
+            row.go_on_from(self._cache.get(session))
+            yield row
+        self._keep(row)
 
     def read(self, session: str) -> Session:
-        """Return a copy of a session; its episode is in memory.
+        """Return a session to read; its episode is in memory.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._locked(session) as cached:
-            row = self.store.read_session(session)
-            row.go_on_from(cached.session)
-            cached.session = row
-            return copied(row)
-
-    def end(self, session: str) -> None:
-        """End a session.
-
-        Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired already.
-        """
-        self._forget(session)
-        self.store.end_session(session)
+        row = self.store.read_session(session)
+        row.go_on_from(self._cache.get(session))
+        row.fly()
+        self._keep(row)
+        return row
 
     def expire(self) -> list[str]:
         """End idle sessions, and return their ids."""
-        gone = self.store.expire_sessions(self.idle_seconds)
-        for session in gone:
-            self._forget(session)
-        return gone
+        return self.store.expire_sessions(self.idle_seconds)
 
-    @contextmanager
-    def _locked(self, session: str) -> Generator[_Cached, None, None]:
-        """Lock a session in this process. It leaves the cache if it is gone."""
+    def _keep(self, row: Session) -> None:
+        """Cache a session instead of the one that was used least recently."""
         with self._lock:
-            cached = self._cache.setdefault(session, _Cached())
-            self._cache.move_to_end(session)
+            self._cache[row.id] = row
+            self._cache.move_to_end(row.id)
             while len(self._cache) > self.capacity:
                 self._cache.popitem(last=False)
-        try:
-            with cached.lock:
-                yield cached
-        except (NoSessionError, SessionGoneError):
-            self._forget(session)
-            raise
-
-    def _forget(self, session: str) -> None:
-        with self._lock:
-            self._cache.pop(session, None)

@@ -64,7 +64,9 @@ class TestSessions:
             first, second = (sessions.reset(None, ResetOptions(seed=7))[0] for _ in range(2))
             for session in (first, second, first):
                 sessions.advance(session, Action.WAIT)
-            assert sessions.read(first).fly().steps == 2
+            read = sessions.read(first)
+            sessions.advance(first, Action.WAIT)
+            assert read.fly().steps == 2, "others read it without a lock"
 
     def test_an_idle_session_makes_room_and_reading_does_not_keep_it(self, tmp_path: Path, clock: Clock) -> None:
         with TestClient(create_app(Settings(data=tmp_path, capacity=1), clock)) as client:

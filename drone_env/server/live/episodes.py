@@ -33,7 +33,6 @@ from drone_env.server.live.commands import Start
 from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import HUMAN, Provenance, all_pilots
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.sessions import copied
 from drone_env.server.state import AppState
 
 Result = TypeVar("Result")
@@ -47,7 +46,7 @@ class LiveEpisode:
     """An episode that a page flies. The row of its session in the store is the truth; this is a copy.
 
     Args:
-        row: A copy of the session.
+        row: The session.
         shared: The parts of the server.
         caller: The address of the page, for the queue of the workers.
 
@@ -207,7 +206,7 @@ class LiveEpisode:
 
     @contextmanager
     def _changing(self) -> Generator[Session, None, None]:
-        """Context manager of the session to change; then copy it.
+        """Context manager of the session to change.
 
         Raises:
             SessionGoneError: if somebody else has changed it.
@@ -216,8 +215,7 @@ class LiveEpisode:
             if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
                 raise SessionGoneError("another page or client flies this session now: start a new flight")
             yield row
-            changed = copied(row)
-        self.row = changed
+        self.row = row
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -311,7 +309,7 @@ def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
     """
     for live in episodes:
         with suppress(NoSessionError, SessionGoneError):  # it may have expired
-            shared.sessions.end(live.row.id)
+            shared.store.end_session(live.row.id)
 
 
 def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Episode, list[str], int | None]:

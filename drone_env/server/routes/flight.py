@@ -160,7 +160,7 @@ class Prediction(Message):
 
 
 def read_session(shared: AppStateDep, caller: CallerDep, answer: Response) -> Session:
-    """A copy of the caller's session."""
+    """The caller's session."""
     return shared.sessions.read(caller.session(shared.sessions, answer))
 
 
@@ -200,7 +200,7 @@ def reset(
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
 def end_session(shared: AppStateDep, caller: CallerDep, response: Response) -> None:
     """End the session and free its place. An unfinished episode is dropped."""
-    shared.sessions.end(caller.session(shared.sessions, response))
+    shared.store.end_session(caller.session(shared.sessions, response))
     response.delete_cookie(COOKIE)
 
 
