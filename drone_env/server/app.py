@@ -8,7 +8,6 @@ import argparse
 import asyncio
 import logging
 import sys
-import threading
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -18,8 +17,9 @@ from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
 
 with needs("server", __name__):
-    from fastapi import FastAPI
-    from fastapi.responses import FileResponse, JSONResponse
+    from fastapi import FastAPI, Request
+    from fastapi.responses import FileResponse
+    from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import Response
     from starlette.routing import WebSocketRoute
@@ -27,13 +27,14 @@ with needs("server", __name__):
 from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.live.socket import LiveSocket
+from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
-from drone_env.server.state import AppState
+from drone_env.server.state import AppState, AppStateDep
 
 log = logging.getLogger(__name__)
 
@@ -109,15 +110,24 @@ def _add_page(app: FastAPI) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html")
 
-    lock = threading.Lock()
+    cached: list[bytes] = []
+    lock = asyncio.Lock()
 
-    # FastAPI's own route computes it in the event loop, which takes 0.3 s.
+    # A worker process computes it once: FastAPI's own route blocks the event loop for 0.3 s.
     @app.get("/openapi.json", include_in_schema=False)
-    def description() -> Response:
-        with lock:
-            return JSONResponse(app.openapi())
+    async def description(request: Request, shared: AppStateDep) -> Response:
+        async with lock:
+            if not cached:
+                settings = shared.settings.model_copy(update={"token": None, "reward_profiles": ()})
+                cached.append(await shared.work(request, _describe, settings, task=DEFAULT_TASK))
+        return Response(cached[0], media_type="application/json")
 
     app.mount("/static", PageFiles())
+
+
+def _describe(settings: Settings) -> bytes:
+    """Return the OpenAPI description as JSON."""
+    return to_json(create_app(settings).openapi())
 
 
 async def _sweep(shared: AppState, socket: OpenEnvSocket, live: LiveSocket) -> None:
