@@ -68,6 +68,11 @@ class TestLogs:
         assert [entry.number for entry in log.since(KEPT + 48)] == [KEPT + 49, KEPT + 50]
 
 
+def tasks_of(client: TestClient) -> dict[str, list[str]]:
+    """The tasks that each pilot can fly."""
+    return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
+
+
 class TestPredictions:
     @pytest.fixture
     def settings(self, tmp_path: Path) -> dict[str, Any]:
@@ -112,18 +117,15 @@ class TestPredictions:
             prediction = client.post("/predict", headers=session).json()
             return prediction["model"]["file"], prediction["model"]["digest"], list(prediction["q_values"].values())
 
-        def pilots() -> dict[str, list[str]]:
-            return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
-
         shipped = told()
         assert shipped[0] == "easy_delivery_v1.safetensors"
-        assert "trained" not in pilots()
+        assert "trained" not in tasks_of(client)
         for times in (-1, -2):
             file = put_trained(get_task("easy"), settings["data"], times)
             digest = PathQNetAgent(get_task("easy"), file).config["network"]
             assert told() == ("easy.safetensors", digest, pytest.approx([times * value for value in shipped[2]]))
-        assert pilots()["trained"] == ["easy_delivery"]
-        assert pilots()["pathqnet"] == ["easy_delivery", "skyline_easy"]
+        assert tasks_of(client)["trained"] == ["easy_delivery"]
+        assert tasks_of(client)["pathqnet"] == ["easy_delivery", "skyline_easy"]
         file.unlink()
         assert told() == shipped
 
@@ -137,28 +139,25 @@ class TestPredictions:
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
         assert "easy.safetensors is not an exported network" in answer.json()["detail"]
-        assert "trained" not in [pilot["id"] for pilot in client.get("/pilots").json()["pilots"]]
+        assert "trained" not in tasks_of(client)
 
     def test_a_tour_network_flies_every_task_and_one_of_a_single_task_goes_before(
         self, client: TestClient, settings: dict[str, Any]
     ) -> None:
-        def pilots() -> dict[str, list[str]]:
-            return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
-
         def flown_by(task: str) -> object:
             return client.app.state.shared.networks.agent("trained-tournet", get_task(task)).config["network"]  # type: ignore[attr-defined]
 
-        assert pilots()["tournet"] == []
+        assert tasks_of(client)["tournet"] == []
         put_tour(settings["weights"] / "tournet_v1.safetensors")
-        assert pilots()["tournet"] == list(TASKS)
+        assert tasks_of(client)["tournet"] == list(TASKS)
         alone = put_tour(settings["data"] / "tournet_hard.safetensors", 1)
-        assert pilots()["trained-tournet"] == ["hard_delivery"]
+        assert tasks_of(client)["trained-tournet"] == ["hard_delivery"]
         every = put_tour(settings["data"] / "tournet.safetensors", 2)
-        assert pilots()["trained-tournet"] == list(TASKS)
+        assert tasks_of(client)["trained-tournet"] == list(TASKS)
         digests = [load_tour_network(file).digest for file in (alone, every)]
         assert [flown_by("hard"), flown_by("easy")] == digests
         every.write_bytes((settings["weights"] / "easy_delivery_v1.safetensors").read_bytes())
-        assert pilots()["trained-tournet"] == ["hard_delivery"]
+        assert tasks_of(client)["trained-tournet"] == ["hard_delivery"]
         with pytest.raises(CheckpointError, match=r"tournet\.safetensors holds a network of 'pathqnet', not"):
             flown_by("easy")
 

@@ -206,16 +206,6 @@ def test_a_route_that_goes_on_after_the_end_is_flown_to_the_end(shared_client: T
         assert "the episode has ended" in again["observation"]["message"]
 
 
-@pytest.mark.parametrize("task", ["easy", "hard", "skyline_hard"])
-def test_the_sum_of_the_rewards_is_the_score(shared_client: TestClient, task: str) -> None:
-    best = solve(task, 7)
-    with shared_client.websocket_connect("/ws") as socket:
-        for actions, score in (([4] * 160, 0.01), (best.actions, best.score)):
-            ask(socket, {"type": "reset", "data": {"task_name": task, "seed": 7}})
-            answers = [ask(socket, {"type": "step", "data": int(action)})["data"] for action in actions]
-            assert sum(answer["reward"] for answer in answers) == answers[-1]["observation"]["score"] == score
-
-
 @pytest.mark.parametrize("task", TASKS)
 def test_the_fast_json_of_an_observation_is_that_of_its_fields(task: str) -> None:
     episode = Episode(task)
