@@ -191,10 +191,6 @@ class Networks:
         found = None if shown is None else self._at(shown, task)
         return found if isinstance(found, PathQNetAgent) else None
 
-    def map_network(self, task: TaskConfig) -> str | None:
-        """Return the pilot that computes the actions for a whole map, or None."""
-        return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
-
     def flies(self, pilot: str, task: TaskConfig) -> bool:
         """Return whether a pilot can fly a task."""
         if pilot not in OURS:

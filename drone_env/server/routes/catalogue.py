@@ -46,7 +46,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
 
     @classmethod
-    def of(cls, task: TaskConfig, published: bool) -> Self:
+    def of(cls, task: TaskConfig) -> Self:
         """Describe a task."""
         return cls(
             **{name: getattr(task, name) for name in _PLAIN},
@@ -56,7 +56,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
             },
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
-            published=published,
+            published=task.id in PUBLISHED,
             attribution=task.attribution,
         )
 
@@ -120,12 +120,6 @@ class KindInfo(Message):
     effect: str
 
 
-class KindList(Message):
-    """All kinds of cells."""
-
-    kinds: list[KindInfo]
-
-
 class PilotInfo(Message):
     """One pilot of the page."""
 
@@ -155,7 +149,7 @@ class Health(Message):
 async def tasks() -> TaskList:
     """All tasks with all their numbers, and the reward profiles."""
     return TaskList(
-        tasks=[TaskInfo.of(task, task.id in PUBLISHED) for task in TASKS.values()],
+        tasks=[TaskInfo.of(task) for task in TASKS.values()],
         reward_profiles=[ProfileInfo.of(profile) for profile in REWARD_PROFILES.values()],
     )
 
@@ -169,7 +163,7 @@ def one_task(shared: AppStateDep, task_name: str) -> OneTask:
 def describe(task: TaskConfig, shared: AppState) -> OneTask:
     """A task and its pilots."""
     flying = [name for name in all_pilots() if shared.networks.flies(name, task)]
-    return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
+    return OneTask(task=TaskInfo.of(task), pilots=flying)
 
 
 @router.get("/graders")
@@ -180,9 +174,9 @@ async def graders() -> GraderList:
 
 
 @router.get("/kinds")
-async def kinds() -> KindList:
-    """The kinds of cells."""
-    return KindList(kinds=[KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()])
+async def kinds() -> dict[str, list[KindInfo]]:
+    """The kinds of cells as `kinds`."""
+    return {"kinds": [KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()]}
 
 
 @router.get("/pilots")
