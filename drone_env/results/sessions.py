@@ -99,7 +99,7 @@ def advance(session: Session, action: int) -> float:
 
     Raises:
         InvalidValueError: if it is not an action.
-        SessionGoneError, UnknownNameError: as `Session.fly`.
+        UnknownNameError: as `Session.fly`.
     """
     episode = session.fly()
     over = episode.ended

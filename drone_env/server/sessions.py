@@ -14,7 +14,7 @@ from fastapi import Request, Response
 from typing_extensions import Self
 
 from drone_env.core.episode import Episode
-from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
+from drone_env.errors import CapacityError, EpisodeError, NoSessionError
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError
@@ -102,7 +102,7 @@ class Sessions:
             session = self.store.unnamed_session(address)
         if session is not None:
             # If the session is gone, open a new one.
-            with suppress(NoSessionError, SessionGoneError):
+            with suppress(NoSessionError):
                 return session, self._begin(session, options, address, flown=address is not None)
         episode = start_episode(options, None)
         arguments = episode, options.agent or ANONYMOUS, self.capacity, address
@@ -141,8 +141,7 @@ class Sessions:
             The episode, and the reward.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
+            NoSessionError: if there is no such session.
             OtherStepError: if its step count differs from `after`, and the last action is not this one.
         """
         with self.changing(session, address) as row:
@@ -163,8 +162,7 @@ class Sessions:
         """Context manager of a session to change; stored at the end of the block, and not changed from then on.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
+            NoSessionError: if there is no such session.
         """
         with self.store.session(session, address) as row:
             row.go_on_from(self._cache.get(session))
@@ -175,8 +173,7 @@ class Sessions:
         """Return a session to read; its episode is in memory.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
+            NoSessionError: if there is no such session.
         """
         row = self.store.read_session(session)
         row.go_on_from(self._cache.get(session))
@@ -184,8 +181,8 @@ class Sessions:
         self._keep(row)
         return row
 
-    def expire(self) -> list[str]:
-        """End idle sessions, and return their ids."""
+    def expire(self) -> int:
+        """End idle sessions, and return their number."""
         return self.store.expire_sessions(self.idle_seconds)
 
     def _keep(self, row: Session) -> None:

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
-from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
+from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
@@ -209,11 +209,11 @@ class LiveEpisode:
         """Context manager of the session to change.
 
         Raises:
-            SessionGoneError: if somebody else has changed it.
+            NoSessionError: if somebody else has changed it.
         """
         with self._sessions.changing(self.row.id) as row:
             if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
-                raise SessionGoneError("another page or client flies this session now: start a new flight")
+                raise NoSessionError("another page or client flies this session now: start a new flight")
             yield row
         self.row = row
 
@@ -290,8 +290,7 @@ async def attach(session: str, shared: AppState, caller: str) -> tuple[LiveEpiso
     """The episode of a session, and the JSON of its `EpisodeView`.
 
     Raises:
-        NoSessionError: if there never was such a session.
-        SessionGoneError: if it has ended or expired.
+        NoSessionError: if there is no such session.
         EpisodeError: if the agent of the session is not a pilot of the page.
         RequestError: if too many requests are waiting for a worker process.
     """
@@ -308,7 +307,7 @@ def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
         StoreError: if the store could not be written.
     """
     for live in episodes:
-        with suppress(NoSessionError, SessionGoneError):  # it may have expired
+        with suppress(NoSessionError):  # it may have expired
             shared.store.end_session(live.row.id)
 
 
