@@ -31,10 +31,6 @@ ANONYMOUS = "anonymous"
 """Default name of an agent."""
 
 
-class OtherStepError(EpisodeError):
-    """The step count of the session differs from the caller's."""
-
-
 class Caller(NamedTuple):
     """The session id of a request, or the `address` whose callers share a session."""
 
@@ -142,7 +138,7 @@ class Sessions:
 
         Raises:
             NoSessionError: if there is no such session.
-            OtherStepError: if its step count differs from `after`, and the last action is not this one.
+            EpisodeError: if its step count differs from `after`, and the last action is not this one.
         """
         with self.changing(session, address) as row:
             flown = len(row.actions)
@@ -154,7 +150,7 @@ class Sessions:
                 reward = row.fly().reward_last
             else:
                 detail = f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
-                raise OtherStepError(detail)
+                raise EpisodeError(detail)
             return row.fly(), reward
 
     @contextmanager
