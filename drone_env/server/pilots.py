@@ -142,18 +142,6 @@ def display_name(agent: str) -> str:
     return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
 
 
-def _known(pilot: str) -> Pilot:
-    """Return a pilot by its id.
-
-    Raises:
-        UnknownNameError: if there is no such pilot.
-    """
-    pilots = all_pilots()
-    if pilot not in pilots:
-        raise UnknownNameError("pilot", pilot, pilots)
-    return pilots[pilot]
-
-
 @lru_cache
 def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
     try:
@@ -191,10 +179,6 @@ class Networks:
         found = None if shown is None else self._at(shown, task)
         return found if isinstance(found, PathQNetAgent) else None
 
-    def map_network(self, task: TaskConfig) -> str | None:
-        """Return the pilot that computes the actions for a whole map, or None."""
-        return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
-
     def flies(self, pilot: str, task: TaskConfig) -> bool:
         """Return whether a pilot can fly a task."""
         if pilot not in OURS:
@@ -209,7 +193,10 @@ class Networks:
             UnsupportedTaskError: if there is no network for the task.
             CheckpointError: if the network file cannot be used.
         """
-        if _known(pilot).network:
+        pilots = all_pilots()
+        if pilot not in pilots:
+            raise UnknownNameError("pilot", pilot, pilots)
+        if pilots[pilot].network:
             self.network(pilot, task)
         elif pilot not in OURS:
             make_agent(pilot, task)
@@ -218,11 +205,11 @@ class Networks:
         """Return an agent of a pilot, None for a person. PathQNet agents have no state and are shared; others are new.
 
         Raises:
-            UnknownNameError, UnsupportedTaskError, CheckpointError: as `require`.
+            UnsupportedTaskError, CheckpointError: as `require`.
             TooLargeError: if the maps of the task are too large for the pilot.
             OSError: if the file can no longer be read.
         """
-        kind = _known(pilot).network
+        kind = all_pilots()[pilot].network
         if not kind:
             return None if pilot == HUMAN else make_agent(pilot, task)
         found = self.network(pilot, task)

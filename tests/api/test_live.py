@@ -124,7 +124,7 @@ def test_a_session_that_another_page_has_flown_is_gone_for_this_one(client: Test
         second.send(**fly)
         second.until("frames")
         first.send(**command)
-        assert first.error()["code"] == "session_gone"
+        assert first.until("error")["code"] == "session_gone"
         second.send(**fly)
         assert second.until("frames")["frames"][0]["frame"]["step"] == 3
 

@@ -3,8 +3,8 @@
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import JSONResponse
 from pydantic import Field
+from pydantic_core import to_json
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
@@ -53,12 +53,6 @@ class LogLines(Message):
 
     file: str = Field(description="Name of the file.")
     lines: list[str] = Field(description="Its last lines, oldest first; empty if there is no file.")
-
-
-class Requests(Message):
-    """The last requests to this process, oldest first."""
-
-    requests: Annotated[list[LoggedRequest], Field(description="At most 200.")]
 
 
 @router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
@@ -115,14 +109,14 @@ def logs(shared: AppStateDep) -> LogLines:
 
 @router.get(
     "/terminal_logs",
-    response_model=Requests,
+    response_model=dict[str, list[LoggedRequest]],
     responses=error_responses(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
 async def terminal_logs(request: Request, shared: AppStateDep) -> Response:
-    """The requests to this process: as JSON, or live with `Accept: text/event-stream`."""
+    """The last 200 requests to this process as `requests`, or live with `Accept: text/event-stream`."""
     if "text/event-stream" in request.headers.get("accept", ""):
         return _LiveRequests(shared.requests)
-    return JSONResponse(Requests(requests=shared.requests.since(0)).model_dump())
+    return Response(to_json({"requests": shared.requests.since(0)}), media_type="application/json")
 
 
 class _LiveRequests(EventSourceResponse):

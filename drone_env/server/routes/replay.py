@@ -24,6 +24,7 @@ from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.pilots import WHOLE_MAPS
 from drone_env.server.state import AppStateDep
 
 if TYPE_CHECKING:
@@ -277,7 +278,7 @@ def values_json(flight: FlightSoFar) -> str:
 
 def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
     task, networks = episode.task, job_context().networks
-    pilot, agent, network = networks.map_network(task), None, None
+    pilot, agent, network = next((pilot for pilot in WHOLE_MAPS if networks.flies(pilot, task)), None), None, None
     if pilot is not None:
         agent = networks.agent(pilot, task)
         assert isinstance(agent, BatchAgent)

@@ -10,7 +10,7 @@ const LEAST_CELL = 20;
 function cellAt({ task, cells }, names, frame, [x, y]) {
   const kind = frame.delivered.some(([px, py]) => px === x && py === y) ? "delivered" : names[cells[y][x]];
   const charge = kind === "pad" ? task.charge_rate : 0;
-  return { kind, closed: task.impassable.includes(kind), units: task.drain[kind] ?? 1, charge };
+  return { kind, closed: task.impassable.includes(kind), units: task.drain[kind], charge };
 }
 
 /** The cost of each neighbouring cell while the visitor flies: its units, a charge as `+4`, or a cross. */
