@@ -29,6 +29,7 @@ from drone_env.server.routes.page import FIRST_PAINT, Link
 FIRST_FLIGHT = Link(task="skyline_easy", seed=152, pilot=HUMAN)
 """A visitor's first map. Greedy delivers two of three parcels there, and a best flight takes 15 steps. Of the first 200
 maps that greedy fails, it forgives most: a cautious pilot of whose moves 15 % are random delivers all in 92 %."""
+OVER_HELSINKI = Link(task="city_small", seed=142, pilot=HUMAN)
 RIVALS = (HUMAN, "tournet", "greedy")
 SECOND, PAUSE = 4, 8
 """Steps per second, and the pause at the end in steps."""
@@ -64,7 +65,9 @@ def _section(flight: Link, episode: Episode) -> str:
 <div class="hello-words">
 <h2 id="hello-title">Deliver all parcels before the battery is empty. {who} {score}</h2>
 <p class="hello-actions"><a class="button primary" href="?{escape(FIRST_FLIGHT.query())}">Fly it yourself</a>
-<a class="button" href="?{escape(race.query())}">Race the network</a></p>
+<a class="button" href="?{escape(race.query())}">Race the network</a>
+<!-- today -->
+<a class="button" href="?{escape(OVER_HELSINKI.query())}">Fly over Helsinki</a></p>
 </div>
 {_picture(episode)}
 </section>"""

@@ -1,5 +1,6 @@
 """The page, and the `meta` elements by which other sites preview a link to it."""
 
+from datetime import datetime, timezone
 from html import escape
 from urllib.parse import urlencode
 
@@ -12,7 +13,7 @@ from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.models import Seed
-from drone_env.server.map_choice import DEFAULT_TASK
+from drone_env.server.map_choice import DEFAULT_TASK, map_of_the_day
 from drone_env.server.page_files import PAGE, edition
 from drone_env.server.pilots import HUMAN, all_pilots, display_name
 from drone_env.server.sessions import LONGEST_ID
@@ -73,10 +74,19 @@ def page(request: Request, shared: AppStateDep) -> Response:
     shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
     if not request.url.query:
-        html = html.replace("<!-- hello -->", (PAGE / "first_paint.html").read_text(encoding="utf-8"))
+        hello = (PAGE / "first_paint.html").read_text(encoding="utf-8")
+        html = html.replace("<!-- hello -->", hello.replace("<!-- today -->", _today()))
         html = html.replace("</head>", f"{STYLES}\n</head>")
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
+
+
+def _today() -> str:
+    """The link to the map of the day."""
+    day = datetime.now(timezone.utc)
+    task, seed = map_of_the_day(day)
+    link = Link(task=task, seed=seed, pilot=HUMAN).query()
+    return f'<a class="button" href="?{escape(link)}">Map of the day, {day.day} {day:%B}</a>'
 
 
 def _head(request: Request, shared: AppState) -> str:
