@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Body, Request, Response
@@ -180,7 +180,11 @@ class FlightSoFar(Message):
         default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
 
-    range_only: bool = Field(default=False, description="Whether to compute only the range of the battery and `pads`.")
+    only: Literal["range", "moves"] | None = Field(
+        default=None,
+        description="`range`: compute only the range of the battery and `pads`; `moves`: only `q_values` and "
+        "`best_actions`; null: everything.",
+    )
 
     def episode(self) -> Episode:
         """The episode after these actions.
@@ -233,7 +237,7 @@ class PadRange(Message):
 class ValuesAnswer(Message):
     """The values of a flight after a step. The fields from `q_values` on are null after the end.
 
-    With `range_only`, only `range` and `pads` of the values are computed, and all others are null.
+    With `only`, the other fields are null.
     """
 
     task: str = Field(description="Id of the task.")
@@ -270,7 +274,7 @@ def values_json(flight: FlightSoFar) -> str:
     episode = flight.episode()
     solver = unsolved = optimum = value = None
     try:
-        solver = None if flight.range_only else job_context().solver_of(episode.task, episode.seed)
+        solver = None if flight.only == "range" else job_context().solver_of(episode.task, episode.seed)
     except TooLargeError as error:
         unsolved = str(error)
     if solver is not None:
@@ -288,23 +292,27 @@ def values_json(flight: FlightSoFar) -> str:
         optimum=optimum,
         value=value,
         regret=None if optimum is None or value is None else optimum - value,
-        **({} if episode.ended else _ranges(episode)),
-        **({} if episode.ended or flight.range_only else _in_flight(episode, solver)),
+        **({} if episode.ended or flight.only == "moves" else _ranges(episode)),
+        **({} if episode.ended or solver is None else _moves(episode, solver)),
+        **({} if episode.ended or flight.only else _cells(episode, solver)),
     )
     return answer.model_dump_json()
 
 
-def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
+def _moves(episode: Episode, solver: "Solver") -> dict[str, Any]:
+    q_values = dict(zip(DIRECTIONS, solver.q_values(episode).tolist(), strict=True))
+    best = max(q_values.values())
+    return {"q_values": q_values, "best_actions": [name for name, value in q_values.items() if value == best]}
+
+
+def _cells(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
     task, networks = episode.task, job_context().networks
     pilot, agent, network = networks.map_network(task), None, None
     if pilot is not None:
         agent = networks.agent(pilot, task)
         assert isinstance(agent, BatchAgent)
         network = CellNetwork(pilot=pilot, file=networks.file(pilot, task).name, digest=str(agent.config["network"]))
-    cells, q_values = _cell_values(episode, solver, agent)
-    x, y = episode.position
-    best_actions = None if cells.best_actions is None else cells.best_actions[y][x]
-    return {"q_values": q_values, "best_actions": best_actions, "network": network, "cells": cells}
+    return {"network": network, "cells": _cell_values(episode, solver, agent)}
 
 
 def _ranges(episode: Episode) -> dict[str, Any]:
@@ -328,10 +336,7 @@ def _ranges(episode: Episode) -> dict[str, Any]:
     }
 
 
-def _cell_values(
-    episode: Episode, solver: "Solver | None", agent: BatchAgent | None
-) -> tuple[CellValues, dict[Direction, float] | None]:
-    """The values at each cell, and the best score still possible after each action at the drone's."""
+def _cell_values(episode: Episode, solver: "Solver | None", agent: BatchAgent | None) -> CellValues:
     from drone_env.planning.cell_states import states_in_chunks
 
     task = episode.task
@@ -355,15 +360,13 @@ def _cell_values(
             network_actions[flying] = np.array(DIRECTIONS, object)[actions]
             if best is not None:
                 disagree[flying] = ~best[np.arange(len(flying)), actions]
-    here = None if solver is None else valued[episode.cell]
-    cells = CellValues(
+    return CellValues(
         values=values.reshape(shape).tolist() if solver else None,
         q_values=valued.reshape(shape).tolist() if solver else None,
         best_actions=best_actions.reshape(shape).tolist() if solver else None,
         network_actions=network_actions.reshape(shape).tolist() if agent else None,
         disagree=disagree.reshape(shape).tolist() if solver and agent else None,
     )
-    return cells, None if here is None else dict(zip(DIRECTIONS, here, strict=True))
 
 
 @router.post("/values", response_model=ValuesAnswer, responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)

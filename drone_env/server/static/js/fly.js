@@ -19,6 +19,7 @@ import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
+import { mountByHand } from "./today.js";
 
 /**
  * Fills its element, as every `mountX(root, context, ...)` of this page does.
@@ -62,6 +63,7 @@ export function mountFly(root, context) {
   panel("strip", mountStrip, fleet, acts);
   panel("human", mountHuman, fleet);
   panel("controls-panel", mountControls, fleet, acts);
+  panel("by-hand-panel", mountByHand, fleet, acts);
   panel("standings-panel", mountStandings);
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);
