@@ -100,7 +100,6 @@ export function leaderboard(context, board, chosen, maps, choose) {
     ["Steps", (row) => fixed(row.steps, 1), true],
     ["Maps", counted, true],
     ["Flights", (row) => String(row.flights), true],
-    ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
   ];
   const how = "Click a name to open its maps. Tick two pilots to compare them over their common maps.";
   const forks = board.forks ? ` Forks are not counted: ${board.forks}.` : "";

@@ -1,5 +1,4 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
-import { ApiError } from "./api.js";
 import { recall, remember } from "./base.js";
 import { el, fact } from "./dom.js";
 import { points } from "./format.js";
@@ -8,100 +7,86 @@ const NAME = "drone-env-name";
 const BEST = "drone-env-best";
 /** Maps whose best score is kept. */
 const KEPT = 200;
+const DAY = { day: "numeric", month: "long", timeZone: "UTC" };
 
 /** The name that the visitor chose, or null. The server accepts no other form. */
-export function nameOf() {
-  const name = recall(NAME);
-  return /^[\p{L}\p{N}_-]{1,20}$/u.test(name ?? "") ? name : null;
-}
+export const nameOf = () => recall(NAME)?.match(/^[\p{L}\p{N}_-]{1,20}$/u)?.[0] ?? null;
 
 /** The visitor's best results: lists of map, score, optimum, pilot of the network and its score; oldest first. */
 function results() {
   try {
-    const stored = JSON.parse(recall(BEST));
-    const valid = ([map, score, optimum]) => typeof map === "string" && Number.isFinite(score + optimum);
-    return stored.filter((one) => Array.isArray(one) && valid(one));
+    return JSON.parse(recall(BEST)).filter(([map, score]) => typeof map === "string" && score <= 1);
   } catch {
     return [];
   }
 }
 
 export function mountByHand(root, { api, stage }, fleet, acts) {
-  let today = null;
-  let best = null;
-  let drawn = "";
+  let [today, best, drawn] = [null, null, ""];
   const head = el("h2.eyebrow");
   const figures = el("dl.by-hand");
   const list = el("ol.best-today");
-  const change = () => {
-    field.value = field.value.trim();
-    if (!field.reportValidity()) return;
-    remember(NAME, field.value);
-    if (fleet.mine?.steps === 0) acts.reset();
-  };
   const field = el("input.input", {
     id: "name",
     maxlength: "20",
     pattern: "[\\p{L}\\p{N}_\\-]*",
-    title: "Letters, digits, _ and -",
+    title: "Letters, digits, _ and -; used from your next flight on",
     autocomplete: "nickname",
     value: nameOf() ?? "",
-    on: { change },
+    on: { change: rename },
   });
-  const label = el("label.eyebrow", { for: "name", text: "Your name" });
-  root.append(head, figures, list, el("div.name-field", label, field));
+  root.append(head, figures, list, el("label.name-field.eyebrow", "Your name", field));
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
-  const isToday = () => today?.task === stage.world.task.short_name && today.seed === stage.world.seed;
-  const byHand = () => fleet.shown && fleet.human >= 0;
+  const own = () => (fleet.shown ? fleet.tracks[fleet.human] : undefined);
+
+  function rename() {
+    field.value = field.value.trim();
+    if (!field.reportValidity()) return;
+    remember(NAME, field.value);
+    if (fleet.mine?.steps === 0) acts.reset();
+  }
 
   /** Keeps the result of a flight without values, undo and forks. */
-  function keep({ annotation, unaided }) {
-    if (!annotation || !unaided || best?.[1] >= annotation.score) return;
+  function keep({ annotation, unnamed, pilot }) {
+    if (!annotation || unnamed !== pilot || best?.[1] >= annotation.score) return;
     best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
-    const others = results().filter(([other]) => other !== best[0]);
-    remember(BEST, JSON.stringify([...others, best].slice(-KEPT)));
+    remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }
 
   function draw() {
-    root.hidden = !stage.world || !(byHand() || best || isToday());
+    const { world, track } = stage;
+    const day = world && today?.task === world.task.short_name && today.seed === world.seed ? today : null;
+    root.hidden = !day && !best && !own();
     if (root.hidden) return;
-    const { track } = stage;
-    if (byHand()) keep(fleet.tracks[fleet.human]);
-    const day = isToday() ? new Date(today.date) : null;
-    const written = { day: "numeric", month: "long", timeZone: "UTC" };
-    const title = day ? `Map of the day, ${day.toLocaleDateString("en-GB", written)}` : "By hand";
+    if (own()) keep(own());
     const { score, optimal_score: optimum, network, network_score } = track.annotation ?? {};
+    const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [
       [track.name, score],
       ["Your best", best?.[1]],
       ["Possible", optimum ?? best?.[2]],
       [fleet.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
-      ["Best today", day && today.best[0]?.score],
+      ["Best today", day?.best[0]?.score],
     ];
-    const now = JSON.stringify([title, shown, day && today.best]);
+    const now = JSON.stringify([title, shown, day?.best]);
     if (now === drawn) return;
     drawn = now;
+    const row = ({ name, score, steps }) => el("li", el("span", name ?? "A person"), ` ${points(score)}, ${steps} steps`);
     head.textContent = title;
     figures.replaceChildren(...shown.filter(([, value]) => Number.isFinite(value)).map(([name, value]) => fact(name, points(value))));
-    list.replaceChildren(...(day ? today.best : []).map(row));
+    list.replaceChildren(...(day?.best ?? []).map(row));
   }
 
-  const row = ({ name, score, steps }) => el("li", el("span", { text: name ?? "A person" }), ` ${points(score)}, ${steps} steps`);
-
+  /** Without an answer, the page shows the list that it has. */
   async function ask() {
-    if (!byHand()) return;
-    try {
-      today = await api.get("today");
-      draw();
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-    }
+    if (!own()) return;
+    today = await api.get("today").catch(() => today);
+    draw();
   }
 
   stage.on("load", () => (best = results().find(([one]) => one === map()) ?? null));
   stage.on("change", draw);
-  fleet.on("begun", ask);
-  fleet.on("ended", ask);
+  for (const event of ["begun", "ended"]) fleet.on(event, ask);
   draw();
 }

@@ -43,11 +43,6 @@ export class Track {
     return this.by.replace(PERSON, "human");
   }
 
-  /** Whether one pilot flew it without values, undo and forks. */
-  get unaided() {
-    return this.unnamed === this.pilot;
-  }
-
   /** Whether the visitor turned the values on while flying. */
   get showsValues() {
     return this.by.split(" from step ")[0].includes(" with values");
