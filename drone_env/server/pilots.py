@@ -19,13 +19,7 @@ from drone_env.agents.base import Agent
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.agents.weights_file import TOURNET, network_of
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.errors import (
-    CheckpointError,
-    InvalidValueError,
-    TooLargeError,
-    UnknownNameError,
-    UnsupportedTaskError,
-)
+from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.files import stamp
 
 log = logging.getLogger(__name__)
@@ -142,24 +136,22 @@ class Provenance(NamedTuple):
         return cls(pilot, forked_at=step, of=str(before))
 
     def __str__(self) -> str:
-        name = None if self.name is None else f"({self.name})"
+        pilot = self.pilot if self.name is None else f"{self.pilot} ({self.name})"
         fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
-        return " ".join(
-            part for part in (self.pilot, name, HELP.get((self.values, self.undo)), fork) if part is not None
-        )
+        return " ".join(part for part in (pilot, HELP.get((self.values, self.undo)), fork) if part is not None)
 
 
 def check_name(name: str) -> str:
     """Return the name that a person chose.
 
     Raises:
-        InvalidValueError: if it is not 1 to 20 letters, digits, `_` or `-`, or it is the name of a pilot.
+        ValueError: if it is not 1 to 20 letters, digits, `_` or `-`, or it is the name of a pilot.
     """
     if not re.fullmatch(NAME, name):
-        raise InvalidValueError(f"a person's name has 1 to 20 letters, digits, '_' or '-', got {name[:40]!r}")
+        raise ValueError(f"a person's name has 1 to 20 letters, digits, '_' or '-', got {name[:40]!r}")
     pilots = {known.casefold() for id_, pilot in all_pilots().items() for known in (id_, pilot.name)}
     if unicodedata.normalize("NFKC", name).casefold() in pilots | {"optimum"}:
-        raise InvalidValueError(f"{name!r} is the name of a pilot: choose another")
+        raise ValueError(f"{name!r} is the name of a pilot: choose another")
     return name
 
 

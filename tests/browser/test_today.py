@@ -10,7 +10,7 @@ from drone_env.server.map_choice import map_of_the_day
 from tests.api.serving import Server
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_step, points
-from tests.browser.stage import ended, over, show, until
+from tests.browser.stage import ended, over, until
 from tests.browser.test_several import KEYS
 
 
@@ -45,7 +45,8 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     (stored,) = get(server, "episodes", task=task, seed=seed)["episodes"]
     assert stored["agent"] == "human (undo)"
     # The name is not mistaken for help, and a stored flight shows it.
-    show(page, f"/?episode={stored['id']}")
+    entry.get_by_role("link", name="undo", exact=True).click()
+    expect(page).to_have_url(f"{server.url}/?episode={stored['id']}")
     expect(page.locator("#results-title")).to_have_text("undo: All parcels delivered.")
     over(page, seed, f"/?task={task}&seed={seed}&pilot=greedy")
     until(

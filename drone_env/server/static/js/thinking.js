@@ -15,14 +15,13 @@ export function mountThinking(root, context, fleet, acts) {
   });
   const body = el("tbody", ...rows.map(({ node }) => node));
   const shown = table("table.table.thoughts", { id: "q-values" }, "Each move from here", COLUMNS, body);
-  const lead = el("p.note", "Values are hidden while you fly.");
   const ask = el("button.button.small", {
     id: "ask-values",
     text: "Show values",
     title: "The record then notes that you flew with values",
     press: () => fleet.help(),
   });
-  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown, lead);
+  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown);
 
   /** Plays a move: continues the visitor's own flight, or forks another one. */
   function play(action) {
@@ -48,7 +47,6 @@ export function mountThinking(root, context, fleet, acts) {
       name.disabled = frame.done;
     }
     ask.hidden = !context.secret(track);
-    lead.hidden = ask.hidden;
   }
 
   stage.on("change", draw);

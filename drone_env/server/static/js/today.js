@@ -72,7 +72,9 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     const now = JSON.stringify([title, shown, day?.best]);
     if (now === drawn) return;
     drawn = now;
-    const row = ({ name, score, steps }) => el("li", el("span", name ?? "A person"), ` ${points(score)}, ${steps} steps`);
+    // Who has flown the map may see how others flew it.
+    const look = (id, text) => (best ? el("a", { href: `?episode=${id}`, text }) : text);
+    const row = ({ id, name, score, steps }) => el("li", look(id, name ?? "A person"), ` ${points(score)}, ${steps} steps`);
     head.textContent = title;
     figures.replaceChildren(...shown.filter(([, value]) => Number.isFinite(value)).map(([name, value]) => fact(name, points(value))));
     list.replaceChildren(...(day?.best ?? []).map(row));
