@@ -7,6 +7,7 @@ import pytest
 
 from drone_env.agents import AGENTS, make_agent
 from drone_env.agents.base import begin
+from drone_env.agents.batch_rollout import rollout_batch
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.agents.tournet import SHIPPED
 from drone_env.core.actions import Action
@@ -84,6 +85,13 @@ def test_where_no_tour_network_is_shipped_the_message_says_what_to_do(
         make_agent("tournet", "easy")
 
 
+def test_a_batch_counts_the_first_flight_over_each_map() -> None:
+    agent, seeds = make_agent("greedy", "easy"), np.arange(100)
+    agent.reset_batch(seeds)
+    found = rollout_batch(get_task("easy"), seeds, agent.act_batch, stateless=False)
+    assert found.scores.tolist() == [fly("greedy", get_task("easy"), seed).score for seed in seeds.tolist()]
+
+
 @pytest.mark.parametrize("name", ["greedy", "optimal", "tournet"])
 def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
     task = get_task("skyline_easy")
@@ -95,6 +103,7 @@ def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
     for wrong in (
         (grids[:1], telemetry),  # a planner was told of three maps
         (grids, telemetry[:, :5]),
+        (grids[:, 1:], telemetry),
         (np.full_like(grids, 255), telemetry),
         (grids, beside),
     ):
