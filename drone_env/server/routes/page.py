@@ -7,7 +7,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 
 from drone_env.server.map_choice import map_of_the_day
-from drone_env.server.page_files import PAGE, edition
+from drone_env.server.page_files import PAGE, edition, script
 from drone_env.server.pilots import HUMAN
 from drone_env.server.state import AppStateDep
 
@@ -24,6 +24,7 @@ def page(request: Request, shared: AppStateDep) -> Response:
         hello = (PAGE / "first_paint.html").read_text(encoding="utf-8")
         html = html.replace("<!-- hello -->", hello.replace("<!-- today -->", _today()))
         html = html.replace("</head>", f"{STYLES}\n</head>")
+    html = html.replace("static/js/main.js", script())
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
 
