@@ -8,7 +8,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
-from drone_env.llm.answers import Answer, ChatMessage, TurnKind
+from drone_env.llm.answers import Answer, ChatMessage, TurnKind, actions_named
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.transcript import CallKey
 from drone_env.models import NAMES
@@ -105,7 +105,7 @@ class TextEpisode:
         """Fly a tool call instead of an answer; returns what happened, and where the drone is now.
 
         Args:
-            directions: A list of 1 to `max_steps` names of actions. Those after the end of the flight are not flown.
+            directions: 1 to `max_steps` names of actions, in any letter case. Those after the end are not flown.
 
         Raises:
             InvalidValueError: if it is anything else; nothing is flown then.
@@ -114,13 +114,13 @@ class TextEpisode:
         route = cast(Sequence[object], directions) if isinstance(directions, list | tuple) else ()
         if not 0 < len(route) <= most:
             raise InvalidValueError(self.prompt.repair_text(f"A route is a list of 1 to {most} directions"))
-        words = list(map(str, route))
-        unknown = [word for word in words if word not in Action.__members__]
-        if unknown:
-            raise InvalidValueError(self.prompt.repair_text(f"{unknown[0][:40]!r} is no direction"))
+        try:
+            actions = actions_named(route)
+        except InvalidValueError as error:
+            raise InvalidValueError(self.prompt.repair_text(str(error))) from None
         told: dict[str, None] = {}
-        for word in words:
-            episode.step(Action[word])
+        for action in actions:
+            episode.step(action)
             told[episode.message] = None
             if episode.ended:
                 return " ".join(told)

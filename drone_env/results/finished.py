@@ -121,6 +121,14 @@ SELECT_ROWS = (
 )
 """Selects the fields of `EpisodeSummary`."""
 
+SELECT_BEST = f"""
+    SELECT {", ".join(COLUMNS)}, 0 AS solved, NULL AS optimal_score FROM (
+        SELECT *, row_number() OVER (PARTITION BY agent ORDER BY score DESC, steps, number) AS place
+        FROM episodes {{where}} AND (agent = ? OR agent GLOB ? || ' (*)' AND instr(agent, ')') = length(agent))
+    ) WHERE place = 1 ORDER BY score DESC, steps, number LIMIT ?
+"""
+"""Selects the best flight of an agent and of each of its names; `where` names one map."""
+
 # Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
 SELECT_BY_MAP = """
     SELECT e.agent, task, task_version, o.task IS NOT NULL AS solved, max(e.number),

@@ -41,6 +41,7 @@ function card(number, isNext) {
 const NONE = "–";
 const drains = (drain) =>
   Object.entries(drain)
+    .filter(([, units]) => units !== 1)
     .map(([kind, units]) => `; ${units} above a ${kind}`)
     .join("");
 
