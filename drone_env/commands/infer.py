@@ -33,6 +33,7 @@ def infer(
     repeats: int = 1,
     prompt: PromptName = None,
     history: int = 0,
+    answers: Literal["text", "json", "tool"] = "text",
     temperature: Number = 0.0,
     no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     top_p: Number = None,
@@ -71,14 +72,14 @@ def infer(
         prompt: The prompt: name (the newest version), id such as grid-2, or your own file. Default: minimal, or with
             --resume that of the run.
         history: Number of last steps that the prompt shows.
+        answers: Request plain text, structured output (JSON schema), or a tool call.
         temperature: Sampling temperature.
         no_temperature: Send no temperature, for models that reject it.
         top_p: Nucleus sampling. Default: not sent.
         max_answer_tokens: Maximum length of an answer in tokens, sent as max_tokens; 0 sends none.
         sampling_seed: Sampling seed of the endpoint, plus the number of the repeat: with --repeats 3 and 5, the flights
             over a map send 5, 6 and 7. Default: not sent.
-        extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'. With
-            `response_format` or `tools`, the answer is the JSON text or the arguments of the tool call.
+        extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
         reward_profile: Rewards of the steps: a reward profile, or a TOML file with one.
         options: Speed and budget.
         data: Folder of the store for the flights, which a server shows. Default: DRONE_ENV_DATA, else data. With
@@ -133,6 +134,7 @@ def infer(
             prompt_digest=chosen.digest,
             prompt_text=chosen.own,
             history=history,
+            answers=answers,
             sampling=Sampling(
                 temperature=None if no_temperature else temperature,
                 top_p=top_p,

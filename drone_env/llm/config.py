@@ -15,7 +15,7 @@ from drone_env.core.tasks import TaskConfig, get_task, own_rules
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.text_episode import Flight
-from drone_env.models import Count, Message
+from drone_env.models import DIRECTIONS, Count, Message
 from drone_env.results.tables import markdown_table
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
@@ -23,7 +23,10 @@ OPENAI = "https://api.openai.com/v1"
 OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
-RESERVED = {"model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"}
+RESERVED = {
+    *("model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"),
+    *("tools", "tool_choice", "response_format"),
+}
 """Fields of a request that `extra` cannot set."""
 
 SUPPORTED_MODELS = (
@@ -176,6 +179,7 @@ class RunConfig(Message):
     prompt_digest: str = Field(description="Digest of its file.")
     prompt_text: str | None = Field(default=None, description="Its text, if it is from outside the package.")
     history: Count = Field(description="Number of last steps that the prompt shows.")
+    answers: Literal["text", "json", "tool"]
     stream: Literal[False] = Field(default=False, description="Answers are not streamed.")
     sampling: Sampling
 
@@ -249,4 +253,29 @@ class RunConfig(Message):
         sampling = self.sampling.model_dump(exclude={"extra"}, exclude_none=True)
         if "seed" in sampling:  # equal seeds would make each repeat a copy of the first
             sampling["seed"] += repeat
-        return {"model": self.model, **sampling, **self.sampling.extra}
+        return {"model": self.model, **sampling, **self.sampling.extra, **_answer_form(self)}
+
+
+def _answer_form(config: RunConfig) -> dict[str, Any]:
+    """The fields of the body that request the run's form of answers."""
+    if config.answers == "text":
+        return {}
+    plan = config.load_prompt().plan
+    one = {"type": "string", "enum": DIRECTIONS}
+    properties: dict[str, Any] = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
+    schema = {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+    name = "fly_route" if plan else "fly"
+    if config.answers == "json":
+        return {
+            "response_format": {"type": "json_schema", "json_schema": {"name": name, "schema": schema, "strict": True}}
+        }
+    function = {"name": name, "description": f"Fly {'the whole route' if plan else 'one step'}.", "parameters": schema}
+    return {
+        "tools": [{"type": "function", "function": function}],
+        "tool_choice": {"type": "function", "function": {"name": name}},
+    }

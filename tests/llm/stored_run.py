@@ -74,6 +74,7 @@ def run_config(
         "prompt": chosen.id,
         "prompt_digest": chosen.digest,
         "history": 0,
+        "answers": "text",
         "sampling": Sampling(),
     }
     return RunConfig.model_validate(fields | change)

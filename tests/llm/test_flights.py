@@ -72,11 +72,9 @@ def test_connections_are_used_again(endpoint: Start) -> None:
     assert len({request["port"] for request in scripted.requests()}) == 1
 
 
-@pytest.mark.parametrize(
-    "form", ['{"response_format": {"type": "json_object"}}', '{"tools": [{"function": {"name": "fly"}}]}']
-)
+@pytest.mark.parametrize("form", ["json", "tool"])
 def test_structured_output_and_tool_calls(endpoint: Start, form: str) -> None:
-    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer("--seeds", "14:15", "--extra", form)
+    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer("--seeds", "14:15", "--answers", form)
     assert (done.turns, done.flights[0]["score"]) == ({"ok": 3}, 0.99), done.err
     assert {call["answer"]["reasoning"] for call in done.calls} == {"UP"}
 
