@@ -240,7 +240,7 @@ def fine_tune(options: Options, name: str, maps: int) -> None:
 
 def losses(trainer: Any) -> list[dict[str, float]]:
     """The trainer's log of losses and rewards."""
-    kept = ("step", "loss", "reward", "reward_std")
+    kept = ("step", "loss", "reward", "frac_reward_zero_std", "unusable")
     return [{key: row[key] for key in kept if key in row} for row in trainer.state.log_history if "loss" in row]
 
 
@@ -257,15 +257,16 @@ def pilot(options: Options, model: Any, tokenizer: Any) -> Pilot:
                 **inputs, max_new_tokens=options.answer_tokens, pad_token_id=tokenizer.pad_token_id, do_sample=False
             )
         answers = tokenizer.batch_decode(answers[:, inputs["input_ids"].shape[1] :], skip_special_tokens=True)
-        return [action_of(prompt, text) for text in answers]
+        actions = [action_of(prompt, text) for text in answers]
+        return [Action.WAIT if action is None else action for action in actions]
 
     return choose
 
 
-def action_of(prompt: Prompt, text: str) -> Action:
-    """The action of an answer; WAIT if it is unusable, as in `drone-env infer`."""
+def action_of(prompt: Prompt, text: str) -> Action | None:
+    """The action of an answer; None if it is unusable."""
     actions = prompt.read_answer(Answer(text=text)).actions
-    return actions[0] if actions else Action.WAIT
+    return actions[0] if actions else None
 
 
 def fly(options: Options, flights: Sequence[Episode], choose: Pilot) -> None:
@@ -283,17 +284,38 @@ def reward_of(options: Options, kind: Reward, choose: Pilot) -> Callable[..., li
       necessary; 0 for all answers to a request if they are the same, which GRPO ignores anyway;
     - `regret`: Q* of the action minus V*, which only an exact oracle can pay;
     - `rank`: 1 for the best actions of this state, 0 for the worst ones; equal actions share a rank.
+
+    An unusable answer gets what the worst usable one of its group gets, and 0 if all are unusable. A lower reward would
+    strengthen the other answers even where they are the same, and the model would stop exploring.
     """
     prompt = get_prompt(options.prompt)
 
-    def reward(completions: list[Any], values: list[list[float]], flown: list[list[int]], **_: Any) -> list[float]:
+    def reward(
+        completions: list[Any],
+        values: list[list[float]],
+        flown: list[list[int]],
+        log_metric: Callable[[str, float], None] | None = None,
+        **_: Any,
+    ) -> list[float]:
         actions = [action_of(prompt, completion[0]["content"]) for completion in completions]
-        if kind != "score":
-            pay = {"regret": lambda q: q - q.max(), "rank": rank}[kind]
-            return [float(pay(np.round(q, 12))[action]) for q, action in zip(values, actions, strict=True)]
-        keys = [(*start, int(action)) for start, action in zip(flown, actions, strict=True)]
-        different = Counter(key[:-1] for key in set(keys))
-        flights = {key: Episode(options.task, seed=key[0]).fly(key[1:]) for key in set(keys) if different[key[:-1]] > 1}
+        if log_metric:
+            log_metric("unusable", actions.count(None) / len(actions))
+        starts = [tuple(start) for start in flown]
+        if kind == "score":
+            paid = flown_on(starts, actions)
+        else:
+            value_of = {"regret": lambda q: q - q.max(), "rank": rank}[kind]
+            paid = [float(value_of(np.round(q, 12))[action or 0]) for q, action in zip(values, actions, strict=True)]
+        rows = list(zip(starts, actions, paid, strict=True))
+        usable = sorted(((start, pay) for start, action, pay in rows if action is not None), key=lambda row: -row[1])
+        worst = dict(usable)
+        return [worst.get(start, 0.0) if action is None else pay for start, action, pay in rows]
+
+    def flown_on(starts: list[tuple[int, ...]], actions: list[Action | None]) -> list[float]:
+        keys = [(*start, action) for start, action in zip(starts, actions, strict=True)]
+        usable = {key for key in keys if key[-1] is not None}
+        different = Counter(key[:-1] for key in usable)
+        flights = {key: Episode(options.task, seed=key[0]).fly(key[1:]) for key in usable if different[key[:-1]] > 1}
         fly(options, list(flights.values()), choose)
         return [flights[key].score if key in flights else 0.0 for key in keys]
 

@@ -30,6 +30,7 @@ FIRST_FLIGHT = f"?task=skyline_easy&seed=152&pilot={HUMAN}"
 maps that greedy fails, it forgives most: a cautious pilot of whose moves 15 % are random delivers all in 92 %."""
 PILOT = "tournet"
 """The pilot of the recorded flight."""
+OVER_HELSINKI = f"?task=city_small&seed=142&pilot={HUMAN}"
 RIVALS = (HUMAN, PILOT, "greedy")
 SECOND, PAUSE = 4, 8
 """Steps per second, and the pause at the end in steps."""
@@ -66,7 +67,9 @@ def _section(episode: Episode) -> str:
 <div class="hello-words">
 <h2 id="hello-title">Deliver all parcels before the battery is empty. {who} {score}</h2>
 <p class="hello-actions"><a class="button primary" href="{escape(FIRST_FLIGHT)}">Fly it yourself</a>
-<a class="button" href="{escape(race)}">Race the network</a></p>
+<a class="button" href="{escape(race)}">Race the network</a>
+<!-- today -->
+<a class="button" href="{escape(OVER_HELSINKI)}">Fly over Helsinki</a></p>
 </div>
 {_picture(episode)}
 </section>"""

@@ -39,16 +39,16 @@ environment() {
 adapters() {
   $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
-  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,trl]' \
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,server,trl]' \
     'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
 }
 
-# verifiers fits no environment with the other adapters.
+# verifiers fits no environment with the other adapters, and only an older OpenEnv; the server needs none.
 verifiers() {
   [[ -x $VENV/verifiers/bin/python ]] || $python -m venv "$VENV/verifiers"
   "$VENV/bin/uv" pip install --quiet --python "$VENV/verifiers/bin/python" --editable '.[llm]' \
-    --editable integrations/verifiers 'pytest>=8.3' 'pytest-timeout>=2.3'
+    --editable integrations/verifiers 'verifiers[openenv]' 'uvicorn[standard]>=0.37' 'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/verifiers/bin/python" -m pytest tests/adapters/test_verifiers.py
 }
 

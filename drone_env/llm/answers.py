@@ -15,6 +15,7 @@ from pydantic import field_validator
 from typing_extensions import TypedDict
 
 from drone_env.core.actions import Action
+from drone_env.errors import InvalidValueError
 from drone_env.models import Count, Message
 
 AnswerKind = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
@@ -150,10 +151,23 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
         part = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
         return unusable("parse_error", f"{part} is not {expected}{missing}" if text.strip() else "the answer is empty")
-    unknown = [word for word in words if word.upper() not in Action.__members__]
-    if unknown:
-        return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
-    return Reading("ok", tuple(Action[word.upper()] for word in words), "", content)
+    try:
+        return Reading("ok", actions_named(words), "", content)
+    except InvalidValueError as error:
+        return unusable("illegal", str(error))
+
+
+def actions_named(words: Sequence[object]) -> tuple[Action, ...]:
+    """The actions with these names, in any letter case.
+
+    Raises:
+        InvalidValueError: if a word is anything else.
+    """
+    for word in words:
+        if not isinstance(word, str) or word.upper() not in Action.__members__:
+            shown = repr(word[:40]) if isinstance(word, str) else f"a value of type {type(word).__name__}"
+            raise InvalidValueError(f"{shown} is not an action")
+    return tuple(Action[cast(str, word).upper()] for word in words)
 
 
 def _last_marked(text: str, marks: Sequence[str]) -> str | None:

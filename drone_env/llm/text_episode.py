@@ -1,14 +1,14 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
-from collections.abc import Awaitable, Callable, Sequence
-from typing import Literal, cast
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import Any, Literal, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
-from drone_env.llm.answers import Answer, ChatMessage, TurnKind
+from drone_env.llm.answers import Answer, ChatMessage, TurnKind, actions_named
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.transcript import CallKey
 from drone_env.models import NAMES
@@ -105,7 +105,7 @@ class TextEpisode:
         """Fly a tool call instead of an answer; returns what happened, and where the drone is now.
 
         Args:
-            directions: A list of 1 to `max_steps` names of actions. Those after the end of the flight are not flown.
+            directions: 1 to `max_steps` names of actions, in any letter case. Those after the end are not flown.
 
         Raises:
             InvalidValueError: if it is anything else; nothing is flown then.
@@ -114,13 +114,13 @@ class TextEpisode:
         route = cast(Sequence[object], directions) if isinstance(directions, list | tuple) else ()
         if not 0 < len(route) <= most:
             raise InvalidValueError(self.prompt.repair_text(f"A route is a list of 1 to {most} directions"))
-        words = list(map(str, route))
-        unknown = [word for word in words if word not in Action.__members__]
-        if unknown:
-            raise InvalidValueError(self.prompt.repair_text(f"{unknown[0][:40]!r} is no direction"))
+        try:
+            actions = actions_named(route)
+        except InvalidValueError as error:
+            raise InvalidValueError(self.prompt.repair_text(str(error))) from None
         told: dict[str, None] = {}
-        for word in words:
-            episode.step(Action[word])
+        for action in actions:
+            episode.step(action)
             told[episode.message] = None
             if episode.ended:
                 return " ".join(told)
@@ -162,35 +162,18 @@ def status_text(episode: Episode) -> str:
 class Flight(TextEpisode):
     """A flight of a run. Its calls can fail.
 
-    Args:
-        task: See `TextEpisode`, as for the next four.
-        seed: The map.
-        prompt: The prompt.
-        reward_profile: The rewards of the steps.
-        history: Number of last steps that the prompt shows.
+    Attributes:
         index: Its number in the run, from 0.
         repeat: The number of earlier flights of the run over the same map.
-
-    Attributes:
+        parameters: The fields of its requests besides the messages.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
     """
 
-    def __init__(
-        self,
-        task: TaskConfig | str,
-        seed: int,
-        prompt: Prompt | str,
-        reward_profile: RewardProfile | str,
-        history: int,
-        index: int,
-        repeat: int,
-    ) -> None:
-        super().__init__(task, seed, prompt, reward_profile, history)
-        self.index = index
-        self.repeat = repeat
-        self.status: Status = "finished"
-        self.error: str | None = None
+    index = repeat = 0
+    parameters: Mapping[str, Any]
+    status: Status = "finished"
+    error: str | None = None
 
     @property
     def key(self) -> CallKey:
@@ -198,9 +181,9 @@ class Flight(TextEpisode):
         return CallKey(self.index, len(self.turns) + 1, self.attempt)
 
     @property
-    def begun(self) -> bool:
-        """Whether any answer came."""
-        return self.attempt == 2 or bool(self.step_errors)
+    def request(self) -> dict[str, Any]:
+        """The body of the next request."""
+        return {"messages": self.messages, **self.parameters}
 
     def stop(self, error: CallFailedError | LimitReachedError) -> None:
         """End the flight because a call has no answer."""

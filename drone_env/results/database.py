@@ -39,6 +39,7 @@ CREATE TABLE IF NOT EXISTS episodes (
     episode TEXT NOT NULL
 );
 CREATE INDEX IF NOT EXISTS episodes_by_task ON episodes (task, task_version, number);
+CREATE INDEX IF NOT EXISTS episodes_by_map ON episodes (task, task_version, seed);
 CREATE TABLE IF NOT EXISTS optima (
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,

@@ -20,6 +20,7 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
+    SELECT_BEST,
     SELECT_BY_MAP,
     SELECT_ROWS,
     Analysis,
@@ -205,6 +206,27 @@ class Store:
         """
         where, values = _where(task)
         return results_by_agent(self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds", patience))
+
+    def best(self, task: str | TaskConfig, seed: int, agent: str, since: float, n: int) -> list[EpisodeSummary]:
+        """Return the best flights of an agent over a map, with and without a name: one for each name, the best first.
+
+        Flights of equal score and length are in the order of storing. A name follows the agent in parentheses.
+
+        Args:
+            task: The task.
+            seed: The map.
+            agent: The agent, without a name.
+            since: The earliest time of storing, in seconds since 1970.
+            n: How many, 0 or more.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            StoreError: if the store cannot be read.
+        """
+        where, values = _where(task, {"seed =": seed, "finished_at >=": since})
+        return [
+            EpisodeSummary(**row) for row in self._read(SELECT_BEST.format(where=where), (*values, agent, agent, n))
+        ]
 
     def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
         """Return the ids that the store contains."""

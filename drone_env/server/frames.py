@@ -34,8 +34,8 @@ class FlightHeader(Message):
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
     pilot: str = Field(description="Id of the pilot; the agent of the record if it is not a pilot.")
     by: str = Field(
-        description="The pilot; then ` with values`, ` with undo` or ` with values and undo` if a person used them; "
-        "then, for a fork, ` from step N of ` and the pilot of the first N steps."
+        description="The pilot, or `human (NAME)`; then ` with values`, ` with undo` or ` with values and undo` if a "
+        "person used them; then, for a fork, ` from step N of ` and the pilot of the first N steps."
     )
     forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")

@@ -10,7 +10,8 @@ from typing_extensions import Self
 from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
-from drone_env.llm.answers import Answer, read_answer
+from drone_env.errors import InvalidValueError
+from drone_env.llm.answers import Answer, actions_named, read_answer
 from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Message, Seed
 from drone_env.results.finished import check_agent
 
@@ -112,20 +113,15 @@ def route_text(value: object) -> str:
         reading = read_answer(Answer(text=bracketed[1] if bracketed else value), plan=True)
         if reading.kind != "ok":
             raise ValueError(f"{reading.reason}; actions: {', '.join(Action.__members__)}")
-        value = list(reading.actions)
+        value = [action.name for action in reading.actions]
     words = cast(list[object], value) if isinstance(value, list) else [value]
     if not 0 < len(words) <= MAX_ROUTE:
         raise ValueError(f"a route has 1 to {MAX_ROUTE} actions, got {len(words)}")
-    return " ".join([_action(word).name for word in words])
-
-
-def _action(word: object) -> Action:
-    if isinstance(word, str) and word.upper() in Action.__members__:
-        return Action[word.upper()]
-    if isinstance(word, int) and not isinstance(word, bool) and 0 <= word < N_ACTIONS:
-        return Action(word)
-    shown = repr(word[:40]) if isinstance(word, str) else f"a value of type {type(word).__name__}"
-    raise ValueError(f"{shown} is not an action; actions: {', '.join(Action.__members__)}, or 0 to {N_ACTIONS - 1}")
+    names = [Action(word).name if type(word) is int and 0 <= word < N_ACTIONS else word for word in words]
+    try:
+        return " ".join([action.name for action in actions_named(names)])
+    except InvalidValueError as error:
+        raise ValueError(f"{error}; actions: {', '.join(Action.__members__)}, or 0 to {N_ACTIONS - 1}") from None
 
 
 Route = Annotated[str, BeforeValidator(route_text)]

@@ -15,6 +15,7 @@ from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import DatasetConfig
 from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
+from tests.api.serving import serving
 
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
 ROUTE = '<tool_call>\n{{"name": "fly_route", "arguments": {{"directions": {}}}}}\n</tool_call>'
@@ -54,6 +55,43 @@ def tiny_model(words: Any) -> Any:
 TRAINING = {"max_steps": 1, "learning_rate": 1.0, "logging_steps": 1, "report_to": [], "use_cpu": True, "bf16": False}
 
 
+def scripted(said: list[list[Any]], folder: Path, data: Any, reward: Any, environment: Any) -> tuple[Any, list[str]]:
+    """A trainer whose model answers by one script for each rollout of its group, and the list of what it is asked.
+
+    All else, from the tool's schema to the step of the optimiser, is TRL's.
+    """
+    # Here, since their import warns.
+    from trl import GRPOConfig, GRPOTrainer
+
+    words, asked = tokenizer(), list[str]()
+
+    class Scripted(GRPOTrainer):
+        def _generate_single_turn(self, prompt_ids: list[list[int]], *_: Any, **__: Any) -> Any:
+            asked.extend(words.decode(ids) for ids in prompt_ids)
+            answers = [script.pop(0) for script in said if script]
+            assert len(answers) == len(prompt_ids)
+            texts = [answer() if callable(answer) else answer for answer in answers]
+            return [words.encode(f"{text}<|im_end|>", add_special_tokens=False) for text in texts], None
+
+    sizes = {"per_device_train_batch_size": len(said), "num_generations": len(said), "max_completion_length": 2000}
+    trainer = Scripted(
+        model=tiny_model(words),
+        processing_class=words,
+        train_dataset=data,
+        environment_factory=environment,
+        reward_funcs=reward,
+        args=GRPOConfig(output_dir=str(folder), **sizes, **TRAINING),
+    )
+    return trainer, asked
+
+
+def trained(trainer: Any) -> dict[str, float]:
+    """The trainer's log of its one step."""
+    trainer.train()
+    (log,) = [entry for entry in trainer.state.log_history if "reward" in entry]
+    return log
+
+
 def paid(route: list[str]) -> float:
     """What flying a route over map 14, and waiting to the end, pays undiscounted."""
     episode = Episode("easy", profile_for_discount(get_reward_profile(DEFAULT_PROFILE), 1), seed=14)
@@ -67,10 +105,6 @@ def paid(route: list[str]) -> float:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("plan", [None, "plan"])
 def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -> None:
-    # Here, since their import warns.
-    from trl import GRPOConfig, GRPOTrainer
-
-    words = tokenizer()
     best = [action.name for action in solve("easy", 14).actions]
     # What the model says in the four rollouts of its group, turn by turn; a finished one says no more.
     if plan:
@@ -79,36 +113,10 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
         routes = [[CALL.format(direction) for direction in route] for route in (best[:1], ["NORTH", *best], [])]
         said = [[*route, "Done."] for route in [[ROUTE.format(json.dumps(best))], *routes]]
     calls = sum(map(len, said)) - len(said)
-
-    class Scripted(GRPOTrainer):
-        """Answers by script; all else, from the tool's schema to the step of the optimiser, is TRL's."""
-
-        def _generate_single_turn(self, prompt_ids: list[list[int]], *_: Any, **__: Any) -> Any:
-            texts = [words.decode(ids) for ids in prompt_ids]
-            asked.extend(texts)
-            answers = [script.pop(0) for script in said if script]
-            assert len(answers) == len(prompt_ids)
-            return [words.encode(f"{answer}<|im_end|>", add_special_tokens=False) for answer in answers], None
-
-    asked: list[str] = []
     data = training_maps("easy", 1, plan=plan).map(lambda row: {**row, "seed": 14})
-    trainer = Scripted(
-        model=tiny_model(words),
-        processing_class=words,
-        train_dataset=data,
-        environment_factory=None if plan else DroneEnvironment,
-        reward_funcs=flight_reward,
-        args=GRPOConfig(
-            output_dir=str(tmp_path),
-            per_device_train_batch_size=4,
-            num_generations=4,
-            max_completion_length=2000,
-            **TRAINING,
-        ),
-    )
+    trainer, asked = scripted(said, tmp_path, data, flight_reward, None if plan else DroneEnvironment)
     before = [p.detach().clone() for p in trainer.model.parameters()]
-    trainer.train()
-    (log,) = [entry for entry in trainer.state.log_history if "reward" in entry]
+    log = trained(trainer)
     # By tool calls the wrong word costs no step; as an answer it is unusable.
     wrong = [] if plan else best
     pay = [paid(route) for route in (best, best[:1], wrong, [])]
@@ -122,7 +130,69 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     assert log["tools/failure_frequency"] == pytest.approx(1 / calls)
     assert all('"name": "fly_route"' in text and '"enum": ["UP"' in text for text in asked)
     assert any("Mission accomplished" in text for text in asked)
-    assert any("'NORTH' is no direction" in text for text in asked)
+    assert any("'NORTH' is not an action" in text for text in asked)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
+def test_environments_like_those_of_its_openenv_examples_fly_over_the_server(tmp_path: Path) -> None:
+    """`wordle.py` and `catch.py` with another URL and prompt. No package contains these scripts or their clients."""
+    from datasets import Dataset
+    from openenv import GenericEnvClient
+
+    class Client(GenericEnvClient):
+        def _step_payload(self, action: str | int) -> dict[str, Any]:
+            words = {"message": action}
+            return words if isinstance(action, str) else {"action_id": action, "game_name": "catch", "game_params": {}}
+
+    class Drone:
+        def __init__(self) -> None:
+            self.client = Client(base_url=f"{server.url}/easy/minimal")
+            flights.append(self)
+
+        def reset(self, **_: Any) -> str:
+            self.told, self.reward = "", 0.0
+            return self._new(self.client.reset())
+
+        def guess(self, guess: str) -> str:
+            """Fly.
+
+            Args:
+                guess: Directions in brackets.
+            """
+            return self._new(self.client.step(guess))
+
+        def move(self, direction: str) -> str:
+            """Fly.
+
+            Args:
+                direction: left or right.
+            """
+            return self._new(self.client.step({"left": 0, "right": 2}[direction]))
+
+        def _new(self, result: Any) -> str:
+            before, self.told = self.told, result.observation["messages"][0]["content"]
+            self.reward = result.reward
+            return self.told[len(before) :]
+
+    def call(name: str, **arguments: str) -> str:
+        return f"<tool_call>\n{json.dumps({'name': name, 'arguments': arguments})}\n</tool_call>"
+
+    def best() -> Any:
+        return solve("easy", flights[0].client.state()["seed"])
+
+    flights: list[Any] = []
+    said = [
+        [lambda: call("guess", guess=f"[{' '.join(action.name for action in best().actions)}]"), "Done."],
+        [call("move", direction="left"), call("guess", guess=f"[{' WAIT' * 59}]"), "Done."],
+    ]
+    data = Dataset.from_dict({"prompt": [[{"role": "user", "content": "Fly."}]]})
+    with serving(tmp_path / "data") as server:
+        trainer, asked = scripted(
+            said, tmp_path, data, lambda environments, **_: [one.reward for one in environments], Drone
+        )
+        assert trained(trainer)["reward"] == pytest.approx((best().score + 0.01) / 2)
+    assert any("Mission accomplished" in text for text in asked)
 
 
 @pytest.mark.timeout(600)
@@ -135,10 +205,11 @@ def test_both_trainers_learn_from_the_datasets(turns: Any, tmp_path: Path, monke
     from trl import DPOConfig, DPOTrainer, SFTConfig, SFTTrainer
 
     task = get_task("easy")
-    config = DatasetConfig(task, range(4), "train", ["optimal", "random"], epsilon=0.0, turns=turns)
-    build_dataset(config, tmp_path / "set", ("chat", "preference"))
+    both = ("chat", "preference")
+    config = DatasetConfig(task, range(4), "train", ["optimal", "random"], epsilon=0.0, formats=both, turns=turns)
+    build_dataset(config, tmp_path / "set")
     kind, ends = ("json", "jsonl") if turns == "route" else ("parquet", "parquet")
-    files = (str(tmp_path / "set" / f"{name}.{ends}") for name in ("chat", "preference"))
+    files = (str(tmp_path / "set" / f"{name}.{ends}") for name in both)
     chat, pairs = (load_dataset(kind, data_files=file, split="train") for file in files)
     schemas = [get_json_schema(tool) for tool in (DroneEnvironment.fly, DroneEnvironment.fly_route)]
     assert turns == "plan" or json.loads(chat[0]["tools"]) == json.loads(pairs[0]["tools"]) == schemas

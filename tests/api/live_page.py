@@ -21,6 +21,8 @@ class Page:
         self.socket = socket
         self.ended: list[int] = []
         """The flights that were told to have ended, while they flew by themselves."""
+        self.skipped: list[Message] = []
+        """The messages that `until` read over."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
@@ -32,6 +34,7 @@ class Page:
             if message["type"] == kind:
                 return message
             assert message["type"] != "error", message
+            self.skipped.append(message)
             assert kind != "error" or message["type"] in ("playing", "values"), message
 
     def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:

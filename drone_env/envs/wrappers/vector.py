@@ -21,6 +21,7 @@ class OneHotPlanes(VectorObservationWrapper):  # pyright: ignore[reportMissingTy
 
     def __init__(self, env: VectorEnv[Observations, Array, Array]) -> None:
         super().__init__(env)
+        self.autoreset_mode = env.metadata["autoreset_mode"]  # TorchRL reads it; Gymnasium's wrappers do not forward it
         self.single_observation_space = planes_space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
@@ -34,6 +35,7 @@ class FlatObservation(VectorObservationWrapper):  # pyright: ignore[reportMissin
 
     def __init__(self, env: VectorEnv[Observations, Array, Array]) -> None:
         super().__init__(env)
+        self.autoreset_mode = env.metadata["autoreset_mode"]
         self.single_observation_space = vector_space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 

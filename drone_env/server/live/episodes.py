@@ -320,13 +320,15 @@ def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Epi
     while seed is None or (command.seed is None and last is not None and seed == last.seed):
         seed = secrets.randbelow(MAPS)
     start = start_episode(ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile), None)
-    if fork is None:
-        return start, agents, None
-    # The last pilot flies the fork; a person's own flight may be listed before others.
-    own = fork.step == 0 and HUMAN in agents
-    forking = agents.index(HUMAN) if own else len(agents) - 1
-    agents[forking] = check_agent(str(Provenance.of_fork(agents[forking], fork.step, fork.of)))
-    return start, agents, forking
+    forking = None
+    if fork is not None:
+        # The last pilot flies the fork; a person's own flight may be listed before others.
+        own = fork.step == 0 and HUMAN in agents
+        forking = agents.index(HUMAN) if own else len(agents) - 1
+        agents[forking] = str(Provenance.of_fork(agents[forking], fork.step, fork.of))
+    flying = map(Provenance.parse, agents)
+    named = [one._replace(name=command.name) if one.pilot == HUMAN else one for one in flying]
+    return start, [check_agent(str(one)) for one in named], forking
 
 
 def _open(

@@ -14,7 +14,7 @@ from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Observation
-from drone_env.core.observation import telemetry_of
+from drone_env.core.rules import telemetry_of
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, make_grader

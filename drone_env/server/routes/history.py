@@ -1,5 +1,6 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
+from datetime import date, datetime, time, timezone
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
@@ -9,11 +10,13 @@ from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
-from drone_env.models import MAX_SEED, Message
+from drone_env.models import MAX_SEED, Count, Message, Score, Seed
 from drone_env.results.finished import Analysis, EpisodeSummary
 from drone_env.results.record import EpisodeRecord
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
+from drone_env.server.map_choice import map_of_the_day
+from drone_env.server.pilots import HUMAN, Provenance
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["history"])
@@ -21,6 +24,7 @@ SUMMARIES = 5
 ROLLING = 20
 LINES = 50
 FOLLOWERS = 32
+LISTED = 10
 
 
 class AnalysisAnswer(Analysis):
@@ -48,6 +52,24 @@ class History(EpisodeSummaries):
     rolling_success: list[float] = Field(description="Success rate over 20 episodes up to each episode.")
 
 
+class FlightByHand(Message):
+    """A flight of a person without values, undo and forks."""
+
+    id: str = Field(description="Id of the stored flight.")
+    name: str | None = Field(description="The name that the person chose; null for all without one.")
+    score: Score
+    steps: Count
+
+
+class MapOfTheDay(Message):
+    """The map of the day, and its list."""
+
+    date: date
+    task: str = Field(description="Short name of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    best: list[FlightByHand] = Field(description="At most 10 flights by hand of this day, the best of each name.")
+
+
 class LogLines(Message):
     """The end of a log file."""
 
@@ -66,6 +88,19 @@ def analyse(shared: AppStateDep, task_name: str) -> AnalysisAnswer:
 def memory_logs(shared: AppStateDep) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
     return EpisodeSummaries(episodes=shared.store.listed(SUMMARIES))
+
+
+@router.get("/today", responses=error_responses(503))
+def today(shared: AppStateDep) -> MapOfTheDay:
+    """The map of the day (UTC), equal on all servers, and the best flights by hand that ended on this day."""
+    day = datetime.now(timezone.utc).date()
+    task, seed = map_of_the_day(day)
+    since = datetime.combine(day, time(), timezone.utc).timestamp()
+    flights = [
+        FlightByHand(id=row.id, name=Provenance.parse(row.agent).name, score=row.score, steps=row.steps)
+        for row in shared.store.best(task, seed, HUMAN, since, LISTED)
+    ]
+    return MapOfTheDay(date=day, task=task, seed=seed, best=flights)
 
 
 @router.get("/episodes", responses=error_responses(404, 422, 503))

@@ -1,11 +1,14 @@
 """The page."""
 
+from datetime import datetime, timezone
 from html import escape
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 
+from drone_env.server.map_choice import map_of_the_day
 from drone_env.server.page_files import PAGE, edition
+from drone_env.server.pilots import HUMAN
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"])
@@ -18,7 +21,16 @@ def page(request: Request, shared: AppStateDep) -> Response:
     shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
     if not request.url.query:
-        html = html.replace("<!-- hello -->", (PAGE / "first_paint.html").read_text(encoding="utf-8"))
+        hello = (PAGE / "first_paint.html").read_text(encoding="utf-8")
+        html = html.replace("<!-- hello -->", hello.replace("<!-- today -->", _today()))
         html = html.replace("</head>", f"{STYLES}\n</head>")
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
+
+
+def _today() -> str:
+    """The link to the map of the day."""
+    day = datetime.now(timezone.utc)
+    task, seed = map_of_the_day(day)
+    link = f"?task={task}&seed={seed}&pilot={HUMAN}"
+    return f'<a class="button" href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'

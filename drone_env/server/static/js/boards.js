@@ -49,8 +49,7 @@ export function mountBoards(root, context) {
 }
 
 /** Zooms in until the cells are large enough for a visitor who flies. @returns {boolean} Whether it zoomed. */
-function nearEnough({ stage, pilots, camera }, scale) {
-  const byHand = ({ live, done, pilot }) => live && !done && pilots.some((one) => one.id === pilot && !one.automatic);
+function nearEnough({ stage, byHand, camera }, scale) {
   if (!stage.tracks.some(byHand)) return false;
   let moved = false;
   while (camera.whole * camera.zoom < BY_HAND * scale && camera.nearer(1)) moved = true;

@@ -3,6 +3,7 @@ import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
+import { nameOf } from "./today.js";
 import { Track } from "./track.js";
 
 /** Actions as links write them. */
@@ -95,7 +96,7 @@ export class Fleet extends Emitter {
     if (!this.shown) return {};
     const track = this.forked ?? this.mine;
     if (!track) return { actions: null, of: null };
-    const { by, pilot, steps } = track;
+    const { unnamed: by, pilot, steps } = track;
     const actions = lettersOf(track.actionsTo(steps));
     if (this.forked) return { actions };
     return { actions, of: steps || by !== pilot ? by : null };
@@ -175,7 +176,7 @@ export class Fleet extends Emitter {
   /** Sends the present setup to the server. */
   send() {
     const { task, seed, profile, fork, actions, of, step } = this.setup;
-    const request = { task, seed, reward_profile: profile, pilots: this.how.flown };
+    const request = { task, seed, reward_profile: profile, pilots: this.how.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
       request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };

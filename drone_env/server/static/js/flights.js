@@ -1,6 +1,6 @@
 // The newest flights of a task, by all pilots or one.
 import { el } from "./dom.js";
-import { fixed, flightName, moment, outcome, points, shortened } from "./format.js";
+import { flightName, moment, outcome, points, shortened } from "./format.js";
 import { grid, named } from "./rankings.js";
 
 const PAGE = 50;
@@ -76,7 +76,6 @@ export class Flights {
       ["Outcome", (e) => outcome(e)],
       ["Parcels", (e) => `${e.deliveries} / ${e.deliveries_total}`, true],
       ["Steps", (e) => String(e.steps), true],
-      ["Reward", (e) => fixed(e.reward_total), true],
       ["Finished", (e) => el("time", { datetime: e.finished_at, text: moment(e.finished_at) })],
       ["", open],
     ];

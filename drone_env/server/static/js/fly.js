@@ -10,7 +10,7 @@ import { mountHint } from "./hint.js";
 import { mountGauges, mountInstruments } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
 import { mountCellNote } from "./layer_costs.js";
-import { mountLegend } from "./legend.js";
+import { mountCredit } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
 import { explain, mountFiles, mountRecord, Past } from "./past.js";
@@ -19,6 +19,7 @@ import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
+import { mountByHand } from "./today.js";
 
 /**
  * Fills its element, as every `mountX(root, context, ...)` of this page does.
@@ -57,11 +58,12 @@ export function mountFly(root, context) {
   const problem = below("problems", mountProblem, fleet);
   const board = below("boards-panel", mountBoards);
   mountCellNote(middle.querySelector(".map"), context, board.names);
-  mountLegend(choices, context);
+  mountCredit(context);
   below("hint", mountHint, fleet);
   panel("strip", mountStrip, fleet, acts);
   panel("human", mountHuman, fleet);
   panel("controls-panel", mountControls, fleet, acts);
+  panel("by-hand-panel", mountByHand, fleet, acts);
   panel("standings-panel", mountStandings);
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);

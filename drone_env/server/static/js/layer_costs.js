@@ -1,7 +1,7 @@
 // What cells cost in battery units: beside the drone of a visitor who flies, and of the cell under the pointer.
 import { colourOf, font } from "./base.js";
 import { el } from "./dom.js";
-import { cellName } from "./format.js";
+import { ARROWS, cellName, isLost, points } from "./format.js";
 import { STEP } from "./layer_flights.js";
 
 const LEAST_CELL = 20;
@@ -58,7 +58,9 @@ export function mountCellNote(field, context, names) {
     const y = Math.floor(((clientY - box.top) * scale - top) / cell);
     note.hidden = world.cells[y]?.[x] === undefined;
     if (note.hidden) return;
-    note.textContent = inWords(cellAt(world, names, track.frameAt(clock.cursor), [x, y]));
+    const values = context.shows("values") && context.stage.answer?.cells?.q_values?.[y][x];
+    const cost = inWords(cellAt(world, names, track.frameAt(clock.cursor), [x, y]));
+    note.replaceChildren(el("span", cost), ...(values ? movesIn(values) : []));
     const right = x > world.width / 2;
     note.style.setProperty("left", `${(left + (x + (right ? 0 : 1)) * cell) / scale}px`);
     note.style.setProperty("top", `${(top + (y + 0.5) * cell) / scale}px`);
@@ -68,6 +70,14 @@ export function mountCellNote(field, context, names) {
   field.addEventListener("click", show);
   field.addEventListener("pointerleave", ({ pointerType }) => pointerType === "mouse" && hide());
   context.stage.on("cursor", hide);
+}
+
+/** The value of each action at a cell, and what it loses. */
+function movesIn(values) {
+  const lost = (value) => Math.max(...values) - value;
+  return Object.values(ARROWS).map((arrow, i) =>
+    el("span", `${arrow} ${points(values[i])}`, isLost(lost(values[i])) ? `, loses ${points(lost(values[i]))}` : ""),
+  );
 }
 
 function inWords({ kind, closed, units, charge }) {

@@ -22,7 +22,7 @@ export const LAYERS = [
     id: "values",
     place: "cells",
     name: "Best moves",
-    hint: "The best moves from each cell, with the present battery, parcels and steps. Greener cells allow a higher score",
+    hint: "The best moves from each cell, with the present battery, parcels and steps. Point at a cell to see its five values",
     key: "v",
     needsValues: true,
     draw: drawValues,

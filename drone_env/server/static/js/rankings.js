@@ -100,7 +100,6 @@ export function leaderboard(context, board, chosen, maps, choose) {
     ["Steps", (row) => fixed(row.steps, 1), true],
     ["Maps", counted, true],
     ["Flights", (row) => String(row.flights), true],
-    ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
   ];
   const how = "Click a name to open its maps. Tick two pilots to compare them over their common maps.";
   const forks = board.forks ? ` Forks are not counted: ${board.forks}.` : "";
@@ -194,7 +193,7 @@ const gap = (difference) => signed(difference === null ? null : difference * 100
  */
 export function paired(context, task, answer, pilots, rows) {
   const [a, b] = pilots.map((agent) => who(context, agent));
-  const head = el("h2", { text: `${a} against ${b}` });
+  const head = el("h2", named(context, pilots[0]), " against ", named(context, pilots[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
   const ours = pilots.every((pilot) => rows.some(({ agent, kind }) => agent === pilot && kind === "pilot"));

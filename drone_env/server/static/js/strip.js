@@ -113,7 +113,7 @@ function nextTask(families, task) {
 
 /** Continues a failed flight from the last step at which all parcels could still be delivered. */
 function tryAgain({ stage }, fleet, acts) {
-  const { annotation, by, forkedAt, pilot } = stage.track;
+  const { annotation, unnamed: by, forkedAt, pilot } = stage.track;
   const step = annotation.rescue_step ?? 0;
   document.activeElement.blur();
   if (fleet.pilot(pilot).automatic || forkedAt !== null) {

@@ -1,5 +1,7 @@
 // The flight of one drone.
 
+const PERSON = /^human \((.+?)\)/;
+
 /**
  * @typedef {Object} Flown A flight from the server.
  * @property {Object} opening Its pilot and map.
@@ -12,7 +14,8 @@ export class Track {
     this.pilot = opening.pilot;
     /** The agent of the record: one pilot, or several in sequence. */
     this.by = opening.by;
-    this.called = name;
+    /** In flights of this page the visitor is "You". */
+    this.called = (live ? null : opening.by.match(PERSON)?.[1]) ?? name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
@@ -33,6 +36,11 @@ export class Track {
   /** The pilot's name, and the step of a fork. */
   get name() {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
+  }
+
+  /** The agent of the record without the name that a person chose. */
+  get unnamed() {
+    return this.by.replace(PERSON, "human");
   }
 
   /** Whether the visitor turned the values on while flying. */
