@@ -85,7 +85,7 @@ HOSTILE = [
 def test_a_name_is_one_short_word_and_not_that_of_a_pilot(shared_client: TestClient, name: object) -> None:
     with open_page(shared_client) as page:
         page.send("start", task="easy", seed=7, pilots=["human"], name=name)
-        assert page.error()["code"] == "invalid_request"
+        assert page.until("error")["code"] == "invalid_request"
 
 
 def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
@@ -94,6 +94,6 @@ def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
         assert [flight["opening"]["by"] for flight in flights] == ["greedy", "human (Åsa_7-語)"]
         assert flights[1]["opening"]["pilot"] == "human"
         page.send("undo", flight=1)
-        page.error()
+        page.until("error")
         page.send("help", flight=1)
         assert page.until("helped")["by"] == "human (Åsa_7-語) with values"
