@@ -2,10 +2,12 @@
 
 import re
 
+import pytest
 from starlette.testclient import TestClient
 
 from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord
+from drone_env.server import page_files
 from drone_env.server.page_files import PAGE
 from tests.api.live_page import flown
 from tools.first_paint import draw
@@ -33,3 +35,17 @@ class TestHello:
     def test_its_files_are_drawn_from_the_record(self) -> None:
         for path, text in draw().items():
             assert path.read_text(encoding="utf-8") == text, "python -m tools.first_paint draws them again"
+
+
+class TestScripts:
+    def test_the_bundle_is_current(self) -> None:
+        assert page_files.script() == "static/bundle/main.js", "make bundle writes it again"
+
+    def test_a_module_that_has_changed_is_served_instead(
+        self, shared_client: TestClient, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        assert "/bundle/main.js" in shared_client.get("/").text
+        monkeypatch.setattr(page_files, "MODULES", page_files.MODULES[1:])
+        html = shared_client.get("/").text
+        assert "/js/main.js" in html
+        assert "/bundle/" not in html

@@ -13,6 +13,13 @@ from drone_env.planning.optimal import solve
 from drone_env.server.map_choice import DAILY, map_of_the_day
 from tests.api.live_page import directions, flown, open_page
 
+NOON = datetime(2026, 11, 26, 12, tzinfo=timezone.utc)
+
+
+@pytest.fixture(autouse=True)
+def _same_day(monkeypatch: pytest.MonkeyPatch) -> None:  # pyright: ignore[reportUnusedFunction]
+    monkeypatch.setattr("drone_env.server.map_choice.today", NOON.date)
+
 
 def best(client: TestClient) -> list[tuple[Any, ...]]:
     return [(row["name"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
@@ -28,8 +35,7 @@ def test_a_day_has_one_map_and_each_task_comes_in_turn() -> None:
 
 def test_the_front_page_flies_the_map_of_the_day(shared_client: TestClient) -> None:
     today = shared_client.get("/today").json()
-    day = datetime.now(timezone.utc)
-    assert (today["task"], today["seed"]) == map_of_the_day(day)
+    assert (today["task"], today["seed"]) == map_of_the_day(NOON)
     (query,) = re.findall(r'href="\?([^"]*)">Map of the day, (?:\d+ \w+)<', shared_client.get("/").text)
     assert query.split("&amp;") == [f"task={today['task']}", f"seed={today['seed']}", "pilot=human"]
 

@@ -131,13 +131,15 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     expect(ranges).to_be_visible()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1024, 768), (390, 844), (360, 740)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(1440, 900), (1024, 768), (390, 844), (360, 740), (844, 390), (720, 450)]
+)
 def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page], width: int, height: int) -> None:
     page = beside()
     page.set_viewport_size({"width": width, "height": height})
     page.goto("/?task=skyline_easy&seed=7&pilot=human")
     expect_step(page, 0, 60)
-    for shown in ("#battery", "#boards .map-air", "#undo"):
+    for shown in ("#battery", "#boards .map-air", "#undo", "[data-view=api]"):
         expect(page.locator(shown)).to_be_in_viewport(ratio=1)
     size = page.locator("#boards .map-air").bounding_box()
     assert size

@@ -5,6 +5,7 @@ import { el, icon } from "./dom.js";
 /** The minimum size of a cell in CSS pixels when the visitor starts to fly. */
 const BY_HAND = 22;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountBoards(root, context) {
   const { stage, camera } = context;
   const field = el("div.map-field");
@@ -56,7 +57,7 @@ function nearEnough({ stage, byHand, camera }, scale) {
   return moved;
 }
 
-/** A drag moves a map that is larger than its window. */
+/** A drag moves a map that is larger than its window. @param {Context} context */
 function listenToDrags(grid, context) {
   const { camera, stage } = context;
   let before = null;

@@ -24,16 +24,14 @@ import { mountByHand } from "./today.js";
 /**
  * Fills its element, as every `mountX(root, context, ...)` of this page does.
  *
- * @param {HTMLElement} root An empty element. @param {import("./context.js").Context} context
+ * @param {HTMLElement} root An empty element. @param {Context} context
  */
 export function mountFly(root, context) {
   const { router, stage } = context;
   const fleet = new Fleet(context);
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
-  /** Whether values are hidden: a visitor flies and has not turned them on. */
   context.secret = (track) => context.byHand(track) && !track.showsValues;
-  /** Whether a visitor flies. */
   context.byHand = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic;
 
   const plan = el("section.plan", { "aria-label": "Flight plan" });
@@ -169,14 +167,14 @@ export function mountFly(root, context) {
   function isShown() {
     const { address } = router;
     if (context.view !== "fly") return false;
-    if (fleet.shown) return fleet.phase !== "starting" && says(fleet.complete(address), fleet.setup);
+    if (fleet.shown) return !fleet.starting && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
   stage.on("change", () => isShown() && router.moment(moment()));
 }
 
-/** An error above the map; if nothing is flown, with a button that starts a flight. */
+/** An error above the map; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 function mountProblem(root, context, fleet) {
   const text = el("p.problem", { role: "alert", hidden: true });
   root.append(text);

@@ -2,7 +2,7 @@
 import { el, setText } from "./dom.js";
 import { cellName, fixed, isLost, percent, points, signed } from "./format.js";
 
-/** What counts in flight, beside the choices above the map: battery, parcels and steps. */
+/** What counts in flight, beside the choices above the map: battery, parcels and steps. @param {HTMLElement} root @param {Context} context */
 export function mountGauges(root, { stage }) {
   const battery = gauge("Battery", "battery");
   const steps = gauge("Steps", "steps");
@@ -24,6 +24,7 @@ export function mountGauges(root, { stage }) {
   });
 }
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountInstruments(root, context) {
   const { stage } = context;
   const name = el("span.eyebrow");
@@ -72,9 +73,7 @@ export function mountInstruments(root, context) {
 }
 
 /** The optimum of the map, or null. */
-function optimumOf({ annotation, frames: [{ value }] }) {
-  return annotation?.optimal_score ?? value;
-}
+const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
 
 function row(name, id, hint = null) {
   const value = el("dd", { id, text: "–" });

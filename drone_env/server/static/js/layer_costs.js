@@ -41,7 +41,7 @@ export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
   }
 }
 
-/** A note at the cell under the pointer or the finger: what it is, and what it costs. */
+/** A note at the cell under the pointer or the finger: what it is, and what it costs. @param {Context} context */
 export function mountCellNote(field, context, names) {
   const note = el("p.cell-note", { "aria-hidden": "true", hidden: true });
   field.append(note);

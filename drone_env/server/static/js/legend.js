@@ -5,7 +5,7 @@ import { drawFigure } from "./figures.js";
 const SIDE = 24;
 const OPEN_STREET_MAP = "https://www.openstreetmap.org/copyright";
 
-/** The attribution below the map. */
+/** The attribution below the map. @param {Context} context */
 export function mountCredit({ stage }) {
   const credit = el("p.credit", { hidden: true });
   document.querySelector(".boards-field").append(credit);

@@ -9,7 +9,7 @@ const KEPT = 60;
 /** Milliseconds between a new moment and its request. */
 const LOOK = 120;
 
-/** Requests the values if a layer shows them or the flight is a fork. */
+/** Requests the values if a layer shows them or the flight is a fork. @param {Context} context */
 export function mountMapValues(context) {
   const { stage, api } = context;
   const cached = new Map();
@@ -78,7 +78,7 @@ export function mountMapValues(context) {
   context.on("layers", look);
 }
 
-/** The switches of the layers. */
+/** The switches of the layers. @param {HTMLElement} root @param {Context} context */
 export function mountSwitches(root, context, acts) {
   const { stage } = context;
   const rows = LAYERS.filter(({ name }) => name).map((layer) => {

@@ -5,6 +5,7 @@ import { ARROWS, fixed, isLost, points } from "./format.js";
 const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loss", true]];
 const ACTIONS = ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"];
 
+/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountThinking(root, context, fleet, acts) {
   const { stage } = context;
   const rows = ACTIONS.map((action) => {

@@ -7,6 +7,7 @@ const NAME = "drone-env-name";
 const BEST = "drone-env-best";
 /** Maps whose best score is kept. */
 const KEPT = 200;
+/** @type {Intl.DateTimeFormatOptions} */
 const DAY = { day: "numeric", month: "long", timeZone: "UTC" };
 
 /** The name that the visitor chose, or null. The server accepts no other form. */

@@ -2,13 +2,8 @@
 
 const PERSON = /^human \((.+?)\)/;
 
-/**
- * @typedef {Object} Flown A flight from the server.
- * @property {Object} opening Its pilot and map.
- * @property {Object[]} frames Frame 0 is the start; then one per step.
- */
 export class Track {
-  /** @param {Flown} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
+  /** @param {Answer<"EpisodeView">} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
   constructor({ opening, frames }, { name, colour }, live = false) {
     this.opening = opening;
     this.pilot = opening.pilot;
@@ -22,8 +17,10 @@ export class Track {
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
-    /** The answer of `POST /annotate`, or null. */
+    /** The answer of `POST /annotate`, or null. @type {Answer<"AnalysedFlight">|null} */
     this.annotation = null;
+    /** Its record, once it is loaded. */
+    this.record = null;
     /** The summary of the stored flight, or null. */
     this.episode = null;
     /** The calls of a language model by step, or null; a retry is one more call. */
