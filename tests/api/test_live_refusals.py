@@ -110,7 +110,7 @@ def test_the_page_is_open_and_offers_the_token_as_a_subprotocol(tmp_path: Path) 
         with client.websocket_connect("/live", subprotocols=["drone-env", f"bearer.{offered}"]) as socket:
             assert socket.accepted_subprotocol == "drone-env"
             assert Page(socket).start("greedy")
-        wrong = ["drone-env", "bearer.wrong"]
+        wrong = ["drone-env", "bearer.d3Jvbmc"]
         with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live", subprotocols=wrong):
             raise AssertionError("opened")
         assert client.get("/").status_code == 200
