@@ -1,7 +1,7 @@
 """The map of a reset, and OpenEnv's task API: each task has three splits, and map i of a split is its i-th seed."""
 
 import secrets
-from datetime import date
+from datetime import date, datetime, timezone
 
 from typing_extensions import TypedDict
 
@@ -19,6 +19,11 @@ PREVIEW = 1000
 
 DAILY = ("skyline_easy", "skyline_medium", "city_small")
 """The tasks of the map of the day, in turn."""
+
+
+def today() -> date:
+    """The date (UTC)."""
+    return datetime.now(timezone.utc).date()
 
 
 def map_of_the_day(day: date) -> tuple[str, int]:

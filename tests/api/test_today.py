@@ -13,6 +13,13 @@ from drone_env.planning.optimal import solve
 from drone_env.server.map_choice import DAILY, map_of_the_day
 from tests.api.live_page import directions, flown, open_page
 
+NOON = datetime(2026, 11, 26, 12, tzinfo=timezone.utc)
+
+
+@pytest.fixture(autouse=True)
+def _same_day(monkeypatch: pytest.MonkeyPatch) -> None:  # pyright: ignore[reportUnusedFunction]
+    monkeypatch.setattr("drone_env.server.map_choice.today", NOON.date)
+
 
 def best(client: TestClient) -> list[tuple[Any, ...]]:
     return [(row["name"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
@@ -28,8 +35,7 @@ def test_a_day_has_one_map_and_each_task_comes_in_turn() -> None:
 
 def test_the_front_page_flies_the_map_of_the_day(shared_client: TestClient) -> None:
     today = shared_client.get("/today").json()
-    day = datetime.now(timezone.utc)
-    assert (today["task"], today["seed"]) == map_of_the_day(day)
+    assert (today["task"], today["seed"]) == map_of_the_day(NOON)
     (query,) = re.findall(r'href="\?([^"]*)">Map of the day, (?:\d+ \w+)<', shared_client.get("/").text)
     assert query.split("&amp;") == [f"task={today['task']}", f"seed={today['seed']}", "pilot=human"]
 
@@ -85,7 +91,7 @@ HOSTILE = [
 def test_a_name_is_one_short_word_and_not_that_of_a_pilot(shared_client: TestClient, name: object) -> None:
     with open_page(shared_client) as page:
         page.send("start", task="easy", seed=7, pilots=["human"], name=name)
-        assert page.error()["code"] == "invalid_request"
+        assert page.until("error")["code"] == "invalid_request"
 
 
 def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
@@ -94,6 +100,6 @@ def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
         assert [flight["opening"]["by"] for flight in flights] == ["greedy", "human (Åsa_7-語)"]
         assert flights[1]["opening"]["pilot"] == "human"
         page.send("undo", flight=1)
-        page.error()
+        page.until("error")
         page.send("help", flight=1)
         assert page.until("helped")["by"] == "human (Åsa_7-語) with values"

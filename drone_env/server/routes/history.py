@@ -13,9 +13,9 @@ from drone_env.core.tasks import get_task
 from drone_env.models import MAX_SEED, Count, Message, Score, Seed
 from drone_env.results.finished import Analysis, EpisodeSummary
 from drone_env.results.record import EpisodeRecord
+from drone_env.server import map_choice
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
-from drone_env.server.map_choice import map_of_the_day
 from drone_env.server.pilots import HUMAN, Provenance
 from drone_env.server.state import AppStateDep
 
@@ -93,8 +93,8 @@ def memory_logs(shared: AppStateDep) -> EpisodeSummaries:
 @router.get("/today", responses=error_responses(503))
 def today(shared: AppStateDep) -> MapOfTheDay:
     """The map of the day (UTC), equal on all servers, and the best flights by hand that ended on this day."""
-    day = datetime.now(timezone.utc).date()
-    task, seed = map_of_the_day(day)
+    day = map_choice.today()
+    task, seed = map_choice.map_of_the_day(day)
     since = datetime.combine(day, time(), timezone.utc).timestamp()
     flights = [
         FlightByHand(id=row.id, name=Provenance.parse(row.agent).name, score=row.score, steps=row.steps)

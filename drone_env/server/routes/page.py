@@ -1,13 +1,12 @@
 """The page."""
 
 import re
-from datetime import datetime, timezone
 from html import escape
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 
-from drone_env.server.map_choice import map_of_the_day
+from drone_env.server import map_choice
 from drone_env.server.page_files import PAGE, edition, is_bundled
 from drone_env.server.pilots import HUMAN
 from drone_env.server.state import AppStateDep
@@ -35,7 +34,7 @@ def page(request: Request, shared: AppStateDep) -> Response:
 
 def _today() -> str:
     """The link to the map of the day."""
-    day = datetime.now(timezone.utc)
-    task, seed = map_of_the_day(day)
+    day = map_choice.today()
+    task, seed = map_choice.map_of_the_day(day)
     link = f"?task={task}&seed={seed}&pilot={HUMAN}"
     return f'<a class="button" href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'
