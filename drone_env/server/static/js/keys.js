@@ -1,5 +1,5 @@
 // Keyboard shortcuts, the pad of buttons, and swipes on the map.
-import { el, icon } from "./dom.js";
+import { el, icon, leaveFocus } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
 const FLY = {
@@ -48,8 +48,9 @@ export function mountKeys(context, fleet, acts, help) {
   for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
 
-  // After a choice by mouse or finger, the next arrow key is for the drone, not for the form.
+  // After a choice by mouse or finger, the next key is for the drone, not for the form or the button.
   let pointed = false;
+  let clicked = false;
   let flown = "";
   document.addEventListener("pointerdown", () => {
     pointed = true;
@@ -57,12 +58,15 @@ export function mountKeys(context, fleet, acts, help) {
   });
   const leave = ({ target }, what) => pointed && target.matches(what) && target.blur();
   document.addEventListener("click", (event) => leave(event, "input[type=radio]"));
+  document.addEventListener("focusin", () => (clicked = pointed));
   document.addEventListener("change", (event) => leave(event, "select"));
 
   document.addEventListener("keydown", (event) => {
     pointed = false;
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-    if (taken(event)) return;
+    const waits = event.key === " " && clicked && fleet.byHand && context.view === "fly";
+    if (waits && event.target.matches(PRESSED)) leaveFocus();
+    else if (taken(event)) return;
     if (event.key === "?") {
       help();
       return;
@@ -82,6 +86,8 @@ export function mountKeys(context, fleet, acts, help) {
   });
 }
 
+const PRESSED = "button, summary, input[type=checkbox]";
+
 /** Whether the focused element handles the key. */
 function taken({ target, key }) {
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
@@ -89,7 +95,7 @@ function taken({ target, key }) {
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
   if (target.matches("input[type=radio]")) return arrow || key === " ";
   if (target.matches("a")) return key === "Enter";
-  return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
+  return target.matches(PRESSED) && (key === " " || key === "Enter");
 }
 
 const ARROW = {

@@ -160,9 +160,7 @@ export function linkOf(address) {
   const say = (name) => {
     if (rest[name] !== null && rest[name] !== "") parts.push(`${name}=${encodeURIComponent(rest[name])}`);
   };
-  say("episode");
-  say("task");
-  say("seed");
+  for (const name of ["episode", "task", "seed"]) say(name);
   if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
   for (const name of ["profile", "fork", "of", "actions", "step", "lesson"]) say(name);
   const url = new URL(document.baseURI);

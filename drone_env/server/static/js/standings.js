@@ -39,7 +39,7 @@ export function mountStandings(root, { stage }) {
       node.classList.toggle("selected", track === stage.track);
     }
     // Before the first step everything is possible; this is not a secret.
-    const all = Math.max(...rows.map(({ track }) => track.valueAt(0) ?? track.frames[0].score));
+    const all = Math.max(...rows.map(({ track }) => track.frames[0].value ?? track.frames[0].score));
     const rank = ({ track }) => possible(track.frameAt(cursor), all);
     const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {

@@ -147,7 +147,7 @@ function drawLine(ctx, { frames, colour }, x, y, aside, front) {
 function drawMarks(ctx, track, x, y) {
   for (const { step, label } of track.annotation?.moves ?? []) {
     const size = MARKED[label];
-    const value = track.valueAt(step);
+    const { value } = track.frames[step];
     if (!size || value === null) continue;
     ctx.fillStyle = labelColour(label);
     ctx.beginPath();

@@ -107,9 +107,4 @@ export class Track {
     }
     return this.way.path;
   }
-
-  /** The possible score at a step, or null. */
-  valueAt(step) {
-    return this.frames[step]?.value ?? null;
-  }
 }
