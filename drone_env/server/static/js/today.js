@@ -36,14 +36,16 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     value: nameOf() ?? "",
     on: { change: rename },
   });
-  root.append(head, figures, list, el("label.name-field.eyebrow", "Your name", field));
+  const refused = el("p.note", { role: "alert" });
+  root.append(head, figures, list, el("label.name-field.eyebrow", "Your name", field), refused);
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
   const own = () => (fleet.shown ? fleet.tracks[fleet.human] : undefined);
 
   function rename() {
     field.value = field.value.trim();
-    if (!field.reportValidity()) return;
+    refused.textContent = field.checkValidity() ? "" : "Use letters, digits, _ and - without spaces. You fly without a name.";
+    // An invalid name is no name, rather than the one before.
     remember(NAME, field.value);
     if (fleet.mine?.steps === 0) acts.reset();
   }
