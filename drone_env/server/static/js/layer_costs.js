@@ -13,7 +13,7 @@ function cellAt({ task, cells }, names, frame, [x, y]) {
   return { kind, closed: task.impassable.includes(kind), units: task.drain[kind], charge };
 }
 
-/** The cost of each neighbouring cell while the visitor flies: its units, a charge as `+4`, or a cross. */
+/** The cost of each neighbouring cell while the visitor flies: its units, or a cross; on a pad, the charge of a wait. */
 export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
   const { cell, left, top, scale } = layout;
   const { task } = world;
@@ -28,11 +28,12 @@ export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
     const [x, y] = [frame.x + dx, frame.y + dy];
     if (!world.cells[y]?.[x] && world.cells[y]?.[x] !== 0) continue;
     const { closed, units, charge } = cellAt(world, names, frame, [x, y]);
-    if (!dx && !dy && !charge) continue;
-    const text = closed ? "×" : charge ? `+${charge}` : String(units);
+    const waits = !dx && !dy;
+    if (waits && !charge) continue;
+    const text = closed ? "×" : waits ? `+${charge}` : String(units);
     const wide = Math.max(high, ctx.measureText(text).width + high * 0.5);
     const at = [left + x * cell + 2 * scale, top + y * cell + 2 * scale];
-    ctx.fillStyle = colourOf(closed ? "--bad" : charge ? "--good" : "--ink");
+    ctx.fillStyle = colourOf(closed ? "--bad" : waits ? "--good" : "--ink");
     ctx.beginPath();
     ctx.roundRect(...at, wide, high, high / 2);
     ctx.fill();

@@ -42,7 +42,7 @@ export function mountTimeline(root, context) {
     drawMarks(ctx, track, x, y);
     ctx.fillStyle = colourOf("--ink");
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
-    if (tracks.some(isKnown)) drawScale(ctx, y, [low, high], width);
+    if (tracks.some(({ frames }) => frames.some(({ value }) => value !== null))) drawScale(ctx, y, [low, high], width);
   }
 
   /** The width of the graph in steps; a live flight has some free steps on the right. */
@@ -121,8 +121,6 @@ function drawEvents(ctx, { frames }, x, height) {
     }
   });
 }
-
-const isKnown = ({ frames }) => frames.some(({ value }) => value !== null);
 
 /** The possible score, unless it is hidden. */
 function drawLine(ctx, { frames, colour }, x, y, aside, front) {
