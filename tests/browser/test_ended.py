@@ -79,8 +79,11 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     move = max(annotation["moves"], key=lambda move: move["regret"])
     worst, possible = move["step"], annotation["moves"][move["step"]]["value"]
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
-    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}")
+    better = f"better: {' or '.join(move['best_actions'])}"
+    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}; {better}")
     seen.click()
+    expect_frame(page, flight[worst - 1], 60)
+    page.keyboard.press("ArrowRight")
     expect_frame(page, flight[worst], 60)
     expect(page.locator("#score")).to_have_text(points(possible))
     expect(page.locator("#lost")).to_have_text(points(annotation["optimal_score"] - possible))

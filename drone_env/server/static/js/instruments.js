@@ -56,7 +56,7 @@ export function mountInstruments(root, context) {
     head.hidden = context.secret(track);
     setText(name, frame.done ? "Score" : "Still possible");
     setText(score, points(frame.done ? frame.score : frame.value));
-    const best = optimumOf(track);
+    const best = track.annotation?.optimal_score ?? track.frames[0].value;
     setText(optimum, best === null ? "" : `of ${points(best)}${frame.done ? " possible" : ""}`);
     setText(lost.value, points(frame.regret));
     lost.value.dataset.some = String(isLost(frame.regret));
@@ -71,9 +71,6 @@ export function mountInstruments(root, context) {
   stage.on("change", draw);
   draw();
 }
-
-/** The optimum of the map, or null. */
-const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
 
 function row(name, id, hint = null) {
   const value = el("dd", { id, text: "–" });

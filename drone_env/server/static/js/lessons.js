@@ -21,10 +21,10 @@ function worstStep({ frames }) {
   return frames.reduce((worst, _, i) => (isLost(lost(i)) && lost(i) > lost(worst) ? i : worst), 0);
 }
 
-/** Whether the page shows the worst move of this pilot, or the step before, and does not play. */
-function atWorst({ track, clock }, pilot) {
+/** Whether the page shows the step before the worst move of this pilot, and does not play. */
+function beforeWorst({ track, clock }, pilot) {
   const worst = track?.done && track.pilot === pilot ? worstStep(track) : 0;
-  return worst > 0 && !clock.playing && (clock.cursor === worst || clock.cursor === worst - 1);
+  return worst > 0 && !clock.playing && clock.cursor === worst - 1;
 }
 
 /** @type {Lesson[]} */
@@ -46,14 +46,15 @@ export const LESSONS = [
     title: "See what a move loses",
     text:
       "Greedy always flies to the nearest parcel. The optimum of this map is 96.8; Greedy scores 53.3, " +
-      "and loses the difference in a single move. Let it fly, then find that move in the graph below the " +
-      "map. The drone is above a pad there, and waiting charges the battery. Press Try from here.",
+      "and loses the difference in a single move. Let it fly, then click the red dot in the graph: the score falls " +
+      "with that move. Go one step back (←): the drone is above a pad, and waiting charges the battery. " +
+      "Press Try from here, wait twice (Space), and fly on.",
     address: { view: "fly", task: "skyline_easy", seed: 88, pilots: ["greedy"] },
     goals: [
       { text: "Let Greedy finish", done: (stage) => by("greedy", stage).some((track) => track.done) },
-      { text: "Go to its blunder in the graph", done: (stage) => atWorst(stage, "greedy") },
+      { text: "Go to the step before its blunder", done: (stage) => beforeWorst(stage, "greedy") },
       {
-        text: "Fork the flight and deliver all parcels",
+        text: "Try from there and deliver all parcels",
         done: mine((track) => track.by.includes(" from step ") && delivers(track)),
       },
     ],
@@ -109,8 +110,6 @@ function goalItem(number, goal) {
   );
 }
 
-const isOver = ({ task, seed }, { address }) => task.short_name === address.task && seed === address.seed;
-
 /** @param {HTMLElement} root @param {Context} context */
 export function mountLesson(root, { router, stage }) {
   root.setAttribute("aria-label", "Lesson");
@@ -122,7 +121,8 @@ export function mountLesson(root, { router, stage }) {
     const number = router.address.lesson;
     const lesson = LESSONS[number - 1];
     const { world } = stage;
-    root.hidden = !lesson || (world && !isOver(world, lesson));
+    const { task, seed } = lesson?.address ?? {};
+    root.hidden = !lesson || (world && (world.task.short_name !== task || world.seed !== seed));
     if (root.hidden) return;
     if (shown !== number) draw(number, lesson);
     lesson.goals.forEach(({ done }, goal) => {

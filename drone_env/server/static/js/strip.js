@@ -9,7 +9,7 @@ export function mountStrip(root, context, fleet, acts) {
   let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
-  const see = el("button.link", { id: "worst", title: "Show this move", press: () => stage.clock.goTo(worst.step) });
+  const see = el("button.link", { id: "worst", title: "Show the step before this move", press: () => stage.clock.goTo(worst.step - 1) });
   const tryIt = el("button.button.small", {
     id: "try-worst",
     press: () => {
@@ -50,7 +50,10 @@ export function mountStrip(root, context, fleet, acts) {
     tryIt.hidden = !again.hidden;
     if (worst) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
-      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}`);
+      // After the last parcel, nothing but charge can gain.
+      const first = worst.step === track.steps && last.outcome === "delivered" ? ", to charge first" : "";
+      const better = `better: ${worst.best_actions.join(" or ")}${first}`;
+      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${better}`);
     }
     const after = nextTask(context.families, stage.world.task);
     setText(next, `Next: ${title(after.short_name)}`);
