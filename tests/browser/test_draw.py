@@ -68,7 +68,8 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     press(page, "Fly it")
     expect_step(page, 0, 120)
     assert f"task={file.stem}&seed=0&pilot=human" in page.url
-    expect(page.locator(".plan-head")).to_contain_text(f"Drawn map {file.stem[6:10]}")
+    expect(page.locator(".plan-head")).to_have_text(f"Drawn map {file.stem[6:10]} · You")
+    expect(page.get_by_role("button", name="New map")).to_be_hidden()
     choices(page).get_by_role("link", name="Edit this map").click()
     expect(score).to_have_text(shown)
     expect(paint.get_by_role("radio", name="Move")).to_be_checked()

@@ -79,8 +79,8 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     move = max(annotation["moves"], key=lambda move: move["regret"])
     worst, possible = move["step"], annotation["moves"][move["step"]]["value"]
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
-    better = f"better: {' or '.join(move['best_actions'])}"
-    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}; {better}")
+    best = f"best: {' or '.join(move['best_actions'])}"
+    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}; {best}")
     seen.click()
     expect_frame(page, flight[worst - 1], 60)
     page.keyboard.press("ArrowRight")

@@ -1,5 +1,6 @@
 // The actions of Fly, for buttons and keys.
 import { ask, leaveFocus } from "./dom.js";
+import { variants } from "./format.js";
 import { SPEEDS } from "./stage.js";
 
 /** @param {Context} context @param {Fleet} fleet */
@@ -48,7 +49,7 @@ export function actionsOf(context, fleet) {
     },
     undo: () => fleet.undo(),
     reset: () => start({}),
-    newMap: () => start({ seed: null }),
+    newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
     fork(options) {
       const { track } = stage;

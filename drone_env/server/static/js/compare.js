@@ -92,7 +92,6 @@ class Compare {
     return this.context.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name));
   }
 
-  /** Reloads everything. */
   async load() {
     const request = ++this.request;
     const { api, router, tasks } = this.context;

@@ -71,7 +71,6 @@ export function loaded(element) {
   });
 }
 
-/** Downloads a file. */
 export function download(name, blob) {
   const url = URL.createObjectURL(blob);
   const link = el("a", { href: url, download: name });
@@ -116,12 +115,10 @@ export function toast(text) {
   setTimeout(() => node.remove(), 4000);
 }
 
-/** Announces a text to screen readers. */
 export function announce(text) {
   document.getElementById("announcer").textContent = text;
 }
 
-/** Copies a text to the clipboard. */
 export async function copyText(text, message) {
   try {
     await navigator.clipboard.writeText(text);

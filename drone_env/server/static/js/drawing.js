@@ -144,7 +144,6 @@ export class Drawing extends Emitter {
     this.emit("map");
   }
 
-  /** Restores the map before the last change. */
   undo() {
     this.end();
     if (!this.past.length) return;

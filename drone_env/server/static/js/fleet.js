@@ -138,7 +138,6 @@ export class Fleet extends Emitter {
     return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
   }
 
-  /** The name and the colour of a pilot. */
   look(id) {
     const { name, colour } = this.pilot(id);
     return { name, colour: `--pilot-${colour}` };
@@ -148,7 +147,6 @@ export class Fleet extends Emitter {
     return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
   }
 
-  /** Whether a pilot can fly a task. */
   flies(id, task = this.task()) {
     return !task || this.pilot(id).tasks.includes(task.id);
   }
@@ -278,7 +276,6 @@ export class Fleet extends Emitter {
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
   }
 
-  /** Takes the visitor's last move back. */
   undo() {
     if (this.own) this.context.live.send({ type: "undo", flight: this.human });
   }

@@ -28,6 +28,9 @@ const EMPTY = "Battery empty";
 
 const DRAWN = /^drawn_[0-9a-f]{12}$/;
 
+/** Whether a task has more than one map: a drawn one has not. */
+export const variants = (task) => task?.family !== "drawn";
+
 /** `skyline_hard` -> `Skyline Hard`, `drawn_aadbbe374784` -> `Drawn map aadb`. */
 export function title(name) {
   if (name === "battery_dead") return EMPTY;

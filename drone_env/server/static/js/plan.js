@@ -1,6 +1,6 @@
 // The flight plan: task, map and pilots.
 import { el, leaveFocus, setText } from "./dom.js";
-import { title } from "./format.js";
+import { title, variants } from "./format.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
 export function mountPlan(root, context, fleet, acts) {
@@ -59,7 +59,7 @@ export function mountPlan(root, context, fleet, acts) {
       value: pilot.id,
       "aria-label": `Add ${pilot.name}`,
       title: "Add to the flight",
-      on: { change: () => choosePilots(withOrWithout(chosen(), pilot.id)) },
+      on: { change: () => choosePilots([...chosen().filter((id) => id !== pilot.id), ...(box.checked ? [pilot.id] : [])]) },
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
     const row = el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
@@ -91,7 +91,9 @@ export function mountPlan(root, context, fleet, acts) {
     const task = past ? stage.world.task : fleet.task();
     const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.pilot(id).name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
-    setText(heading, [task ? title(task.short_name) : setup.task, `map ${map}`, names.join(", ")].join(" · "));
+    fresh.hidden = form.firstChild.hidden = seed.hidden = !variants(task);
+    const number = fresh.hidden ? [] : [`map ${map}`];
+    setText(heading, [task ? title(task.short_name) : setup.task, ...number, names.join(", ")].join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
     setText(note, task ? taskNote(task) : "");
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
@@ -115,8 +117,6 @@ export function mountPlan(root, context, fleet, acts) {
   update();
   return choices;
 }
-
-const withOrWithout = (ids, id) => (ids.includes(id) ? ids.filter((other) => other !== id) : [...ids, id]);
 
 function taskNote(task) {
   const parcels = task.deliveries === 1 ? "one parcel" : `${task.deliveries} parcels`;

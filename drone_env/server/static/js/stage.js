@@ -126,7 +126,6 @@ export class Stage extends Emitter {
     this.flying = false;
   }
 
-  /** The selected flight. */
   get track() {
     return this.tracks[this.selected] ?? null;
   }
@@ -177,7 +176,6 @@ export class Stage extends Emitter {
     this.tell("selected");
   }
 
-  /** Redraws a flight with new frames or values. */
   changed(track) {
     if (!this.tracks.includes(track)) return;
     this.tell("frames");

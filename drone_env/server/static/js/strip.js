@@ -52,12 +52,12 @@ export function mountStrip(root, context, fleet, acts) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
       // After the last parcel, nothing but charge can gain.
       const first = worst.step === track.steps && last.outcome === "delivered" ? ", to charge first" : "";
-      const better = `better: ${worst.best_actions.join(" or ")}${first}`;
-      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${better}`);
+      const best = `best: ${worst.best_actions.join(" or ")}${first}`;
+      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${best}`);
     }
     const after = nextTask(context.families, stage.world.task);
     setText(next, `Next: ${title(after.short_name)}`);
-    next.hidden = last.outcome !== "delivered";
+    next.hidden = last.outcome !== "delivered" || after === stage.world.task;
     if (announced === track) return;
     announced = track;
     analysis.hidden = Boolean(track.past);

@@ -55,7 +55,6 @@ export class Track {
     return this.colour !== "--pilot-other";
   }
 
-  /** The newest frame. */
   get last() {
     return this.frames.at(-1);
   }
