@@ -80,6 +80,7 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     along(page, "Random").press(" ")
     other, person = (standings(page).filter(has_text=name) for name in ("Random", "You"))
     expect(other.get_by_role("cell").nth(3)).to_have_text("0.0")
+    expect(page.locator(".plan-choices")).to_be_visible()
     expect(page.locator(".hint")).to_contain_text("Press Start (Enter) to start the race.")
     press(page, "Step")
     expect(standings(page).get_by_role("rowheader")).to_have_text(["You", "Random"])
@@ -189,7 +190,10 @@ def test_cells_show_what_they_cost_beside_the_drone_and_under_the_pointer(page: 
     expect_step(page, 0, 60)
     # Beside the drone are a pad and an obstacle.
     air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
-    until(page, lambda: painted(air, "--good", "--bad") == ["--good", "--bad"])
+    until(page, lambda: painted(air, "--good", "--bad") == ["--bad"])
+    # A pad charges only above it.
+    page.keyboard.press("ArrowLeft")
+    until(page, lambda: painted(air, "--good") == ["--good"])
     box = air.bounding_box()
     assert box
     words: set[str] = set()

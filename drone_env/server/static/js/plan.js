@@ -12,9 +12,10 @@ export function mountPlan(root, context, fleet, acts) {
   const choices = el("div.plan-choices", tasks, pilots, form);
   const details = el("details.plan-details", heading, choices);
   root.append(details, el("div.plan-ways", fresh, copy));
+  const ask = document.getElementById("ask");
   const close = () => (details.open = false);
   const inside = (target) => target instanceof Node && details.contains(target);
-  document.addEventListener("pointerdown", ({ target }) => inside(target) || close());
+  document.addEventListener("pointerdown", ({ target }) => inside(target) || ask.contains(target) || close());
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "Escape" || !details.open) return;
     if (inside(target)) heading.focus();
@@ -51,7 +52,14 @@ export function mountPlan(root, context, fleet, acts) {
     const name = el("button.pilot-name", {
       text: pilot.name,
       "aria-describedby": `about-${pilot.id}`,
-      press: () => choosePilots([pilot.id]),
+      press() {
+        if (!pilot.automatic) {
+          // The next arrow key is for the drone, not for this button.
+          leaveFocus();
+          close();
+        }
+        choosePilots([pilot.id]);
+      },
     });
     const box = el("input", {
       type: "checkbox",
@@ -69,14 +77,7 @@ export function mountPlan(root, context, fleet, acts) {
   const isPast = () => Boolean(stage.world) && !fleet.shown;
   const chosen = () => (isPast() ? [] : fleet.setup.pilots);
 
-  function choosePilots(ids) {
-    // The next arrow key is for the drone, not for this button.
-    if (ids.includes(fleet.person.id)) {
-      leaveFocus();
-      close();
-    }
-    acts.start({ pilots: ids }).finally(update);
-  }
+  const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
   /** Drops pilots that cannot fly the task; their rows state why. */
   function chooseTask(task) {
