@@ -64,6 +64,17 @@ def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, serv
     page.reload()
     expect_frame(page, flights[0][6], 100)
     expect(page.get_by_role("button", name="Resume", exact=True)).to_be_enabled()
+    # Of flights that have ended it says the end, and which one is selected.
+    fly(page, "Resume")
+    ended(page)
+    page.keyboard.press("2")
+    slider(page).fill("5")
+    steps = max(map(len, flights)) - 1
+    expect(page).to_have_url(re.compile(f"&step=5&selected=2&ended={steps}$"))
+    page.reload()
+    expect_frame(page, flights[1][5], 100)
+    expect(page.locator("#standings tr.selected")).to_contain_text("Random")
+    expect(page.locator("#results-title")).to_contain_text("Random: ")
 
 
 def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page: Page, server: Server) -> None:

@@ -78,6 +78,10 @@ interface Address {
   actions: string | null;
   /** The pilot before the fork; without a fork, the visitor as the record names him. */
   of: string | null;
+  /** The selected flight, from 1; by default the visitor's, or else the first. */
+  selected: number | null;
+  /** The newest step of flights that have all ended, if the page shows an earlier one. */
+  ended: number | null;
   /** From 1. */
   lesson: number | null;
   /** Parts with invalid values. */

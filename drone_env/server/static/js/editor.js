@@ -162,7 +162,6 @@ export function mount(root, context) {
     drawBest();
   }
 
-  /** Draws the optimal path. */
   function drawBest() {
     if (stage.track) {
       /** @type {any} */

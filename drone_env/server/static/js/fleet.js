@@ -111,15 +111,26 @@ export class Fleet extends Emitter {
     return this.starting ? this.flown.includes(this.person.id) : this.mine !== null;
   }
 
-  /** The part of the address from which a fork or the visitor's flight continues: its moves, and their pilot. */
+  /** The flight that is selected unless the address says otherwise. */
+  get front() {
+    return this.forked ?? this.tracks[this.human] ?? this.beside[0] ?? this.tracks[0];
+  }
+
+  /** The part of the address from which a fork or the visitor's flight continues, and the choice among the flights. */
   get linkParts() {
     if (!this.shown) return {};
+    const { selected, clock } = this.stage;
     const track = this.forked ?? this.mine;
-    if (!track) return { actions: null, of: null };
+    const chosen = {
+      selected: this.stage.track === this.front ? null : selected + 1,
+      // While the page looks back, the step says nothing of the end.
+      ended: this.over && !clock.following ? clock.newest() : null,
+    };
+    if (!track) return { actions: null, of: null, ...chosen };
     const { unnamed: by, pilot, steps } = track;
     const actions = lettersOf(track.actionsTo(steps));
-    if (this.forked) return { actions };
-    return { actions, of: steps || by !== pilot ? by : null };
+    if (this.forked) return { actions, ...chosen };
+    return { actions, of: steps || by !== pilot ? by : null, ...chosen };
   }
 
   /** The pilot entry of the visitor. */
@@ -176,7 +187,7 @@ export class Fleet extends Emitter {
    */
   start(change = {}, how = {}) {
     const { play = false, beside = [], flown = null, moves = [] } = how;
-    const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
+    const nothing = { fork: null, actions: null, of: null, step: null, selected: null, ended: null, episode: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
       toast("The server is away. Your flight is kept; start another one when the server is back.");
@@ -196,12 +207,12 @@ export class Fleet extends Emitter {
 
   /** Sends the present setup to the server. */
   send() {
-    const { task, seed, profile, fork, actions, of, step } = this.setup;
+    const { task, seed, profile, fork, actions, of, step, ended } = this.setup;
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
       request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
-    else if (step) request.step = step;
+    else if (ended ?? step) request.step = ended ?? step;
     this.context.live.send({ type: "start", number: ++this.number, ...request });
   }
 
@@ -300,7 +311,7 @@ export class Fleet extends Emitter {
     const { state, starting } = this;
     const wasShown = this.shown || starting;
     this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
-    const { fork, step } = this.setup;
+    const { fork, step, selected: chosen } = this.setup;
     if (fork !== null) this.tracks.at(-1).forkedAt = fork;
     for (const track of this.beside) track.live = false;
     // An answer to an older request does not change the setup.
@@ -316,7 +327,7 @@ export class Fleet extends Emitter {
     // After a lost connection, the page shows what it showed before.
     const attached = state === "attaching" || state === "returning";
     if (wasShown && attached) this.show(clock.following ? null : clock.cursor, selected);
-    else if (wasShown) this.show(step);
+    else if (wasShown) this.show(step, chosen - 1);
     this.emit("setup");
     this.emit("begun");
     if (!newest) return;
@@ -330,10 +341,9 @@ export class Fleet extends Emitter {
   /** Puts these flights on the stage, at their newest step by default. */
   show(step = null, selected = null) {
     const tracks = [...this.beside, ...this.tracks];
-    const front = this.forked ?? this.tracks[this.human] ?? tracks[0];
     this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
       step: step ?? Math.max(...this.tracks.map((track) => track.steps)),
-      selected: selected ?? tracks.indexOf(front),
+      selected: tracks[selected] ? selected : tracks.indexOf(this.front),
       followed: this.tracks,
     });
   }

@@ -86,7 +86,7 @@ export function mountFly(root, context) {
   function moment() {
     const { cursor, following } = stage.clock;
     const moves = fleet.linkParts;
-    return { ...moves, step: (moves.actions ? following : cursor === 0) ? null : cursor };
+    return { ...moves, step: (moves.actions ? following : cursor === 0 && !moves.ended) ? null : cursor };
   }
 
   // The bare address shows a recorded flight above the map, which waits to be flown.
@@ -148,7 +148,7 @@ export function mountFly(root, context) {
     const wanted = greets() ? greeted() : fleet.complete(address);
     const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(wanted, fleet.setup));
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
-    else if (flown) fleet.show(address.step);
+    else if (flown) fleet.show(address.step, address.selected - 1);
     else if (!address.episode) fleet.start(wanted);
     else {
       await open(async () => {

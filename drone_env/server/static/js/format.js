@@ -48,10 +48,8 @@ const OUTCOMES = {
   out_of_steps: "Out of steps",
 };
 
-/** A kind of cell in words. */
 export const cellName = (name) => ({ delivery: "Parcel", delivered: "Delivered parcel" })[name] ?? title(name);
 
-/** The outcome of a frame or an episode in words. */
 export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 
 /** Whether a loss is visible with one decimal. */

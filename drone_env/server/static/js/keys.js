@@ -65,7 +65,7 @@ export function mountKeys(context, fleet, acts, help) {
     pointed = false;
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
     const waits = event.key === " " && clicked && fleet.byHand && context.view === "fly";
-    if (waits && event.target.matches(PRESSED)) leaveFocus();
+    if (waits && isPressed(event)) leaveFocus();
     else if (taken(event)) return;
     if (event.key === "?") {
       help();
@@ -86,16 +86,17 @@ export function mountKeys(context, fleet, acts, help) {
   });
 }
 
-const PRESSED = "button, summary, input[type=checkbox]";
+const isPressed = ({ target }) => target.matches("button, summary, input[type=checkbox]");
 
 /** Whether the focused element handles the key. */
-function taken({ target, key }) {
+function taken(event) {
+  const { target, key } = event;
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
   if (target.matches("input[type=radio]")) return arrow || key === " ";
   if (target.matches("a")) return key === "Enter";
-  return target.matches(PRESSED) && (key === " " || key === "Enter");
+  return isPressed(event) && (key === " " || key === "Enter");
 }
 
 const ARROW = {

@@ -32,7 +32,6 @@ export class Past {
     this.askForCalls(track);
   }
 
-  /** A stored flight as a track. */
   async stored(id) {
     const { api } = this.context;
     const record = await api.get(`episodes/${encodeURIComponent(id)}`);

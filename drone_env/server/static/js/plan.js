@@ -8,14 +8,14 @@ export function mountPlan(root, context, fleet, acts) {
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed, fresh, edit, copy, typing } = mapForm(context, fleet, acts, () => update());
+  const { form, label, seed, fresh, edit, copy, typing } = mapForm(context, fleet, acts, () => update());
   const choices = el("div.plan-choices", tasks, pilots, form);
   const details = el("details.plan-details", heading, choices);
   root.append(details, el("div.plan-ways", fresh, copy));
   const ask = document.getElementById("ask");
   const close = () => (details.open = false);
-  const inside = (target) => target instanceof Node && details.contains(target);
-  document.addEventListener("pointerdown", ({ target }) => inside(target) || ask.contains(target) || close());
+  const inside = (target) => target instanceof Node && [details, ask].some((one) => one.contains(target));
+  document.addEventListener("pointerdown", ({ target }) => inside(target) || close());
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "Escape" || !details.open) return;
     if (inside(target)) heading.focus();
@@ -92,7 +92,7 @@ export function mountPlan(root, context, fleet, acts) {
     const task = past ? stage.world.task : fleet.task();
     const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.pilot(id).name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
-    fresh.hidden = form.firstChild.hidden = seed.hidden = !variants(task);
+    fresh.hidden = label.hidden = seed.hidden = !variants(task);
     const number = fresh.hidden ? [] : [`map ${map}`];
     setText(heading, [task ? title(task.short_name) : setup.task, ...number, names.join(", ")].join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
@@ -156,5 +156,5 @@ function mapForm({ router, stage }, fleet, acts, update) {
   const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
   const form = el("form.map-form", { on: { submit } }, label, seed, edit);
-  return { form, seed, fresh, edit, copy, typing: () => typed };
+  return { form, label, seed, fresh, edit, copy, typing: () => typed };
 }

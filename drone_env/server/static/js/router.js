@@ -31,7 +31,6 @@ export class Router extends Emitter {
     this.go(view === "fly" ? this.flight : { view });
   }
 
-  /** Follows a link of this page. */
   follow(href) {
     this.go(read(new URL(href)));
   }
@@ -69,7 +68,6 @@ export class Router extends Emitter {
     history.replaceState(null, "", linkOf(this.address));
   }
 
-  /** Copies the link to this moment. */
   copy() {
     copyText(linkOf(this.address).href, "Link copied.");
   }
@@ -96,6 +94,8 @@ export const NOTHING = {
   fork: null,
   actions: null,
   of: null,
+  selected: null,
+  ended: null,
   lesson: null,
   unread: [],
 };
@@ -132,6 +132,7 @@ function read({ search }) {
   const view = VIEWS.has(named) ? named : "fly";
   if (view !== named) unread.push(`view=${named}`);
   const [step, fork, lesson] = [count("step"), count("fork"), count("lesson", 1)];
+  const [selected, ended] = [count("selected", 1), count("ended")];
   // Without its step, a fork has no moves: they would be the visitor's own.
   const forkless = link.get("fork") && fork === null;
   return {
@@ -146,6 +147,8 @@ function read({ search }) {
     fork,
     actions: forkless ? null : text("actions"),
     of: forkless ? null : text("of"),
+    selected,
+    ended,
     lesson,
     unread,
   };
@@ -162,7 +165,7 @@ export function linkOf(address) {
   };
   for (const name of ["episode", "task", "seed"]) say(name);
   if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
-  for (const name of ["profile", "fork", "of", "actions", "step", "lesson"]) say(name);
+  for (const name of ["profile", "fork", "of", "actions", "step", "selected", "ended", "lesson"]) say(name);
   const url = new URL(document.baseURI);
   url.search = parts.join("&");
   url.hash = "";

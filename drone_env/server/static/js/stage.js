@@ -157,7 +157,6 @@ export class Stage extends Emitter {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
-  /** Shows a map with flights. */
   show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {
     this.world = world;
     this.tracks = tracks;
@@ -168,7 +167,6 @@ export class Stage extends Emitter {
     this.tell("load");
   }
 
-  /** Selects another flight. */
   select(i) {
     if (i === this.selected || !this.tracks[i]) return;
     this.selected = i;
