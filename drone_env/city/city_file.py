@@ -101,7 +101,7 @@ class City:
             check_bbox(self.bbox)
         _require(len(self.parcels) <= MAX_DELIVERIES, f"at most {MAX_DELIVERIES} parcels, got {len(self.parcels)}")
         stops = {"start": self.start} if self.start is not None else {}
-        stops.update({f"parcel {i}": parcel for i, parcel in enumerate(self.parcels)})
+        stops.update({f"parcel {i}": parcel for i, parcel in enumerate(self.parcels, 1)})
         _require(len({*stops.values()}) == len(stops), "start and parcels must be on distinct cells")
         connected = pieces(self.grid == Cell.OBSTACLE)
         origin = next(iter(stops), "")

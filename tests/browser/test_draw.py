@@ -43,7 +43,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     page.locator("#drawing").focus()
     for key in ("7", "ArrowDown", "ArrowDown", "ArrowRight", "Space"):
         page.keyboard.press(key)
-    expect(note).to_have_text("All 2 parcels in 13 steps")
+    expect(note).to_have_text("Both parcels in 13 steps")
     battery = page.get_by_role("spinbutton", name="Battery")
     battery.fill("14")
     battery.press("Enter")

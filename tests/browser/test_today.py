@@ -72,7 +72,7 @@ def test_a_cell_shows_the_value_of_each_action_and_a_scale(page: Page, server: S
     rows = [value for row in values["cells"]["values"] for value in row if value is not None]
     page.keyboard.press("v")
     try:
-        expect(page.locator(".scale")).to_have_text(f"{points(max(rows))} possiblelost {points(max(rows) - min(rows))}")
+        expect(page.locator(".scale")).to_have_text(f"best cell {points(max(rows))}worst {points(min(rows))}")
         air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
         box = air.bounding_box()
         assert box

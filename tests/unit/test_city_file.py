@@ -90,7 +90,7 @@ ALL = f"format = 1\n{ROWS}"
         (f"start = [3, 0]\n{ALL}", "start [3, 0] is outside the 3 x 3 cells"),
         (f"start = [1, 1]\n{ALL}", "start [1, 1] must be on a road"),
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),
-        (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "parcel 1 [2, 2] cannot be reached from parcel 0"),
+        (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "parcel 2 [2, 2] cannot be reached from parcel 1"),
         (f"parcels = {[[0, 0]] * 17}\n{ALL}", "at most 16 parcels, got 17"),
         (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide.[key]: Input should be 'width', 'height'"),
         ("format = ", "invalid TOML"),

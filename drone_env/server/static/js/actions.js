@@ -1,5 +1,5 @@
 // The actions of Fly, for buttons and keys.
-import { ask, leaveFocus } from "./dom.js";
+import { ask, leaveFocus, toast } from "./dom.js";
 import { variants } from "./format.js";
 import { SPEEDS } from "./stage.js";
 
@@ -64,7 +64,10 @@ export function actionsOf(context, fleet) {
     },
     /** Shows or hides a layer. If the visitor flies, the record notes that values were shown. */
     flick(layer) {
-      if (layer.when && !layer.when(stage)) return;
+      if (layer.when && !layer.when(stage)) {
+        toast(`${layer.name} cannot be shown here now.`);
+        return;
+      }
       const shown = !context.shows(layer.id);
       context.showLayer(layer.id, shown);
       if (shown && layer.needsValues) fleet.help();

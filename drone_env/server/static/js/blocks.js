@@ -47,12 +47,23 @@ export function drawBlocks(ctx, { world, layout, names }) {
   ctx.restore();
   outlined(trees, "--block-wood", "--block-crown");
   if (fine) paint(crowns, "--block-crown");
+  // Roofs and shadows stay in the map, and roofs above their own cells.
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(0, 0, world.width, world.height);
+  ctx.clip();
   place(SHADOW, SHADOW);
   for (const tone of buildings) paint(tone, "--map-shade");
+  ctx.restore();
   place();
-  for (const tone of buildings) paint(tone, "--block-wall");
-  place(0, -HEIGHT);
-  buildings.forEach((tone, i) => outlined(tone, `--block-roof-${i + 1}`, "--block-edge"));
+  for (const tone of buildings) outlined(tone, "--block-wall", "--block-edge");
+  buildings.forEach((tone, i) => {
+    ctx.save();
+    ctx.clip(tone);
+    place(0, -HEIGHT);
+    outlined(tone, `--block-roof-${i + 1}`, "--block-edge");
+    ctx.restore();
+  });
   ctx.setTransform(1, 0, 0, 1, 0, 0);
   ctx.globalAlpha = fine ? 0.35 : 0;
   drawGrid(ctx, world, layout);
@@ -91,7 +102,6 @@ function shapesOf(world, names) {
   return found;
 }
 
-/** Three trees in a cell. */
 function addCrowns(path, x, y) {
   const some = variety(x, y);
   for (let i = 0; i < 3; i++) {

@@ -66,6 +66,9 @@ function sentence(track, step, { world }) {
   const frame = track.frameAt(step);
   const of = track.done ? track.steps : world.maxSteps;
   const parts = [`Step ${frame.step} of ${of}`];
-  if (frame.action) parts.push(frame.action, title(frame.event), `reward ${signed(frame.reward)}`);
+  if (!frame.action) return parts[0];
+  parts.push(frame.action);
+  if (frame.event !== "wait") parts.push(title(frame.event));
+  parts.push(`reward ${signed(frame.reward)}`);
   return parts.join(" · ");
 }

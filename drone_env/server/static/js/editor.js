@@ -136,7 +136,6 @@ export function mount(root, context) {
   }
 
   // Drawing.
-  /** Shows another map, or another size. */
   function show() {
     turns();
     draw();
@@ -267,7 +266,6 @@ export function mount(root, context) {
     }
   }
 
-  /** Replaces the drawing, or clears it. */
   function become(wanted, found) {
     key = wanted;
     worth.answer = null;

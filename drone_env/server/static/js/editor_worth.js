@@ -75,6 +75,6 @@ function inWords(optimum, bounds, parcels) {
     return `This map is too large for the exact solver: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
   }
   const steps = optimum.steps === 1 ? "step" : "steps";
-  if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
+  if (optimum.success) return `${["The parcel", "Both parcels"][parcels - 1] ?? `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
   return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
 }

@@ -29,7 +29,6 @@ export class Fleet extends Emitter {
     this.tracks = [];
     /** @type {FleetState} */
     this.state = "idle";
-    /** The number of the newest request. */
     this.number = 0;
     /** Finished flights that are shown beside them. @type {Track[]} */
     this.beside = [];
@@ -83,7 +82,6 @@ export class Fleet extends Emitter {
     return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
 
-  /** The fork, or null. */
   get forked() {
     return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
   }
@@ -133,7 +131,6 @@ export class Fleet extends Emitter {
     return { actions, of: steps || by !== pilot ? by : null, ...chosen };
   }
 
-  /** The pilot entry of the visitor. */
   get person() {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
@@ -205,7 +202,6 @@ export class Fleet extends Emitter {
     if (live.state === "open") this.send();
   }
 
-  /** Sends the present setup to the server. */
   send() {
     const { task, seed, profile, fork, actions, of, step, ended } = this.setup;
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };

@@ -101,11 +101,13 @@ export function mountSwitches(root, context, acts) {
     scale.hidden = !cells?.values || !context.shows("values");
     if (!scale.hidden) {
       const { most, least } = spanOf(cells.values);
-      setText(scale.firstChild, `${points(most)} possible`);
-      setText(scale.lastChild, `lost ${points(most - least)}`);
+      setText(scale.firstChild, `best cell ${points(most)}`);
+      setText(scale.lastChild, `worst ${points(least)}`);
     }
-    const faultless = context.shows("network") && cells?.disagree && !cells.disagree.flat().some(Boolean);
-    setText(note, unsolved ?? (faultless ? "The network makes no mistake here." : ""));
+    const disagree = context.shows("network") ? cells?.disagree : null;
+    const errs = disagree?.flat().some(Boolean);
+    const seen = errs ? "Red: the network's move from this cell loses points." : "The network makes no mistake here.";
+    setText(note, unsolved ?? (disagree ? seen : ""));
   }
 
   stage.on("change", draw);

@@ -34,7 +34,6 @@ export class Clock {
     this.cursor = this.position = 0;
     /** Whether the page shows new steps as they arrive. */
     this.following = true;
-    /** Whether a replay runs. */
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
@@ -54,7 +53,6 @@ export class Clock {
     this.moved();
   }
 
-  /** Stops a replay and goes to a step. */
   goTo(step) {
     this.stop();
     this.seek(step);
@@ -152,7 +150,6 @@ export class Stage extends Emitter {
     return this.values && this.values.key === this.moment ? this.values.answer : null;
   }
 
-  /** Whether all flights have ended. */
   get over() {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }

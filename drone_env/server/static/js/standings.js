@@ -2,7 +2,7 @@
 import { el, setText, table } from "./dom.js";
 import { outcome, points } from "./format.js";
 
-const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Possible", true], ["Lost", true]];
+const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Lost", true]];
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountStandings(root, { stage }) {
@@ -31,7 +31,7 @@ export function mountStandings(root, { stage }) {
       const texts = [
         String(frame.step),
         `${frame.deliveries_done}/${stage.world.parcels.length}`,
-        points(frame.done ? frame.score : frame.value),
+        frame.done ? points(frame.score) : frame.value === null ? points(null) : `up to ${points(frame.value)}`,
         points(frame.regret),
       ];
       texts.forEach((text, i) => setText(cells[i], text));
