@@ -1,7 +1,7 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
 import { announce, el, leaveFocus, setText } from "./dom.js";
 import { lettersOf } from "./fleet.js";
-import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
+import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
@@ -50,7 +50,7 @@ export function mountStrip(root, context, fleet, acts) {
     tryIt.hidden = !again.hidden;
     if (worst) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
-      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}`);
+      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; best: ${worst.best_actions.join(" or ")}`);
     }
     const after = nextTask(context.families, stage.world.task);
     setText(next, `Next: ${title(after.short_name)}`);
@@ -79,17 +79,19 @@ export function mountStrip(root, context, fleet, acts) {
 /** The efficiency with its parts: `Efficiency 87.5 of 100: parcels 100 % (weight 75), ...`. */
 function efficiencyOf({ efficiency, efficiency_parts: parts }) {
   const words = parts.map(({ name, weight, share }) => `${title(name).toLowerCase()} ${percent(share)} (weight ${weight})`);
-  return `Efficiency ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
+  return `Efficiency (not the score) ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
 }
 
 function summary({ world }, { last, annotation, steps, done }) {
   if (!done) return "This flight is not finished, so its moves have no marks.";
   const optimum = annotation?.optimal_score ?? null;
-  const parts = [`score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
+  const parts = [`Score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
-  parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`, `${steps} steps`);
-  if (annotation) parts.push(`a best flight takes ${annotation.optimal_steps}`);
-  return `${parts.join(", ")}.`.replace(/^./, (letter) => letter.toUpperCase());
+  parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`);
+  const ends = (units, after) => `${units} battery units after ${after} steps`;
+  parts.push(ends(last.battery_units, steps));
+  if (annotation) parts.push(`a best flight ends with ${ends(annotation.optimal_battery, annotation.optimal_steps)}`);
+  return `${parts.join(", ")}. ${scoring(world.task)}`;
 }
 
 function inWords(figures, task) {
