@@ -138,7 +138,9 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     for key in (way[0], way[1], way[1]):
         page.keyboard.press(key)
     expect(moves(page)).to_have_count(3)
+    expect(page.locator("#unlisted")).to_be_hidden()
     undo.click()
+    expect(page.locator("#unlisted")).to_be_visible()
     page.keyboard.press("u")
     expect_step(page, 1, 60)
     expect(moves(page)).to_have_count(1)

@@ -4,7 +4,7 @@ import { toast } from "./dom.js";
 import { NEXT } from "./fleet_states.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
-import { nameOf } from "./today.js";
+import { nameOf, UNLISTED } from "./today.js";
 import { Track } from "./track.js";
 
 /** Actions as links write them. */
@@ -351,6 +351,7 @@ export class Fleet extends Emitter {
 
   undone({ flight, step, by }) {
     const track = this.tracks[flight];
+    if (track.unnamed === track.pilot) toast(UNLISTED);
     track.by = by;
     track.frames.length = step + 1;
     this.stage.changed(track);

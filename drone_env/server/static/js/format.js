@@ -83,6 +83,6 @@ export function flightName(context, { task, seed, agent }) {
 
 /** What the score of a task counts. @param {Answer<"TaskInfo">} task */
 export function scoring({ score_weights: { parcels, battery, steps }, efficiency_needs_all: all }) {
-  const rest = all ? "; these two only once all parcels are delivered" : "";
-  return `The score counts parcels (${parcels} points), then battery left (${battery}) and steps left (${steps})${rest}.`;
+  const rest = all ? ", these two only once all parcels are delivered" : "";
+  return `What counts: parcels (${parcels} points), then battery left (${battery}) and steps left (${steps})${rest}.`;
 }

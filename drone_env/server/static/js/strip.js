@@ -9,6 +9,7 @@ export function mountStrip(root, context, fleet, acts) {
   let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
+  const counts = el("p.note");
   const see = el("button.link", { id: "worst", title: "Show this move", press: () => stage.clock.goTo(worst.step) });
   const tryIt = el("button.button.small", {
     id: "try-worst",
@@ -24,7 +25,7 @@ export function mountStrip(root, context, fleet, acts) {
   const analysis = el("p.note.strip-analysis");
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
-  root.append(head, reason, el("div.strip-actions", again, next), why, worstLine, more);
+  root.append(head, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
   root.hidden = true;
   let announced = null;
 
@@ -37,6 +38,7 @@ export function mountStrip(root, context, fleet, acts) {
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
+    setText(counts, scoring(stage.world.task));
     if (annotation?.why && reason.textContent !== annotation.why) announce(annotation.why);
     setText(reason, annotation?.why ?? "");
     again.hidden = !annotation?.why;
@@ -91,7 +93,7 @@ function summary({ world }, { last, annotation, steps, done }) {
   const ends = (units, after) => `${units} battery units after ${after} steps`;
   parts.push(ends(last.battery_units, steps));
   if (annotation) parts.push(`a best flight ends with ${ends(annotation.optimal_battery, annotation.optimal_steps)}`);
-  return `${parts.join(", ")}. ${scoring(world.task)}`;
+  return `${parts.join(", ")}.`;
 }
 
 function inWords(figures, task) {

@@ -5,6 +5,7 @@ import { points } from "./format.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
+export const UNLISTED = "Flights with Undo, values or a fork are not listed, nor your best.";
 /** Maps whose best score is kept. */
 const KEPT = 200;
 /** @type {Intl.DateTimeFormatOptions} */
@@ -36,7 +37,8 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     value: nameOf() ?? "",
     on: { change: rename },
   });
-  root.append(head, figures, list, el("label.name-field.eyebrow", "Your name", field));
+  const unlisted = el("p.note", { id: "unlisted", text: UNLISTED });
+  root.append(head, figures, unlisted, list, el("label.name-field.eyebrow", "Your name", field));
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
   const own = () => (fleet.shown ? fleet.tracks[fleet.human] : undefined);
@@ -61,6 +63,7 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     root.hidden = !day && !best && !own();
     if (root.hidden) return;
     if (own()) keep(own());
+    unlisted.hidden = !own() || own().unnamed === own().pilot;
     const { score, optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [
