@@ -1,6 +1,6 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
 import { recall, remember } from "./base.js";
-import { el, fact } from "./dom.js";
+import { el, fact, toast } from "./dom.js";
 import { points } from "./format.js";
 
 const NAME = "drone-env-name";
@@ -47,7 +47,9 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     field.value = field.value.trim();
     if (!field.reportValidity()) return;
     remember(NAME, field.value);
+    field.blur();
     if (fleet.mine?.steps === 0) acts.reset();
+    else toast("Used from your next flight on.");
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
