@@ -31,6 +31,9 @@ export function nextFrame(draw) {
   });
 }
 
+/** Whether fingers are the main way to point. */
+export const TOUCH = matchMedia("(pointer: coarse)").matches;
+
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 /** Whether the system asks for reduced motion. */

@@ -3,7 +3,12 @@ import { Board } from "./board.js";
 import { el, icon } from "./dom.js";
 
 /** The minimum size of a cell in CSS pixels when the visitor starts to fly. */
-const BY_HAND = 22;
+const BY_HAND = 16;
+/** How much farther or nearer two fingers come before the map zooms one step. */
+const PINCH = 1.3;
+
+/** The share of the window over which the drone and its target may be apart. */
+const SEEN = 0.75;
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountBoards(root, context) {
@@ -35,10 +40,10 @@ export function mountBoards(root, context) {
   }
 
   let seen = null;
-  context.on("drawn", ({ world, layout }) => {
-    if (world === seen) return;
-    seen = world;
-    if (nearEnough(context, layout.scale)) context.emit("camera");
+  context.on("drawn", (view) => {
+    if (view.world === seen) return;
+    seen = view.world;
+    if (nearEnough(context, view)) context.emit("camera");
   });
   stage.on("load", () => camera.reset());
   stage.on("change", draw);
@@ -49,28 +54,48 @@ export function mountBoards(root, context) {
   return board;
 }
 
-/** Zooms in until the cells are large enough for a visitor who flies. @returns {boolean} Whether it zoomed. */
-function nearEnough({ stage, byHand, camera }, scale) {
+/** Zooms in until the cells are large enough for a visitor who flies, with the target in view. @returns {boolean} Whether it zoomed. */
+function nearEnough({ stage, byHand, camera }, { size, track, layout }) {
   if (!stage.tracks.some(byHand)) return false;
-  let moved = false;
-  while (camera.whole * camera.zoom < BY_HAND * scale && camera.nearer(1)) moved = true;
-  return moved;
+  const { x, y, target } = track.last;
+  const [tx, ty] = target ?? [x, y];
+  const near = () => camera.whole * camera.zoom >= BY_HAND * layout.scale;
+  const beyond = () => {
+    const cell = camera.whole * camera.zoom;
+    return Math.abs(tx - x) * cell > size.width * SEEN || Math.abs(ty - y) * cell > size.height * SEEN;
+  };
+  while (!near() && camera.nearer(1));
+  while (beyond() && camera.nearer(-1));
+  if (camera.zoom > 1) camera.centre = [(x + tx + 1) / 2, (y + ty + 1) / 2];
+  return camera.zoom > 1;
 }
 
-/** A drag moves a map that is larger than its window. @param {Context} context */
+/** A drag moves a map that is larger than its window, and two fingers also zoom it. @param {Context} context */
 function listenToDrags(grid, context) {
   const { camera, stage } = context;
-  let before = null;
+  /** What points at the map, by id. @type {Map<number, PointerEvent>} */
+  const down = new Map();
+  let apart = 0;
+  const spread = ([a, b] = [...down.values()]) => (b ? Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY) : 0);
   grid.addEventListener("pointerdown", (event) => {
-    before = event.isPrimary ? event : null;
+    down.set(event.pointerId, event);
+    apart = spread();
   });
-  for (const type of ["pointerup", "pointercancel", "pointerleave"]) grid.addEventListener(type, () => (before = null));
+  for (const type of ["pointerup", "pointercancel", "pointerleave"])
+    grid.addEventListener(type, ({ pointerId }) => {
+      down.delete(pointerId);
+      apart = spread();
+    });
   grid.addEventListener("pointermove", (event) => {
-    if (!before || !event.isPrimary || !stage.world) return;
-    // If the visitor flies, a swipe flies.
-    if (event.pointerType !== "mouse" && document.body.classList.contains("human-flies")) return;
-    camera.pan((event.clientX - before.clientX) / camera.cell, (event.clientY - before.clientY) / camera.cell);
-    before = event;
+    const before = down.get(event.pointerId);
+    if (!before || !stage.world) return;
+    // If the visitor flies, a swipe of one finger flies.
+    if (event.pointerType !== "mouse" && down.size === 1 && document.body.classList.contains("human-flies")) return;
+    down.set(event.pointerId, event);
+    const now = spread();
+    if (now > apart * PINCH ? camera.nearer(1) : now * PINCH < apart && camera.nearer(-1)) apart = now;
+    const cell = camera.cell * down.size;
+    camera.pan((event.clientX - before.clientX) / cell, (event.clientY - before.clientY) / cell);
     context.emit("camera");
   });
 }
