@@ -1,4 +1,5 @@
 // The actions of Fly, for buttons and keys.
+import { lessMotion } from "./base.js";
 import { ask, leaveFocus } from "./dom.js";
 import { SPEEDS } from "./stage.js";
 
@@ -12,6 +13,8 @@ export function actionsOf(context, fleet) {
     const { own } = fleet;
     if (own && !(await ask(`Give up your flight at step ${own.steps}?`, "Give up", "Keep flying"))) return;
     act();
+    const behavior = lessMotion() ? "instant" : "smooth";
+    document.querySelector(".plan-bar").scrollIntoView({ block: "nearest", behavior });
   }
   /** Whether the next step is a new one of the server. */
   const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();

@@ -140,5 +140,5 @@ function goOn(context, fleet, acts) {
   acts.start({ task: next.short_name, seed: null, pilots });
   // The focus moves to Start; if the visitor flies, the keys are for the drone.
   if (pilots.includes(fleet.person.id)) leaveFocus();
-  else document.getElementById("start").focus();
+  else document.getElementById("start").focus({ preventScroll: true });
 }
