@@ -125,6 +125,8 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     phone.get_by_role("button", name="Follow the drone").tap()
     for _ in range(4):
         phone.get_by_role("button", name="Zoom out").tap()
+    phone.get_by_role("button", name="Reset").tap()  # scrolls back to the map
+    expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
     phone.evaluate("scrollTo(0, 0)")
     assert place() == whole
 

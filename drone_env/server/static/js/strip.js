@@ -2,6 +2,7 @@
 import { announce, el, leaveFocus, setText } from "./dom.js";
 import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
+import { placeOf } from "./standings.js";
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
@@ -9,6 +10,7 @@ export function mountStrip(root, context, fleet, acts) {
   let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
+  const place = el("p.strip-reason");
   const counts = el("p.note");
   const see = el("button.link", { id: "worst", title: "Show this move", press: () => stage.clock.goTo(worst.step) });
   const tryIt = el("button.button.small", {
@@ -25,7 +27,7 @@ export function mountStrip(root, context, fleet, acts) {
   const analysis = el("p.note.strip-analysis");
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
-  root.append(head, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
+  root.append(head, place, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
   root.hidden = true;
   let announced = null;
 
@@ -38,6 +40,7 @@ export function mountStrip(root, context, fleet, acts) {
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
+    setText(place, placeOf(stage));
     setText(counts, scoring(stage.world.task));
     if (annotation?.why && reason.textContent !== annotation.why) announce(annotation.why);
     setText(reason, annotation?.why ?? "");
