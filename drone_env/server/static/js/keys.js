@@ -97,16 +97,17 @@ const ARROW = {
   DOWN: "M12 5v13M6 13l6 6 6-6",
   LEFT: "M19 12H6M11 6l-6 6 6 6",
   RIGHT: "M5 12h13M13 6l6 6-6 6",
-  WAIT: "!M9 9h6v6H9z",
 };
 const WORDS = { UP: "Up", DOWN: "Down", LEFT: "Left", RIGHT: "Right", WAIT: "Wait" };
 const SWIPE = 24;
 
 /** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountHuman(root, context, fleet) {
-  const buttons = Object.entries(ARROW).map(([direction, drawing]) => {
+  const buttons = Object.keys(WORDS).map((direction) => {
+    const drawing = ARROW[direction];
     const press = () => fleet.fly(direction);
-    return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, icon(drawing));
+    const face = drawing ? icon(drawing) : WORDS[direction];
+    return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, face);
   });
   const pad = el("div.pad", { role: "group", "aria-label": "Fly" }, ...buttons);
   root.append(pad);
