@@ -95,8 +95,8 @@ class Compare {
   /** Reloads everything. */
   async load() {
     const request = ++this.request;
-    const { api, router, tasks } = this.context;
-    this.wanted = router.address.task;
+    const { api, router, stage, tasks } = this.context;
+    this.wanted = router.address.task ?? stage.world?.task.short_name ?? null;
     await this.trying(request, () => this.context.meet(this.wanted));
     if (request !== this.request) return;
     // An unknown task shows only the error.
