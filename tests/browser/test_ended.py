@@ -42,8 +42,8 @@ from tests.browser.tabs import Tabs
 def expect_efficiency(page: Page, done: float, left: float) -> None:
     """The strip shows three shares with their weights, and their sum."""
     expect(page.locator("#efficiency-parts")).to_have_text(
-        f"Efficiency (not the score) {fixed(75 * done + 25 * left, 1)} of 100: parcels delivered {percent(done)} (weight 75), "
-        f"battery left {percent(left)} (weight 15), steps left {percent(left)} (weight 10)."
+        f"Efficiency (not the score) {fixed(75 * done + 25 * left, 1)} of 100: parcels delivered {percent(done)} "
+        f"(weight 75), battery left {percent(left)} (weight 15), steps left {percent(left)} (weight 10)."
     )
 
 
@@ -63,8 +63,8 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(strip.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
     expect(strip).to_contain_text(
         f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcels, "
-        f"{60 - last} battery units after {last} steps, a best flight ends with {annotation['optimal_battery']} battery "
-        f"units after {annotation['optimal_steps']} steps."
+        f"{60 - last} battery units after {last} steps, a best flight ends with {annotation['optimal_battery']} "
+        f"battery units after {annotation['optimal_steps']} steps."
     )
     expect(strip).to_contain_text("What counts: parcels (80 points), then battery left (10) and steps left (10).")
     expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
@@ -82,7 +82,8 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     worst, possible = move["step"], annotation["moves"][move["step"]]["value"]
     best = " or ".join(move["best_actions"])
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
-    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}; best: {best}")
+    lost = points(move["regret"])
+    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {lost}; best: {best}")
     seen.click()
     expect_frame(page, flight[worst], 60)
     expect(page.locator("#score")).to_have_text(points(possible))

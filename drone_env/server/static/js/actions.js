@@ -8,7 +8,6 @@ export function actionsOf(context, fleet) {
   const { stage } = context;
   const { clock } = stage;
 
-  /** Asks before an action ends the visitor's own flight. */
   async function givingUp(act, yes = "Give up") {
     const { own } = fleet;
     if (own && !(await ask(`${yes} your flight at step ${own.steps}?`, yes, "Keep flying"))) return;

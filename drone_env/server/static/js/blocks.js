@@ -91,7 +91,6 @@ function shapesOf(world, names) {
   return found;
 }
 
-/** Three trees in a cell. */
 function addCrowns(path, x, y) {
   const some = variety(x, y);
   for (let i = 0; i < 3; i++) {

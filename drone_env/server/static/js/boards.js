@@ -6,7 +6,6 @@ import { el, icon } from "./dom.js";
 const BY_HAND = 16;
 /** How much farther or nearer two fingers come before the map zooms one step. */
 const PINCH = 1.3;
-
 /** The share of the window over which the drone and its target may be apart. */
 const SEEN = 0.75;
 
@@ -43,7 +42,8 @@ export function mountBoards(root, context) {
   context.on("drawn", (view) => {
     if (view.world === seen) return;
     seen = view.world;
-    if (nearEnough(context, view)) context.emit("camera");
+    lookAtTarget(context, view);
+    context.emit("camera");
   });
   stage.on("load", () => camera.reset());
   stage.on("change", draw);
@@ -54,20 +54,16 @@ export function mountBoards(root, context) {
   return board;
 }
 
-/** Zooms in until the cells are large enough for a visitor who flies, with the target in view. @returns {boolean} Whether it zoomed. */
-function nearEnough({ stage, byHand, camera }, { size, track, layout }) {
-  if (!stage.tracks.some(byHand)) return false;
+/** Zooms in until the cells are large enough for a visitor who flies, while drone and target are in view. */
+function lookAtTarget({ stage, byHand, camera }, { size, track, layout }) {
+  if (!stage.tracks.some(byHand)) return;
   const { x, y, target } = track.last;
   const [tx, ty] = target ?? [x, y];
-  const near = () => camera.whole * camera.zoom >= BY_HAND * layout.scale;
-  const beyond = () => {
-    const cell = camera.whole * camera.zoom;
-    return Math.abs(tx - x) * cell > size.width * SEEN || Math.abs(ty - y) * cell > size.height * SEEN;
-  };
-  while (!near() && camera.nearer(1));
-  while (beyond() && camera.nearer(-1));
+  const apart = Math.max(Math.abs(tx - x) / size.width, Math.abs(ty - y) / size.height);
+  const cell = () => camera.whole * camera.zoom;
+  while (cell() < BY_HAND * layout.scale && camera.nearer(1));
+  while (cell() * apart > SEEN && camera.nearer(-1));
   if (camera.zoom > 1) camera.centre = [(x + tx + 1) / 2, (y + ty + 1) / 2];
-  return camera.zoom > 1;
 }
 
 /** A drag moves a map that is larger than its window, and two fingers also zoom it. @param {Context} context */

@@ -25,7 +25,6 @@ export class Camera {
     this.following = true;
   }
 
-  /** Whether this is the maximum zoom. */
   get nearest() {
     return this.zoom === ZOOMS.at(-1) || this.zoom * this.whole >= this.most;
   }

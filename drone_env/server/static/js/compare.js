@@ -38,7 +38,6 @@ class Compare {
     this.request = 0;
     this.timer = 0;
     this.failed = false;
-    /** The task, its leaderboard and its runs. */
     this.task = this.board = this.runs = null;
     const option = (task) => el("option", { value: task.short_name, text: title(task.short_name) });
     const group = ([family, tasks]) => el("optgroup", { label: title(family) }, ...tasks.map(option));
@@ -81,7 +80,6 @@ class Compare {
     this.context.router.go({ view: "compare", task, pilots });
   }
 
-  /** Shows another address. */
   look() {
     const { task } = this.context.router.address;
     if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.request);
@@ -92,7 +90,6 @@ class Compare {
     return this.context.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name));
   }
 
-  /** Reloads everything. */
   async load() {
     const request = ++this.request;
     const { api, router, stage, tasks } = this.context;
@@ -132,7 +129,6 @@ class Compare {
     this.ranked.replaceChildren(...runsOf(this.context, runs));
   }
 
-  /** Shows the leaderboard and the chosen pilots. */
   async choose(request) {
     const { api } = this.context;
     const [a, b] = this.missing.length ? [] : this.pilots;

@@ -31,7 +31,6 @@ export function el(tag, ...contents) {
   return node;
 }
 
-/** A name and a value of a `dl`. */
 export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
 
 /** A table with a caption for screen readers. @param {any[][]} columns Names, and whether a column contains numbers. */
@@ -71,7 +70,6 @@ export function loaded(element) {
   });
 }
 
-/** Downloads a file. */
 export function download(name, blob) {
   const url = URL.createObjectURL(blob);
   const link = el("a", { href: url, download: name });
@@ -116,12 +114,10 @@ export function toast(text) {
   setTimeout(() => node.remove(), 4000);
 }
 
-/** Announces a text to screen readers. */
 export function announce(text) {
   document.getElementById("announcer").textContent = text;
 }
 
-/** Copies a text to the clipboard. */
 export async function copyText(text, message) {
   try {
     await navigator.clipboard.writeText(text);

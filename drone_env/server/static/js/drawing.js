@@ -52,7 +52,6 @@ export class Drawing extends Emitter {
     return this.map.parcels.findIndex((parcel) => same(parcel, cell));
   }
 
-  /** Rows of road. */
   empty(width, height) {
     return Array.from({ length: height }, () => new Array(width).fill(this.road));
   }
@@ -136,7 +135,6 @@ export class Drawing extends Emitter {
     this.stroke = null;
   }
 
-  /** Makes a change that is undone at once. */
   edit(change) {
     this.stroke = { before: JSON.stringify(this.map) };
     change();
@@ -144,7 +142,6 @@ export class Drawing extends Emitter {
     this.emit("map");
   }
 
-  /** Restores the map before the last change. */
   undo() {
     this.end();
     if (!this.past.length) return;

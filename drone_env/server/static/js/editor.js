@@ -53,7 +53,6 @@ export function mount(root, context) {
   const worth = new Worth(context, drawing);
   let key = null;
 
-  // Elements.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
   const clear = () => (drawing.map ? drawing.edit(() => (drawing.map = empty())) : router.go({ view: "draw" }));
@@ -113,7 +112,6 @@ export function mount(root, context) {
     return { id, input, label: el("label", el("span", { text }), input) };
   }
 
-  // Changes.
   drawing.on("stroke", changed);
   drawing.on("map", show);
   drawing.on("end", () => {
@@ -135,8 +133,6 @@ export function mount(root, context) {
     drawing.resize(...sides.map(({ input }) => Number(input.value)));
   }
 
-  // Drawing.
-  /** Shows another map, or another size. */
   function show() {
     turns();
     draw();
@@ -162,7 +158,6 @@ export function mount(root, context) {
     drawBest();
   }
 
-  /** Draws the optimal path. */
   function drawBest() {
     if (stage.track) {
       /** @type {any} */
@@ -195,7 +190,6 @@ export function mount(root, context) {
     worth.ask();
   }
 
-  // Actions.
   async function trying(press) {
     try {
       await press();
@@ -268,7 +262,6 @@ export function mount(root, context) {
     }
   }
 
-  /** Replaces the drawing, or clears it. */
   function become(wanted, found) {
     key = wanted;
     worth.answer = null;

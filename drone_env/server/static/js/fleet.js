@@ -29,7 +29,6 @@ export class Fleet extends Emitter {
     this.tracks = [];
     /** @type {FleetState} */
     this.state = "idle";
-    /** The number of the newest request. */
     this.number = 0;
     /** Finished flights that are shown beside them. @type {Track[]} */
     this.beside = [];
@@ -69,10 +68,6 @@ export class Fleet extends Emitter {
     return this.state === "starting" || this.state === "launching";
   }
 
-  get over() {
-    return this.tracks.length > 0 && this.tracks.every((track) => track.done);
-  }
-
   /** Whether the stage shows these flights, not a stored one. */
   get shown() {
     return this.tracks.length > 0 && this.tracks.every((track) => this.stage.tracks.includes(track));
@@ -83,7 +78,6 @@ export class Fleet extends Emitter {
     return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
 
-  /** The fork, or null. */
   get forked() {
     return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
   }
@@ -122,7 +116,6 @@ export class Fleet extends Emitter {
     return { actions, of: steps || by !== pilot ? by : null };
   }
 
-  /** The pilot entry of the visitor. */
   get person() {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
@@ -138,7 +131,6 @@ export class Fleet extends Emitter {
     return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
   }
 
-  /** The name and the colour of a pilot. */
   look(id) {
     const { name, colour } = this.pilot(id);
     return { name, colour: `--pilot-${colour}` };
@@ -148,7 +140,6 @@ export class Fleet extends Emitter {
     return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
   }
 
-  /** Whether a pilot can fly a task. */
   flies(id, task = this.task()) {
     return !task || this.pilot(id).tasks.includes(task.id);
   }
@@ -196,7 +187,6 @@ export class Fleet extends Emitter {
     if (live.state === "open") this.send();
   }
 
-  /** Sends the present setup to the server. */
   send() {
     const { task, seed, profile, fork, actions, of, step } = this.setup;
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
@@ -256,7 +246,7 @@ export class Fleet extends Emitter {
   }
 
   step() {
-    if (!this.playing && !this.over) this.context.live.send({ type: "step" });
+    if (!this.playing && this.tracks.some(({ done }) => !done)) this.context.live.send({ type: "step" });
   }
 
   setSpeed(speed) {
@@ -278,7 +268,6 @@ export class Fleet extends Emitter {
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
   }
 
-  /** Takes the visitor's last move back. */
   undo() {
     if (this.own) this.context.live.send({ type: "undo", flight: this.human });
   }
@@ -291,7 +280,7 @@ export class Fleet extends Emitter {
   resume() {
     if (this.starting) this.send();
     // Finished flights need no session.
-    if (this.starting || !this.tracks.length || this.over) return;
+    if (this.starting || this.tracks.every(({ done }) => done)) return;
     this.turn("attach");
     const sessions = this.tracks.map(({ opening }) => opening.session);
     this.context.live.send({ type: "attach", number: ++this.number, sessions });

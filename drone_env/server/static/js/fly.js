@@ -120,7 +120,6 @@ export function mountFly(root, context) {
   });
   context.on("view", follow);
 
-  /** Shows the flight of the address. */
   async function follow(view) {
     const { address } = router;
     // A stored flight that is still loading for an earlier address is dropped.

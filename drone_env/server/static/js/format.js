@@ -8,7 +8,6 @@ export function fixed(value, digits = 2) {
   return value.toFixed(digits).replace("-", MINUS);
 }
 
-/** A number with its sign. */
 export function signed(value, digits = 2) {
   if (value === null || value === undefined) return "–";
   return (value >= 0 ? "+" : "") + fixed(value, digits);
@@ -45,10 +44,8 @@ const OUTCOMES = {
   out_of_steps: "Out of steps",
 };
 
-/** A kind of cell in words. */
 export const cellName = (name) => ({ delivery: "Parcel", delivered: "Delivered parcel" })[name] ?? title(name);
 
-/** The outcome of a frame or an episode in words. */
 export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 
 /** Whether a loss is visible with one decimal. */

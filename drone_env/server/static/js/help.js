@@ -4,7 +4,6 @@ import { el } from "./dom.js";
 import { scoring } from "./format.js";
 import { LAYERS } from "./layers.js";
 
-/** A summary of the page. */
 export const ABOUT =
   "A drone delivers parcels on a city grid before its battery is empty. Fly it yourself, or watch an agent fly.";
 
@@ -39,13 +38,12 @@ const MOUSE = matchMedia("(any-pointer: fine)").matches;
 /** @param {Context} context */
 export function help({ stage, tasks }) {
   const close = () => dialog.close();
-  const list = (rows) =>
-    el("dl.keys", ...rows.flatMap(([key, what]) => [el("dt", el("kbd", { text: key })), el("dd", { text: what })]));
+  const rows = [...(TOUCH ? TOUCHES : []), ...(TOUCH && !MOUSE ? [] : KEYS)];
   dialog.replaceChildren(
     el("h2", { id: "help-title", text: "Help", tabindex: "-1", autofocus: "" }),
     el("p", { text: ABOUT }),
     el("p", { text: scoring(stage.world?.task ?? tasks[0]) }),
-    list([...(TOUCH ? TOUCHES : []), ...(TOUCH && !MOUSE ? [] : KEYS)]),
+    el("dl.keys", ...rows.flatMap(([key, what]) => [el("dt", el("kbd", { text: key })), el("dd", { text: what })])),
     el(
       "div.dialog-actions",
       el("button.button.primary", { text: "Close", press: close }),

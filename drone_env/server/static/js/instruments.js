@@ -68,7 +68,6 @@ export function mountInstruments(root, context) {
   draw();
 }
 
-/** The optimum of the map, or null. */
 const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
 
 function row(name, id, hint = null) {

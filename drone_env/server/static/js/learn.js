@@ -60,7 +60,6 @@ const WORLD = [
   ["Battery", (t) => `${t.battery_capacity} units`],
   ["Battery use per step", (t) => `1 unit${drains(t.drain)}`],
 ];
-/** The reward profile of the page's flights. */
 const PROFILE = "tiered";
 /** The reward of each event if the step moves away from the target, keeps the distance, or moves closer. */
 const rewardRows = (rewards) =>

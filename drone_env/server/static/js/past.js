@@ -32,7 +32,6 @@ export class Past {
     this.askForCalls(track);
   }
 
-  /** A stored flight as a track. */
   async stored(id) {
     const { api } = this.context;
     const record = await api.get(`episodes/${encodeURIComponent(id)}`);
@@ -104,7 +103,6 @@ export class Past {
   }
 }
 
-/** The record of a finished flight. */
 export async function recordOf({ api }, track) {
   track.record ??= await api.get(`episodes/${encodeURIComponent(track.episode.id)}`);
   return track.record;
@@ -143,15 +141,13 @@ async function readFlights(file) {
       .map((line, i) => ({ line, number: i + 1 }))
       .filter(({ line }) => line.trim());
     if (!lines.length) throw new Error(`${file.name} is empty.`);
-    return lines.map(({ line, number }) => parsed(line, `${file.name}, line ${number}`));
-  }
-}
-
-function parsed(text, where) {
-  try {
-    return JSON.parse(text);
-  } catch (error) {
-    throw new Error(`${where} is not JSON: ${error.message}.`);
+    return lines.map(({ line, number }) => {
+      try {
+        return JSON.parse(line);
+      } catch (error) {
+        throw new Error(`${file.name}, line ${number} is not JSON: ${error.message}.`);
+      }
+    });
   }
 }
 

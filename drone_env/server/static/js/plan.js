@@ -59,7 +59,7 @@ export function mountPlan(root, context, fleet, acts) {
       value: pilot.id,
       "aria-label": `Add ${pilot.name}`,
       title: "Add to the flight",
-      on: { change: () => choosePilots(withOrWithout(chosen(), pilot.id)) },
+      on: { change: () => choosePilots(box.checked ? [...chosen(), pilot.id] : chosen().filter((id) => id !== pilot.id)) },
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
     const row = el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
@@ -115,8 +115,6 @@ export function mountPlan(root, context, fleet, acts) {
   update();
   return choices;
 }
-
-const withOrWithout = (ids, id) => (ids.includes(id) ? ids.filter((other) => other !== id) : [...ids, id]);
 
 function taskNote(task) {
   const parcels = task.deliveries === 1 ? "one parcel" : `${task.deliveries} parcels`;

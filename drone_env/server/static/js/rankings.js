@@ -43,7 +43,6 @@ const lost = (row) => {
   return el("span", within(row.regret, row.regret_ci95, points), some);
 };
 
-/** The colour of a pilot, as on the map. */
 const colourOf = ({ pilots }, agent) => {
   const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
   return `var(--pilot-${pilot?.colour ?? "other"})`;
@@ -140,7 +139,6 @@ const figure = (count) => (count === null ? "" : count.toLocaleString());
 const unusable = ({ unusable_share: share, marked }) =>
   share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
 
-/** Columns of boards with language models. */
 const OF_MODELS = [
   ["Errored", (row) => figure(row.errored), true],
   ["Unusable answers", unusable, true],

@@ -31,12 +31,10 @@ export class Router extends Emitter {
     this.go(view === "fly" ? this.flight : { view });
   }
 
-  /** Follows a link of this page. */
   follow(href) {
     this.go(read(new URL(href)));
   }
 
-  /** Whether the address has no parameters. */
   get bare() {
     return linkOf(this.address).search === "";
   }
@@ -69,7 +67,6 @@ export class Router extends Emitter {
     history.replaceState(null, "", linkOf(this.address));
   }
 
-  /** Copies the link to this moment. */
   copy() {
     copyText(linkOf(this.address).href, "Link copied.");
   }
@@ -84,7 +81,6 @@ export class Router extends Emitter {
   }
 }
 
-/** The address without parameters. */
 export const NOTHING = {
   view: "fly",
   task: null,

@@ -34,7 +34,6 @@ export class Clock {
     this.cursor = this.position = 0;
     /** Whether the page shows new steps as they arrive. */
     this.following = true;
-    /** Whether a replay runs. */
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
@@ -54,7 +53,6 @@ export class Clock {
     this.moved();
   }
 
-  /** Stops a replay and goes to a step. */
   goTo(step) {
     this.stop();
     this.seek(step);
@@ -126,7 +124,6 @@ export class Stage extends Emitter {
     this.flying = false;
   }
 
-  /** The selected flight. */
   get track() {
     return this.tracks[this.selected] ?? null;
   }
@@ -153,12 +150,10 @@ export class Stage extends Emitter {
     return this.values && this.values.key === this.moment ? this.values.answer : null;
   }
 
-  /** Whether all flights have ended. */
   get over() {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
-  /** Shows a map with flights. */
   show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {
     this.world = world;
     this.tracks = tracks;
@@ -169,7 +164,6 @@ export class Stage extends Emitter {
     this.tell("load");
   }
 
-  /** Selects another flight. */
   select(i) {
     if (i === this.selected || !this.tracks[i]) return;
     this.selected = i;

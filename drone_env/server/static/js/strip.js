@@ -67,7 +67,6 @@ export function mountStrip(root, context, fleet, acts) {
     if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
-  /** Shows the statistics of all flights of the task. */
   async function analyse(task) {
     setText(analysis, "Loading the statistics of this task …");
     try {

@@ -55,7 +55,6 @@ export class Track {
     return this.colour !== "--pilot-other";
   }
 
-  /** The newest frame. */
   get last() {
     return this.frames.at(-1);
   }
@@ -108,7 +107,6 @@ export class Track {
     return this.way.path;
   }
 
-  /** The possible score at a step, or null. */
   valueAt(step) {
     return this.frames[step]?.value ?? null;
   }
