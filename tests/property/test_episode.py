@@ -1,6 +1,7 @@
 """What holds on every flight, in the standard tasks and in random ones."""
 
 import os
+import pickle
 import random
 from dataclasses import replace
 from fractions import Fraction
@@ -192,11 +193,11 @@ def test_set_state_returns_to_the_snapshot(
     episode = Episode(task, profile, seed)
     for action in actions:
         episode.step(action)
-    state, mask = episode.get_state(), episode.action_mask()
+    state, mask, message = pickle.dumps(episode.get_state()), episode.action_mask(), episode.message
     rewards = [episode.step(action) for action in further]
     after = episode.get_state()
-    episode.set_state(state)
-    assert episode.get_state() == state
+    episode.set_state(pickle.loads(state))
+    assert (pickle.dumps(episode.get_state()), episode.message) == (state, message)
     assert np.array_equal(episode.action_mask(), mask)
     assert [episode.step(action) for action in further] == rewards
     assert episode.get_state() == after

@@ -6,8 +6,9 @@ from fractions import Fraction
 import pytest
 
 from drone_env.agents import make_agent
+from drone_env.agents.base import begin
 from drone_env.core.actions import Action, Event, Outcome
-from drone_env.core.episode import Episode
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError
 from drone_env.planning.optimal import solve, solve_episode
@@ -36,11 +37,8 @@ def letters(actions: str) -> list[int]:
 
 
 def flown(task: str, agent: str) -> Episode:
-    episode, pilot = Episode(task), make_agent(agent, task)
-    pilot.reset(episode.reset(SEED))
-    while not episode.ended:
-        episode.step(pilot.act(episode.observation()))
-    return episode
+    episode = Episode(task, seed=SEED)
+    return rollout(episode, begin(make_agent(agent, task), agent, episode))
 
 
 def test_a_blunder_by_hand() -> None:
@@ -67,14 +65,6 @@ def test_the_only_move_by_hand() -> None:
     assert [move.position for move in analysis.moves] == [(0, 0), (0, 0), (1, 0), (2, 0)]
     assert analysis.moves[-1].event is Event.DELIVERY
     assert (analysis.score, analysis.accuracy) == (0.8, 0.5)
-
-
-def test_all_equally_good_actions_are_named() -> None:
-    (first, *_) = analyse_actions(toy_episode(["@.", ".0"]), letters("DR"), "either").moves
-    assert (first.best_actions, first.label, first.mark) == ((Action.DOWN, Action.RIGHT), "best", "")
-    (first, *_) = analyse_actions(toy_episode(["@.", ".0"]), letters("W"), "neither").moves
-    assert first.best_actions == (Action.DOWN, Action.RIGHT)
-    assert first.regret > 0
 
 
 @pytest.mark.parametrize(("task", "agent"), FLIGHTS)
