@@ -2,7 +2,6 @@
 
 import os
 import random
-from collections.abc import Sequence
 from dataclasses import replace
 
 from hypothesis import given, settings
@@ -37,20 +36,7 @@ def small_task(number: int) -> TaskConfig:
 
 
 def small_episode(number: int) -> Episode:
-    episode = Episode(small_task(number), "score")
-    episode.reset(number)
-    return episode
-
-
-def flown(episode: Episode, actions: Sequence[Action]) -> float:
-    """The score of a flight, which has to end with its last action; the episode is left as it is."""
-    flight = Episode(episode.task, episode.reward_profile)
-    flight.set_state(episode.get_state())
-    for action in actions:
-        assert not flight.ended
-        flight.step(action)
-    assert flight.ended
-    return flight.score
+    return Episode(small_task(number), "score", number)
 
 
 def solvers_of(episode: Episode) -> list[Solver]:
@@ -103,7 +89,9 @@ def test_every_planner_flies_what_brute_force_finds_from_the_start_and_from_any_
         for solver in solvers_of(episode):
             assert episode.copy().fly(solver.best_actions()).counted_score() == best
         solution = optimal.solve_episode(episode)
-        assert flown(episode, solution.actions) == solution.score == best
+        flight = episode.copy().fly(solution.actions)
+        assert (flight.ended, flight.score, solution.score) == (True, best, best)
+        assert flight.steps == episode.steps + len(solution.actions), "it ends with its last action"
         assert episode.get_state() == before
 
 

@@ -59,8 +59,7 @@ class Drawing:
         return path
 
     def _add(self, kind: str, attributes: str, inner: list[str], tags: Mapping[str, str]) -> None:
-        pairs = [(key.replace("__", ":"), value) for key, value in tags.items()]
-        inner = [*inner, *(f"<tag k={quoteattr(key)} v={quoteattr(value)}/>" for key, value in pairs)]
+        inner = [*inner, *(f"<tag k={quoteattr(key)} v={quoteattr(value)}/>" for key, value in tags.items())]
         number = len(self._parts[kind]) + 1
         self._parts[kind].append(f'<{kind} id="{number}" version="1" {attributes}>{"".join(inner)}</{kind}>')
 

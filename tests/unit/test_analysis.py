@@ -71,8 +71,7 @@ def test_the_only_move_by_hand() -> None:
 def test_regrets_add_up_to_optimum_minus_score_exactly(task: str, agent: str) -> None:
     episode = flown(task, agent)
     analysis = analyse_flight(record_of(episode, agent))
-    flight = Episode(task)
-    flight.reset(SEED)
+    flight = Episode(task, seed=SEED)
     solver = ExactSolver(flight)
     exact = Fraction(0)
     terms = []

@@ -57,8 +57,7 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
     folder = made(tmp_path, config_of(task, range(5, 6), "train", reward_profile="tiered"))
     for flight in flights(folder):
         first = flight[0]
-        episode = Episode(task, "tiered")
-        episode.reset(first["seed"])
+        episode = Episode(task, "tiered", first["seed"])
         solver = ExactSolver(episode)
         rewards = []
         for number, row in enumerate(flight):

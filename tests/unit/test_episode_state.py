@@ -49,8 +49,7 @@ class TestReset:
 class TestState:
     @pytest.mark.parametrize(("task", "profile"), [("medium", "tiered"), ("easy", "composite")])
     def test_a_snapshot_of_another_task_or_profile_is_refused(self, task: str, profile: str) -> None:
-        other = Episode(task, profile)
-        other.reset(1)
+        other = Episode(task, profile, 1)
         episode = Episode("easy", "tiered", 2)
         before = episode.get_state()
         with pytest.raises(InvalidValueError, match=f"{task}_delivery.*{profile}.*easy_delivery.*tiered"):

@@ -10,11 +10,7 @@ from drone_env.models import DroneObservation, DroneState
 
 @pytest.fixture
 def episode() -> Episode:
-    episode = Episode("medium")
-    episode.reset(4)
-    for action in (0, 3, 3, 4, 1):
-        episode.step(action)
-    return episode
+    return Episode("medium", seed=4).fly((0, 3, 3, 4, 1))
 
 
 def test_observation_says_what_the_episode_holds(episode: Episode) -> None:

@@ -22,9 +22,6 @@ from drone_env.rl.tour_config import TourConfig
 from drone_env.server.logs import TrainLog
 from tests.unit.small_training import SMALL, assert_same, run_in
 
-ROOT = Path(__file__).parents[2]
-
-
 # Checkpoints
 
 
