@@ -21,14 +21,13 @@ from drone_env.planning.tours import shortest_tour
 from tests.toy import fly, toy_episode
 
 MakeSolver: TypeAlias = Callable[[Episode], Solver]
-EACH_SOLVER = pytest.mark.parametrize("make", [ExactSolver, LegSolver])
 
 
 def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
     assert ExactSolver(toy_episode(["@.", ".0"])).best_actions() == [Action.DOWN, Action.RIGHT]
 
 
-@EACH_SOLVER
+@pytest.mark.parametrize("make", [ExactSolver, LegSolver])
 class TestRefusals:
     def test_an_episode_that_has_not_begun(self, make: MakeSolver) -> None:
         with pytest.raises(EpisodeError, match="reset"):
