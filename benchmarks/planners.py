@@ -20,28 +20,28 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS
 from drone_env.errors import TooLargeError
 from drone_env.planning.bounds import bounds
-from drone_env.planning.cell_states import states_at_cells
 from drone_env.planning.legs import Legs, LegSolver, begin_row, mark_delivered, raise_by_paths, row_of
 from drone_env.planning.optimal import solve_episode
-from drone_env.planning.paths import ParetoPaths, Workspace, find_paths
+from drone_env.planning.paths import find_paths
 from drone_env.planning.solver import ExactSolver
+from drone_env.planning.states import states_at_cells
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def every_cell_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
+def every_cell_kernel(legs: Legs) -> None:
     """Work out the values of every cell with each set delivered, units and steps left. They are not kept."""
-    spare = row_of(legs, 0, 0, 0)
+    spare, search = row_of(legs, 0, 0, 0), legs.search
     for delivered in range((1 << legs.parcels) - 1):
         done = mark_delivered(legs, delivered)
-        for cell in range(legs.tables.cells):
-            if legs.tables.impassable[legs.ground[cell]] or (
-                0 <= legs.stop_at[cell] < legs.parcels and not delivered >> legs.stop_at[cell] & 1
+        for cell in range(search.tables.cells):
+            if search.tables.impassable[search.ground[cell]] or (
+                0 <= search.stop_at[cell] < legs.parcels and not delivered >> search.stop_at[cell] & 1
             ):
                 continue
-            find_paths(legs.tables, legs.ground, cell, legs.most, legs.counts, legs.stop_at, paths, 0, workspace)
+            find_paths(search, cell, legs.most, 0)
             for units in range(1, legs.most + 1):
                 begin_row(legs, done, units, spare)
-                raise_by_paths(legs, delivered, done, paths, 0, units, spare, 0, len(legs.stops))
+                raise_by_paths(legs, delivered, done, 0, units, spare, 0, len(legs.stops))
 
 
 def milliseconds(run: Callable[[Episode], object], episodes: Iterable[Episode]) -> float:
@@ -61,7 +61,7 @@ def row_of_task(task: str, maps: int, few: int) -> list[str]:
 
     def every_cell(episode: Episode) -> None:
         solver = solvers[episode.seed]
-        every_cell_kernel(solver.legs, solver.paths, solver.workspace)
+        every_cell_kernel(solver.legs)
 
     exact = ExactSolver(episodes[0])
     return [

@@ -11,8 +11,7 @@
     ├── MissingPackageError   (also an ImportError) a package of an extra is not installed
     ├── CheckpointError       (also a ValueError)   not a checkpoint, cut short, or of another run
     ├── StoreError            (also an OSError)     a store cannot be opened, read or written
-    ├── NoSessionError        (also a LookupError)  a session never existed
-    ├── SessionGoneError      (also a LookupError)  a session has ended or expired
+    ├── NoSessionError        (also a LookupError)  a session has ended, expired or never existed
     ├── CapacityError         (also a RuntimeError) too many sessions
     ├── ClusterError          (also a RuntimeError) a cluster cannot be reached, or its nodes differ
     └── EndpointError         (also a RuntimeError) an endpoint of language models refuses every call
@@ -106,11 +105,7 @@ class StoreError(DroneEnvError, OSError):
 
 
 class NoSessionError(DroneEnvError, LookupError):
-    """A session id that is unknown or forgotten."""
-
-
-class SessionGoneError(DroneEnvError, LookupError):
-    """A session that has ended or expired."""
+    """A session that has ended or expired, or never existed."""
 
 
 class CapacityError(DroneEnvError, RuntimeError):

@@ -6,7 +6,7 @@ import stat
 import threading
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
-from io import BufferedReader
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +127,20 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write a JSON file atomically."""
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def append_line(file: FileIO, line: str) -> None:
+    """Append a line to a file that is opened without a buffer: all of it, or nothing.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    data = f"{line}\n".encode()
+    written = file.write(data)
+    if written != len(data):
+        # The next line would continue this one.
+        file.truncate(file.tell() - written)
+        raise OSError(f"a line could not be written whole to {file.name}")
 
 
 @contextmanager

@@ -76,7 +76,7 @@ def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dic
     python = str(clone / ".venv/bin/python")
     command = [python, "tests/llm/scripted_server.py", str(port)]
     stack.enter_context(background(command, port, cwd=clone, env=environment))
-    body = json.dumps({"log": str(clone / "stranger.log"), "pilot": "able"})
+    body = json.dumps({"pilot": "able"})
     urllib.request.urlopen(f"http://127.0.0.1:{port}/stranger/script", body.encode()).close()
     return f"http://127.0.0.1:{port}/stranger/v1"
 

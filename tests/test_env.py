@@ -125,19 +125,6 @@ def test_actions_observations_and_states_are_models() -> None:
         DroneAction.model_validate({"direction": "SIDEWAYS"})
 
 
-@pytest.mark.feature("E7")
-@pytest.mark.parametrize(
-    ("profile", "paid"),
-    [
-        # 0.95 + 0.05 is clamped, and so is 0.05 - 0.05.
-        ("tiered", {"LEFT": 0.15, "RIGHT": 0.05, "WAIT": 0.10, "UP LEFT UP": 0.99}),
-        ("composite", {"LEFT": 0.10, "RIGHT": 0.01, "WAIT": 0.01, "UP LEFT UP": 0.99}),
-    ],
-)
-def test_a_step_pays_its_event_and_005_per_cell_nearer_within_its_bounds(profile: str, paid: dict[str, float]) -> None:
-    assert {flight: fly(started("easy_delivery", 14, profile), flight)[-1] for flight in paid} == paid
-
-
 @pytest.mark.feature("E8")
 def test_each_step_drains_the_battery_and_an_empty_one_ends_the_flight() -> None:
     episode = started("easy_delivery", 14)
@@ -153,9 +140,7 @@ def test_each_step_drains_the_battery_and_an_empty_one_ends_the_flight() -> None
 def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
     task = TASKS[f"{level}_delivery"]
     grader = getattr(import_module(f"drone_env.graders.{level}"), f"grade_{level}")
-    module, _, name = task.grader.partition(":")
-    assert module == "drone_env.graders"
-    assert getattr(import_module(module), name) is grader is GRADERS[task.id]
+    assert grader is GRADERS[task.id]
     episode = started(task.id, 14)
     assert grader(DroneState.of(episode)) == 0.20  # nothing delivered: 0.2 * (0.5 * 1 + 0.5 * 1)
     for action in solve(task.id, 14).actions:

@@ -24,12 +24,14 @@ from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.server.page_files import ART, PAGE
 from drone_env.server.pilots import HUMAN, OURS
-from drone_env.server.routes.page import FIRST_PAINT, Link
 
-FIRST_FLIGHT = Link(task="skyline_easy", seed=152, pilot=HUMAN)
+FIRST_FLIGHT = f"?task=skyline_easy&seed=152&pilot={HUMAN}"
 """A visitor's first map. Greedy delivers two of three parcels there, and a best flight takes 15 steps. Of the first 200
 maps that greedy fails, it forgives most: a cautious pilot of whose moves 15 % are random delivers all in 92 %."""
-RIVALS = (HUMAN, "tournet", "greedy")
+PILOT = "tournet"
+"""The pilot of the recorded flight."""
+OVER_HELSINKI = f"?task=city_small&seed=142&pilot={HUMAN}"
+RIVALS = (HUMAN, PILOT, "greedy")
 SECOND, PAUSE = 4, 8
 """Steps per second, and the pause at the end in steps."""
 UNIT = 100
@@ -49,22 +51,25 @@ def draw() -> dict[Path, str]:
     """The files of the page that show the recorded flight, and what they contain."""
     episode = read_flight()
     return {
-        PAGE / "first_paint.html": _section(FIRST_PAINT, episode) + "\n",
+        PAGE / "first_paint.html": _section(episode) + "\n",
         PAGE / "css" / "hello-motion.css": _motion(episode),
     }
 
 
-def _section(flight: Link, episode: Episode) -> str:
-    race = Link(task=flight.task, seed=flight.seed, pilots=",".join(RIVALS))
-    optimum = solve(flight.task, episode.seed).score
+def _section(episode: Episode) -> str:
+    task, seed = episode.task.short_name, episode.seed
+    race = f"?task={task}&seed={seed}&pilots={','.join(RIVALS)}"
+    optimum = solve(task, seed).score
     score = f"scored {100 * episode.score:.1f} of {100 * optimum:.1f} possible."
-    who = f"{OURS[flight.pilot].name}, a trained network,"
-    where = f'data-task="{flight.task}" data-seed="{flight.seed}"'
+    who = f"{OURS[PILOT].name}, a trained network,"
+    where = f'data-task="{task}" data-seed="{seed}"'
     return f"""<section id="hello" class="hello" aria-labelledby="hello-title" {where}>
 <div class="hello-words">
 <h2 id="hello-title">Deliver all parcels before the battery is empty. {who} {score}</h2>
-<p class="hello-actions"><a class="button primary" href="?{escape(FIRST_FLIGHT.query())}">Fly it yourself</a>
-<a class="button" href="?{escape(race.query())}">Race the network</a></p>
+<p class="hello-actions"><a class="button primary" href="{escape(FIRST_FLIGHT)}">Fly it yourself</a>
+<a class="button" href="{escape(race)}">Race the network</a>
+<!-- today -->
+<a class="button" href="{escape(OVER_HELSINKI)}">Fly over Helsinki</a></p>
 </div>
 {_picture(episode)}
 </section>"""

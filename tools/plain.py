@@ -70,7 +70,8 @@ def sentences(text: str) -> Iterator[str]:
 def files(paths: list[str]) -> list[Path]:
     """Return the tracked files with texts under these paths."""
     listed = subprocess.run(["git", "ls-files", *paths], capture_output=True, text=True, check=True).stdout.split()
-    return [Path(name) for name in listed if name.endswith((".md", ".py", ".js", ".html")) and "/vendor/" not in name]
+    written = [name for name in listed if "/vendor/" not in name and "/bundle/" not in name]
+    return [Path(name) for name in written if name.endswith((".md", ".py", ".js", ".html"))]
 
 
 def main() -> int:

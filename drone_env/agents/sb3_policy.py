@@ -9,22 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.core.actions import ACTION_OFFSETS
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.files import open_file
-from drone_env.planning.from_observation import drone_positions
-
-
-def open_actions(
-    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
-) -> npt.NDArray[np.bool_]:
-    """The environment's `action_masks`, bool[N, 5], from grids uint8[N, H, W] and telemetry float32[N, size]."""
-    closed = np.pad(np.isin(grids, [*task.impassable]), ((0, 0), (1, 1), (1, 1)), constant_values=True)
-    x, y = drone_positions(task, grids, telemetry).T + 1
-    each = np.arange(len(grids))
-    return np.stack([~closed[each, y + down, x + right] for right, down in ACTION_OFFSETS.values()], axis=1)
+from drone_env.planning.from_observation import episode_of
 
 
 class Sb3Agent(StatelessAgent):
@@ -67,16 +56,16 @@ class Sb3Agent(StatelessAgent):
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The likeliest actions, int64[N]."""
-        masks = {"action_masks": open_actions(self._task, grids, telemetry)} if self._masked else {}
-        obs = self._observe(grids, telemetry)
-        return np.asarray(self._policy.predict(obs, deterministic=True, **masks)[0], np.int64)
+        each: Any = [{"grid": grid, "telemetry": values} for grid, values in zip(grids, telemetry, strict=True)]
+        masks: dict[str, Any] = {}
+        if self._masked:
+            masks["action_masks"] = np.array([episode_of(self._task, one).action_mask() for one in each], np.bool_)
+        return np.asarray(self._policy.predict(self._wrap(each), deterministic=True, **masks)[0], np.int64)
 
-    def _observe(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Any:
+    def _wrap(self, obs: Any) -> Any:
         """The wrapped observations of N episodes, stacked."""
-        if isinstance(self._wrapped, DroneDeliveryEnv):
-            return {"grid": grids, "telemetry": telemetry}
-        pairs = zip(grids, telemetry, strict=True)
-        obs: Any = [self._wrapped.observation({"grid": grid, "telemetry": values}) for grid, values in pairs]
+        if not isinstance(self._wrapped, DroneDeliveryEnv):
+            obs = [self._wrapped.observation(one) for one in obs]
         if isinstance(obs[0], dict):
             return {name: np.stack([one[name] for one in obs]) for name in obs[0]}
         return np.stack(obs)

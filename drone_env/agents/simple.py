@@ -11,7 +11,7 @@ from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.greedy import greedy_action, greedy_actions
+from drone_env.planning.greedy import greedy_actions
 
 KEY = task_key("agent/random", 1)
 
@@ -52,10 +52,6 @@ class GreedyAgent(StatelessAgent):
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}
         self._task = task
-
-    def act(self, observation: Observation) -> int:
-        """The next action towards the nearest target."""
-        return greedy_action(self._task, observation)
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The next actions towards the nearest targets, int64[N]."""

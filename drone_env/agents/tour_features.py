@@ -8,24 +8,25 @@ steps to `max_steps`. They contain no coordinates, so they do not depend on the 
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS, Action
-from drone_env.core.cells import PAD_CELL
-from drone_env.core.compiled import jitable
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
+from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import units_left
-from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.paths import (
-    UNREACHED,
-    ParetoPaths,
-    Workspace,
-    counts_units,
-    find_paths,
-    make_paths,
-    make_workspace,
-)
+from drone_env.errors import InvalidValueError
+from drone_env.planning.from_observation import read_observations
+from drone_env.planning.paths import NO_STOP, UNREACHED, PathSearch, find_paths, make_search
+from drone_env.planning.states import require_memory
 
 WAIT = int(Action.WAIT)
+CHUNK = 256
+"""Maximum number of states per call: their features fit into the processor's cache."""
+CHUNK_BYTES = 1 << 25
+"""Maximum size of their features, unless a single state takes more."""
+CACHE_BYTES = 1 << 24
+"""Size of the cache of distances, unless those of a chunk take more."""
 FAR = 1.5
 """Value of an unreachable distance, in capacities or in eighths of `max_steps`."""
 STEP_SCALE = 8.0
@@ -78,34 +79,6 @@ MORE_UNITS, MORE_STEPS = 6, 7
 """Units beyond those of the cheapest path to the same stop, steps beyond those of the fastest."""
 LEFT_AFTER = 8
 """Steps left / `max_steps`."""
-
-
-class PathSearch(NamedTuple):
-    """One map of a task, and the working memory for the Pareto-optimal paths from a cell to its stops."""
-
-    tables: Tables
-    counts: Any
-    """1 if units count beside steps."""
-    ground: Any
-    """uint8[cells], the kind of each cell without the drone."""
-    stop_at: Any
-    """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
-    paths: ParetoPaths
-    workspace: Workspace
-
-
-def make_search(task: TaskConfig, stops: int) -> PathSearch:
-    """Allocate the search for paths to this many stops."""
-    tables = tabulate(task)
-    ground, stop_at = np.zeros(tables.cells, np.uint8), np.zeros(tables.cells, np.int32)
-    return PathSearch(tables, int(counts_units(task)), ground, stop_at, make_paths(task, stops), make_workspace(task))
-
-
-@jitable
-def search_paths(search: PathSearch, cell: int, units: int) -> None:
-    """Find the Pareto-optimal paths of a drone with these units from a cell to every stop."""
-    tables, counts, ground, stop_at, paths, workspace = search
-    find_paths(tables, ground, cell, units, counts, stop_at, paths, 0, workspace)
 
 
 class Distances(NamedTuple):
@@ -169,7 +142,7 @@ def find_distances(search: PathSearch, stops: Any, distances: Distances) -> None
     cheap_units, cheap_steps, fast_steps = distances
     paths = search.paths
     for i in range(len(stops)):
-        search_paths(search, stops[i], search.tables.capacity)
+        find_paths(search, stops[i], search.tables.capacity, 0)
         for j in range(len(stops)):
             n = paths.count[j]
             if i == j:
@@ -198,7 +171,7 @@ def write_features(
     """Write the features of one state as number m.
 
     Args:
-        search: The map, after `search_paths` from the drone.
+        search: The map, after `find_paths` from the drone.
         stops: int64[N], the cells of the parcels and pads.
         parcels: Number of parcels; they are the first stops.
         delivered: Bit i for parcel i.
@@ -329,3 +302,142 @@ def write_features(
             edges[m, s, t, OUT_ARRIVAL] = edges[m, t, s, BACK_ARRIVAL] = arrival - out_units
             edges[m, s, t, OUT_REACHES] = edges[m, t, s, BACK_REACHES] = arrival - out_units > 0.0
             edges[m, s, t, WITHIN_CAPACITY] = out_units < 1.0
+
+
+@kernel
+def encode_kernel(
+    grounds: Any,
+    drones: Any,
+    pads: int,
+    places: Any,
+    missing: Any,
+    search: PathSearch,
+    stops: Any,
+    cache: Distances,
+    features: Features,
+) -> int:
+    """Write the features of M observations and return their number. It stops at one with too many parcels or pads.
+
+    Args:
+        grounds: uint8[M, cells], without the drones.
+        drones: int64[M, 3]: cell, units left, steps left.
+        pads: Number of pads of a map, 0 if they are no stops.
+        places: int64[M], the place of each state's distances in the cache.
+        missing: bool[M], whether they are still missing there.
+        search: Working memory.
+        stops: int64[N], working memory.
+        cache: int32[places, N, N] each, distances between the stops of a state.
+        features: The output.
+    """
+    tables, ground, stop_at = search.tables, search.ground, search.stop_at
+    features.begins[0] = 0
+    room = len(stops)
+    for m in range(len(grounds)):
+        n = delivered = 0
+        for c in range(tables.cells):
+            ground[c] = grounds[m, c]
+            stop_at[c] = NO_STOP
+            delivered += ground[c] == DELIVERED_CELL
+            if ground[c] == DELIVERY_CELL:
+                if n + delivered >= tables.deliveries:
+                    return m
+                # Parcels do not end the paths between stops.
+                ground[c] = DELIVERED_CELL
+                stops[n] = c
+                n += 1
+        parcels = n
+        if parcels + delivered > tables.deliveries:
+            return m
+        for c in range(tables.cells):
+            if pads > 0 and ground[c] == PAD_CELL:
+                if n == parcels + pads:
+                    return m
+                stops[n] = c
+                n += 1
+        for i in range(n):
+            stop_at[stops[i]] = i
+        place = places[m]
+        distances = Distances(cache.cheap_units[place], cache.cheap_steps[place], cache.fast_steps[place])
+        if missing[m]:
+            find_distances(search, stops[:n], distances)
+        for i in range(parcels):
+            ground[stops[i]] = DELIVERY_CELL
+        cell, units, left = drones[m]
+        find_paths(search, cell, units, 0)
+        for t in range(n + 1, room + 1):
+            features.present[m, t] = False
+            features.tokens[m, t] = 0.0
+            features.edges[m, t] = 0.0
+            features.edges[m, :, t] = 0.0
+        write_features(search, stops[:n], parcels, 0, cell, units, left, distances, features, m)
+    return len(grounds)
+
+
+class FeatureEncoder:
+    """Encodes observations of one task as features. Not thread-safe.
+
+    It caches the distances between stops, which only a delivery changes.
+
+    Args:
+        task: The task.
+
+    Attributes:
+        most: Maximum number of observations per call.
+
+    Raises:
+        TooLargeError: if the features of one state would take too much memory.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        self._task = task
+        self._pads = 0 if task.uniform or not task.charge_rate else task.pads
+        n = task.deliveries + self._pads
+        search = make_search(task, n)
+        options = n * search.paths.units.shape[1]
+        size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
+        require_memory("the features", task, size)
+        self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
+        self._room = max(self.most, CACHE_BYTES // (12 * n * n))
+        self._working_memory = search, np.zeros(n, np.int64), Distances(*np.zeros((3, self._room, n, n), np.int32))
+        self._place_of: dict[bytes, int] = {}
+        self._features = make_features(self.most, n, self.most * options)
+
+    def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
+        """The features of M observations, at most `most`; the next call overwrites them.
+
+        Args:
+            grids: uint8[M, height, width]
+            telemetry: float32[M, telemetry_size]
+
+        Raises:
+            InvalidValueError: if they are no observations of the task: one shows more parcels, pads or battery than the
+                task has, or a drone beside its grid.
+        """
+        grounds, drones = read_observations(self._task, grids, telemetry)
+        most = self._task.battery_capacity, self._task.max_steps
+        if not ((drones[:, 1:] >= 0) & (drones[:, 1:] <= most)).all():
+            raise InvalidValueError(f"an observation has battery or steps left that {self._task.id!r} does not have")
+        return self.encode(grounds, drones)
+
+    def encode(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> Features:
+        """The features of M states.
+
+        Args:
+            grounds: uint8[M, cells], without the drones.
+            drones: int64[M, 3]: cell, units left, steps left.
+
+        Raises:
+            InvalidValueError: if one has more parcels or pads than the task.
+        """
+        m = len(grounds)
+        if len(self._place_of) + m > self._room:
+            self._place_of.clear()
+        places, missing = np.zeros(m, np.int64), np.zeros(m, np.bool_)
+        for i, ground in enumerate(grounds):
+            new = len(self._place_of)
+            places[i] = self._place_of.setdefault(ground.tobytes(), new)
+            missing[i] = places[i] == new
+        if encode_kernel(grounds, drones, self._pads, places, missing, *self._working_memory, self._features) < m:
+            self._place_of.clear()  # it contains maps whose distances are missing
+            raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
+        return first_states(self._features, m)

@@ -14,8 +14,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, UnsupportedTaskError
 
 if TYPE_CHECKING:
-    from drone_env.agents.tour_encoder import FeatureEncoder
-    from drone_env.agents.tour_features import Features
+    from drone_env.agents.tour_features import FeatureEncoder, Features
 
 SHIPPED = WEIGHTS / "tournet_v1.safetensors"
 """The shipped network, for all tasks."""
@@ -44,7 +43,7 @@ class TournetAgent(StatelessAgent):
 
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
         # Imported lazily: importing the compiler takes seconds.
-        from drone_env.agents.tour_encoder import FeatureEncoder
+        from drone_env.agents.tour_features import FeatureEncoder
         from drone_env.agents.tour_network import load_tour_network
 
         if network is None and not SHIPPED.is_file():

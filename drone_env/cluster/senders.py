@@ -8,7 +8,7 @@ runtime environments.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any, cast
 
 import ray
@@ -18,8 +18,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from drone_env.cluster.nodes import Driver, check_node, failure, nodes_with_cpus, this_driver
 from drone_env.errors import ClusterError
-from drone_env.llm.answers import Answer, ChatMessage
-from drone_env.llm.config import RunConfig
+from drone_env.llm.answers import Answer
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.limiter import Options
 
@@ -31,7 +30,7 @@ class NodeSender:
         self._endpoint: Endpoint | None = None
 
     async def send(
-        self, driver: Driver, config: RunConfig, token: SecretStr | None, timeout: float, *request: Any
+        self, driver: Driver, base_url: str, token: SecretStr | None, timeout: float, *request: Any
     ) -> Answer:
         """See `Endpoint.send`.
 
@@ -41,7 +40,7 @@ class NodeSender:
         """
         check_node(driver)
         if self._endpoint is None:
-            self._endpoint = Endpoint(config, None if token is None else token.get_secret_value(), timeout)
+            self._endpoint = Endpoint(base_url, None if token is None else token.get_secret_value(), timeout)
         return await self._endpoint.send(*request)
 
 
@@ -49,7 +48,7 @@ class ClusterEndpoint:
     """An `Endpoint` whose requests the nodes send in turn. Use it inside `connect`, and close it.
 
     Args:
-        config: The run.
+        base_url: The address of the endpoint.
         token: The API token; None to send none.
         options: Timeout and concurrency of the requests.
 
@@ -57,8 +56,8 @@ class ClusterEndpoint:
         ClusterError: if no node offers a CPU.
     """
 
-    def __init__(self, config: RunConfig, token: str | None, options: Options) -> None:
-        self._first = (this_driver(), config, None if token is None else SecretStr(token), options.timeout)
+    def __init__(self, base_url: str, token: str | None, options: Options) -> None:
+        self._first = (this_driver(), base_url, None if token is None else SecretStr(token), options.timeout)
         remote: Any = cast(Any, ray).remote(num_cpus=0, max_restarts=-1, max_concurrency=options.concurrency)(
             NodeSender
         )
@@ -72,7 +71,7 @@ class ClusterEndpoint:
         self._rotation = list(self._actors)
         self._count = itertools.count()
 
-    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
         """See `Endpoint.send`.
 
         Raises:
@@ -81,7 +80,7 @@ class ClusterEndpoint:
         """
         actor = self._rotation[next(self._count) % len(self._rotation)]
         try:
-            return await actor.send.remote(*self._first, messages, call_id, repeat)
+            return await actor.send.remote(*self._first, request, call_id)
         except RayTaskError as error:
             raise failure(error) from None
         except RayError as error:

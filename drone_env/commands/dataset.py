@@ -63,7 +63,7 @@ def dataset(
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
     warn_about_pickles(agents)
     seeds = split_seeds(split, maps, offset)
-    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, turns, prompt)
+    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, formats, turns, prompt)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
-        rows = build_dataset(config, out, formats, on_map=advance)
+        rows = build_dataset(config, out, on_map=advance)
     print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")

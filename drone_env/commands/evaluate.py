@@ -1,7 +1,8 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -180,9 +181,12 @@ def _fly(
         from drone_env.results.folder import ResultsFolder  # loads Pydantic
 
         folder = ResultsFolder(out, keys)
-    with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
+    total = sum(key.seeds[1] - key.seeds[0] for key in keys)
+    with progress_bar("maps", total) as advance, noted_interrupts() as interrupts:
 
         def arrived(chunk: Results) -> None:
+            if interrupts:
+                raise KeyboardInterrupt
             advance(len(chunk.seeds), f"{get_task(chunk.key.task).short_name} {chunk.key.agent}")
 
         if engine == "local":
@@ -193,6 +197,17 @@ def _fly(
             from drone_env.cluster.episodes import fly_on_nodes
 
             return evaluate_keys(keys, fly_on_nodes, folder, arrived)
+
+
+@contextmanager
+def noted_interrupts() -> Generator[list[bool], None, None]:
+    """Yield a list that contains an entry for each Ctrl-C whose exception a callback of the compiler has lost."""
+    noted, hook = list[bool](), sys.unraisablehook
+    sys.unraisablehook = lambda lost: noted.append(True) if lost.exc_type is KeyboardInterrupt else hook(lost)
+    try:
+        yield noted
+    finally:
+        sys.unraisablehook = hook
 
 
 def json_file(json: str | None) -> Path | None:

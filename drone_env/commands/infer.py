@@ -165,17 +165,17 @@ def infer(
             from drone_env.cluster.connect import connect
 
             stack.enter_context(connect(address))
-        folder = stack.enter_context(contextlib.closing(run_folder.RunFolder(path, config, resume)))
+        stack.enter_context(run_folder.locked_run(path, config, resume))
         if engine == "ray":
             from drone_env.cluster.senders import ClusterEndpoint
 
-            sender = ClusterEndpoint(config, token, options)
+            sender = ClusterEndpoint(config.base_url, token, options)
         else:
-            sender = Endpoint(config, token, options.timeout)
+            sender = Endpoint(config.base_url, token, options.timeout)
         limiter = RateLimiter(options)
-        progress = Progress(config, limiter.budget, folder, store)
+        progress = Progress(config, limiter.budget, path, store)
         try:
-            result = asyncio.run(runner.run(config, folder, sender, limiter, progress))
+            result = asyncio.run(runner.run(config, path, sender, limiter, progress))
             if report:
                 from drone_env.llm import report as reports
                 from drone_env.llm.verify import verified_run

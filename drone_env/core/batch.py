@@ -13,10 +13,9 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
 from drone_env.core.compile_cache import print_before_compiling
-from drone_env.core.observation import open_actions, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
+from drone_env.core.rules import open_actions, score, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rules import reset as reset_episode
-from drone_env.core.rules import score
 from drone_env.core.rules import step as step_episode
 from drone_env.core.seeds import N_SEEDS, next_seed
 from drone_env.core.tables import CELL, DELIVERIES_DONE, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, register_jitable  # pyright: ignore
 
-from drone_env.core import grid_generator, observation, rules, seeds
+from drone_env.core import grid_generator, rules, seeds
 from drone_env.core.compile_cache import compiled_once
 
 cgutils: Any = import_module("numba.core.cgutils")
@@ -19,7 +19,7 @@ cgutils: Any = import_module("numba.core.cgutils")
 # Steps do not allocate, so they need no reference counts (`_nrt`). No divisor is zero (`error_model`). Calls would push
 # all tables, so functions are inlined (`forceinline`). Together, these options make a step nine times faster.
 OPTIONS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
-for module in (grid_generator, observation, rules, seeds):
+for module in (grid_generator, rules, seeds):
     for function in vars(module).values():
         if isfunction(function) and function.__module__ == module.__name__:
             register_jitable(forceinline=True, **OPTIONS)(function)

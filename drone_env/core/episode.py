@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
-from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
-from drone_env.core.rules import EFFICIENCY_WEIGHTS, score
+from drone_env.core.rules import EFFICIENCY_WEIGHTS, Observation, open_actions, score, write_telemetry
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
     BATTERY,

@@ -16,6 +16,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+import pyarrow
+import pyarrow.parquet
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
@@ -24,10 +26,10 @@ from drone_env.datasets.chat import COLUMNS as CHAT
 from drone_env.datasets.chat import row_writer
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
 from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
+from drone_env.results.pages import render
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
-FORMATS = ("parquet", "minari", *CHAT)
 PARQUET_FILE, MINARI_FOLDER = "steps.parquet", "minari"
 ROWS_PER_GROUP = 1 << 14
 """Minimum number of rows in memory before they are written."""
@@ -47,31 +49,23 @@ class Column:
     """Returns the column of one flight: an array [T, ...], a list, or one value for all steps."""
 
 
-def build_dataset(
-    config: DatasetConfig, out: Path, formats: Sequence[str], on_map: Callable[[], object] = lambda: None
-) -> int:
+def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object] = lambda: None) -> int:
     """Fly and write a dataset. If an error occurs, nothing is left.
 
     Args:
         config: The configuration.
         out: The folder to make, in an existing one; it may exist if it is empty.
-        formats: Any of `FORMATS`.
         on_map: Called after each map.
 
     Returns:
         The number of rows.
 
     Raises:
-        InvalidValueError: if a format is unknown, none is named, the folder is not empty or cannot be made, or
-            conversations are not of the split `train`.
+        InvalidValueError: if the folder is not empty or cannot be made, or no two flights of `preference` differ.
         MissingPackageError: if a format's package is not installed.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
-    if not formats or set(formats) - set(FORMATS):
-        raise InvalidValueError(f"formats must be one or more of {', '.join(FORMATS)}; got {', '.join(formats)}")
-    if set(formats) & CHAT.keys() and config.split != "train":
-        raise InvalidValueError(f"{' and '.join(CHAT)} are data to train on: choose the split train")
     if not out.name or not out.parent.is_dir():
         raise InvalidValueError(f"a dataset needs a folder in an existing one, got {str(out)!r}")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
@@ -80,22 +74,22 @@ def build_dataset(
     with TemporaryDirectory(prefix=f"{out.name}.", suffix=".part", dir=out.parent) as temporary:
         folder = Path(temporary) / "dataset"
         folder.mkdir()
-        rows = _write(config, folder, formats, on_map)
-        (folder / "README.md").write_text(_readme(config, tuple(formats), rows), encoding="utf-8")
+        rows = _write(config, folder, on_map)
+        (folder / "README.md").write_text(_readme(config, rows), encoding="utf-8")
         if out.exists():
             out.rmdir()
         folder.rename(out)
     return rows
 
 
-def _write(config: DatasetConfig, folder: Path, formats: Sequence[str], on_map: Callable[[], object]) -> int:
+def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) -> int:
     """Write all flights, whole ones in each row group, and return the number of rows."""
     writers: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]]
     writers = {"parquet": _parquet_writer, "minari": _minari_writer}
     writers |= {name: partial(row_writer, name) for name in CHAT}
     rows, batch = 0, list[Trajectory]()
     with ExitStack() as stack:
-        writes = [stack.enter_context(writers[name](folder, config)) for name in dict.fromkeys(formats)]
+        writes = [stack.enter_context(writers[name](folder, config)) for name in dict.fromkeys(config.formats)]
         for seed in config.seeds:
             batch += fly_map(config, seed)
             steps = sum(len(trajectory.actions) for trajectory in batch)
@@ -107,22 +101,17 @@ def _write(config: DatasetConfig, folder: Path, formats: Sequence[str], on_map: 
     return rows
 
 
-def _readme(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
+def _readme(config: DatasetConfig, rows: int) -> str:
     """Render the dataset's README.md, with the front matter of dataset hubs."""
-    with needs("data"):
-        from drone_env.results.pages import render
-
     return render(
         "dataset.md",
         config=config,
         task=config.task,
         columns=columns(config.task),
-        formats=formats,
         rows=rows,
         parquet=PARQUET_FILE,
         minari=MINARI_FOLDER,
-        chat={name: meanings for name, meanings in CHAT.items() if name in formats},
-        prompt=config.text_prompt,
+        chat={name: meanings for name, meanings in CHAT.items() if name in config.formats},
         dataset_id=config.minari_id,
         about=json.dumps(config.as_json(), indent=2),
     )
@@ -181,9 +170,6 @@ def _parquet_writer(folder: Path, config: DatasetConfig) -> Generator[Write, Non
 
     The schema's metadata contains the configuration as JSON under `drone_env`; each field's its meaning and shape.
     """
-    with needs("data"):
-        import pyarrow
-        import pyarrow.parquet
 
     def field(column: Column) -> Any:
         item = pyarrow.type_for_alias(column.dtype)

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
+import pyarrow.parquet
 
 from drone_env.core.actions import Action, Event
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import InvalidValueError
 from drone_env.llm.text_episode import TextEpisode
 from drone_env.llm.trl_environment import DroneEnvironment
 from drone_env.models import DIRECTIONS
@@ -111,9 +113,6 @@ def row_writer(name: str, folder: Path, config: DatasetConfig) -> Generator[Call
     Raises:
         InvalidValueError: if there is no row at all.
     """
-    with needs("data"):
-        import pyarrow
-        import pyarrow.parquet
     rows_of = {"chat": chat_rows, "preference": preference_rows}[name]
     written: list[Any] = []
     with ExitStack() as stack:

@@ -16,13 +16,15 @@ from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import InvalidValueError
 from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
 from drone_env.results.evaluate import episodes_key
 
 FORMAT = "drone_env/dataset"
+CONVERSATIONS = ("chat", "preference")
+FORMATS = ("parquet", "minari", *CONVERSATIONS)
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class DatasetConfig:
         agents: The agents, in this order on each map.
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: The reward profile.
+        formats: One or more of `FORMATS`.
         turns: In conversations: the `plan` in one answer, or a tool call for each `step`, or for each `route` to a
             parcel.
         prompt: In conversations with a plan: the prompt.
@@ -43,7 +46,8 @@ class DatasetConfig:
     Raises:
         UnknownNameError: if there is no such split, agent, reward profile or prompt.
         InvalidValueError: if the seeds are empty, out of range or outside the split, the agents are empty or repeated,
-            epsilon is not in [0, 1], or the prompt does not ask for a route.
+            epsilon is not in [0, 1], a format is unknown, none is named, conversations are not of the split `train`, or
+            their prompt does not ask for a route.
     """
 
     task: TaskConfig
@@ -52,6 +56,7 @@ class DatasetConfig:
     agents: Sequence[str] = ("optimal", "greedy", "random")
     epsilon: float = 0.1
     reward_profile: str = DEFAULT_PROFILE
+    formats: Sequence[str] = ("parquet", "minari")
     turns: Literal["plan", "step", "route"] = "plan"
     prompt: str = "plan"
 
@@ -60,6 +65,11 @@ class DatasetConfig:
             raise InvalidValueError(f"agents must be one name or more, each once; got {list(self.agents)}")
         if not 0 <= self.epsilon <= 1:
             raise InvalidValueError(f"epsilon must be a probability, 0 to 1; got {self.epsilon!r}")
+        if not self.formats or set(self.formats) - set(FORMATS):
+            got = ", ".join(self.formats)
+            raise InvalidValueError(f"formats must be one or more of {', '.join(FORMATS)}; got {got}")
+        if self.conversations and self.split != "train":
+            raise InvalidValueError(f"{' and '.join(CONVERSATIONS)} are data to train on: choose the split train")
         self.as_json()  # raises if another value is invalid
 
     @property
@@ -73,10 +83,13 @@ class DatasetConfig:
         return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
 
     @property
+    def conversations(self) -> bool:
+        """Whether any format contains conversations."""
+        return not set(CONVERSATIONS).isdisjoint(self.formats)
+
+    @property
     def text_prompt(self) -> Prompt:
         """The prompt of conversations."""
-        with needs("data"):
-            import jinja2  # noqa: F401  # pyright: ignore[reportUnusedImport] - reading a prompt would name another extra
         return plan_prompt(self.prompt) if self.turns == "plan" else tools_prompt()
 
     def as_json(self) -> dict[str, Any]:
@@ -93,11 +106,11 @@ class DatasetConfig:
             "epsilon": float(self.epsilon),
             "reward_profile": asdict(get_reward_profile(self.reward_profile)),
             "task_digest": self.task.digest,
-            "turns": self.turns,
-            "prompt": self.text_prompt.id,
-            "prompt_digest": self.text_prompt.digest,
             "package_version": __version__,
         }
+        if self.conversations:
+            prompt = self.text_prompt
+            config |= {"turns": self.turns, "prompt": prompt.id, "prompt_digest": prompt.digest}
         return json.loads(json.dumps(config, default=str))
 
 

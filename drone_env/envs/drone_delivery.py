@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode, Observation
@@ -16,7 +16,7 @@ from drone_env.envs.ansi import draw_text
 from drone_env.envs.forms import observation_space
 from drone_env.envs.registry import check_gym_id
 from drone_env.envs.rendering import FPS, draw_picture
-from drone_env.errors import InvalidValueError, install_command
+from drone_env.errors import InvalidValueError
 from drone_env.reward_file import chosen_profile
 
 
@@ -36,7 +36,8 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         task: A task or its name.
         version: The task's version; None for the current one.
         reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
-        render_mode: `ansi` (a string), `rgb_array` (uint8[h, w, 3]), `human` (a window) or None.
+        render_mode: `ansi` (a string), `rgb_array` (uint8[h, w, 3]) or None. `gymnasium.make` also takes `human`: its
+            wrapper `HumanRendering` opens a window.
         gym_id: The Gymnasium id that made the environment, which must be the task's own.
 
     Raises:
@@ -44,7 +45,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         InvalidValueError: if the render mode does not exist, or the id belongs to another task.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array", "human"], "render_fps": FPS}
+    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array"], "render_fps": FPS}
 
     def __init__(
         self,
@@ -61,7 +62,6 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         check_gym_id(gym_id, self.task)
         self.render_mode = render_mode
         self.episode = Episode(self.task, chosen_profile(reward_profile))
-        self._clock: Any = None
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
 
@@ -81,8 +81,6 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             raise InvalidValueError(f"reset takes no options, got {list(options)}")
         self.episode.reset(seed)
         super().reset(seed=None if seed is None else self.episode.seed)
-        if self.render_mode == "human":
-            self.render()
         return self.episode.observation(), self._info()
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -95,8 +93,6 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         if not self.episode.started or self.episode.ended:
             raise ResetNeeded("the episode has not started or has ended: call reset() before step()")
         reward = self.episode.step(action)
-        if self.render_mode == "human":
-            self.render()
         return self.episode.observation(), reward, self.episode.ended, False, self._info()
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
@@ -104,48 +100,17 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         return self.episode.action_mask().astype(np.bool_)
 
     def render(self) -> Any:
-        """The episode as a string (`ansi`) or a picture, uint8[h, w, 3] (`rgb_array`); None if a window shows it.
+        """The episode as a string (`ansi`) or a picture, uint8[h, w, 3] (`rgb_array`).
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
-            gymnasium.error.DependencyNotInstalled: if the mode is `human` and pygame is missing.
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs a render mode: pass render_mode='rgb_array' or 'ansi' to make()")
             return None
         if not self.episode.started:
             raise ResetNeeded("no episode to render: call reset() before render()")
-        if self.render_mode == "ansi":
-            return draw_text(self.episode)
-        picture = draw_picture(self.episode)
-        if self.render_mode == "rgb_array":
-            return picture
-        self._show(picture)
-        return None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._clock is not None:
-            import pygame
-
-            pygame.display.quit()
-            self._clock = None
-
-    def _show(self, picture: npt.NDArray[np.uint8]) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise DependencyNotInstalled(f"pygame is not installed; run: {install_command('human')}") from error
-        size = picture.shape[1], picture.shape[0]
-        if self._clock is None:
-            pygame.display.init()
-            pygame.display.set_caption("Drone delivery")
-            self._clock = pygame.time.Clock()
-        screen = pygame.display.get_surface() or pygame.display.set_mode(size)
-        screen.blit(pygame.image.frombuffer(picture.tobytes(), size, "RGB"), (0, 0))
-        pygame.display.flip()
-        pygame.event.pump()
-        self._clock.tick(self.metadata["render_fps"])
+        return draw_text(self.episode) if self.render_mode == "ansi" else draw_picture(self.episode)
 
     def _info(self) -> dict[str, Any]:
         episode = self.episode

@@ -227,7 +227,9 @@ class RunConfig(Message):
     def flight(self, index: int, prompt: Prompt) -> Flight:
         """A flight at its start, by its number: all maps once, then all again."""
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
-        return Flight(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history, index, repeat)
+        flight = Flight(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history)
+        flight.index, flight.repeat, flight.parameters = index, repeat, self._parameters(repeat)
+        return flight
 
     def load_prompt(self) -> Prompt:
         """The prompt.
@@ -246,14 +248,12 @@ class RunConfig(Message):
             return get_prompt(self.prompt)
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
-
-def request_bodies(config: RunConfig) -> list[dict[str, Any]]:
-    """The body of the requests of each repeat, without the messages."""
-    sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
-    body = {"model": config.model, **sampling, **config.sampling.extra, **_answer_form(config)}
-    # Equal seeds would make each repeat a copy of the first.
-    seed = config.sampling.seed
-    return [body if seed is None else {**body, "seed": seed + repeat} for repeat in range(config.repeats)]
+    def _parameters(self, repeat: int) -> dict[str, Any]:
+        """The fields of the requests of a repeat besides the messages."""
+        sampling = self.sampling.model_dump(exclude={"extra"}, exclude_none=True)
+        if "seed" in sampling:  # equal seeds would make each repeat a copy of the first
+            sampling["seed"] += repeat
+        return {"model": self.model, **sampling, **self.sampling.extra, **_answer_form(self)}
 
 
 def _answer_form(config: RunConfig) -> dict[str, Any]:

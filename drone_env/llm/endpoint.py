@@ -3,7 +3,7 @@
 import asyncio
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from time import time
@@ -14,8 +14,8 @@ import httpx
 
 from drone_env import __version__
 from drone_env.errors import DroneEnvError
-from drone_env.llm.answers import Answer, ChatMessage
-from drone_env.llm.config import LOOPBACK, RunConfig, request_bodies
+from drone_env.llm.answers import Answer
+from drone_env.llm.config import LOOPBACK
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300
@@ -66,16 +66,15 @@ class Endpoint:
     """Sends the requests of a run. Close it after use.
 
     Args:
-        config: The run.
+        base_url: Its address.
         token: The API token; None to send none.
         timeout: Maximum duration of a request in seconds.
     """
 
-    def __init__(self, config: RunConfig, token: str | None, timeout: float) -> None:
-        self._url = f"{config.base_url}/chat/completions"
+    def __init__(self, base_url: str, token: str | None, timeout: float) -> None:
+        self._url = f"{base_url}/chat/completions"
         self._token = token
         self._timeout = timeout
-        self._bodies = request_bodies(config)
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
@@ -83,20 +82,20 @@ class Endpoint:
         # connections.
         self._client = httpx.AsyncClient(
             headers=headers,
-            trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
+            trust_env=urlsplit(base_url).hostname not in LOOPBACK,
             follow_redirects=False,
             timeout=None,
             limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
         )
 
-    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
-        """Send one request. The answer does not contain the token, even if the response quotes it.
+    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
+        """Send one request, given its body. The answer does not contain the token, even if the response quotes it.
 
         Raises:
             TryFailedError: if there is no answer.
         """
         try:
-            return await asyncio.wait_for(self._send(messages, call_id, self._bodies[repeat]), self._timeout)
+            return await asyncio.wait_for(self._send(request, call_id), self._timeout)
         except asyncio.TimeoutError:
             raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
@@ -112,10 +111,9 @@ class Endpoint:
         """Close all connections."""
         await self._client.aclose()
 
-    async def _send(self, messages: Sequence[ChatMessage], call_id: str, body: dict[str, Any]) -> Answer:
-        body = {"messages": list(messages), **body}
+    async def _send(self, request: Mapping[str, Any], call_id: str) -> Answer:
         headers = {"x-client-request-id": call_id}
-        async with self._client.stream("POST", self._url, json=body, headers=headers) as response:
+        async with self._client.stream("POST", self._url, json=request, headers=headers) as response:
             data = await _read(response)
         if not response.is_success:
             raise self._refusal(response.status_code, _error_text(data), response.headers)

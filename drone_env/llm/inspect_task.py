@@ -106,7 +106,8 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
         model = get_model()
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
         seed = state.metadata["seed"]
-        flight = Flight(config, seed, chosen, reward_profile, history, index=0, repeat=state.epoch - 1)
+        flight = Flight(config, seed, chosen, reward_profile, history)
+        flight.repeat = state.epoch - 1
         while flight.messages:
             messages = _inspect_messages(flight.messages)
             try:

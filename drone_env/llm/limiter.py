@@ -2,14 +2,14 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
+from drone_env.errors import InvalidValueError
 from drone_env.llm.text_episode import LimitReachedError
 
 if TYPE_CHECKING:
@@ -21,10 +21,6 @@ FIRST_CONCURRENCY = 8
 OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
 Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
-
-
-class StoppedError(DroneEnvError):
-    """The run stops; its flights are abandoned."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +71,6 @@ class Options:
         ):
             raise InvalidValueError("prices must be 0 or more US dollars per million tokens")
 
-    def cost(self, prompt_tokens: int, completion_tokens: int) -> float | None:
-        """The price of tokens in US dollars; None if it is unknown."""
-        if self.price_prompt is None or self.price_completion is None:
-            return None
-        return (prompt_tokens * self.price_prompt + completion_tokens * self.price_completion) / 1e6
-
 
 class Budget:
     """Counts the requests and tokens of a run.
@@ -91,12 +81,12 @@ class Budget:
     Attributes:
         requests: Number of requests sent.
         prompt_tokens, completion_tokens: Number of tokens used.
+        unmetered: Number of answers without a count of their tokens.
     """
 
     def __init__(self, options: Options) -> None:
-        self.requests = self.prompt_tokens = self.completion_tokens = 0
+        self.requests = self.prompt_tokens = self.completion_tokens = self.unmetered = 0
         self._options = options
-        self._unmetered = False
 
     @property
     def tokens(self) -> int:
@@ -106,12 +96,21 @@ class Budget:
     @property
     def cost(self) -> float | None:
         """US dollars spent; None if prices are unknown."""
-        return self._options.cost(self.prompt_tokens, self.completion_tokens)
+        prompt, completion = self._options.price_prompt, self._options.price_completion
+        if prompt is None or completion is None:
+            return None
+        return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
+
+    def resume(self, calls: Iterable["Call"]) -> None:
+        """Count the requests and tokens of earlier calls."""
+        for call in calls:
+            self.requests += call.requests
+            self.count(call)
 
     def count(self, call: "Call") -> None:
         """Count the tokens of a call."""
         if (answer := call.answer) is not None:
-            self._unmetered |= answer.prompt_tokens is None or answer.completion_tokens is None
+            self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
             self.prompt_tokens += answer.prompt_tokens or 0
             self.completion_tokens += answer.completion_tokens or 0
 
@@ -124,24 +123,12 @@ class Budget:
         limits = self._options
         if limits.max_calls is not None and self.requests >= limits.max_calls:
             raise LimitReachedError(f"all {limits.max_calls} calls have been made")
-        if self._unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
+        if self.unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
             raise LimitReachedError("the endpoint does not report its tokens, so they cannot be limited")
         if limits.max_tokens is not None and self.tokens >= limits.max_tokens:
             raise LimitReachedError(f"{self.tokens} of {limits.max_tokens} tokens have been used")
         if limits.max_cost is not None and (cost := self.cost or 0.0) >= limits.max_cost:
             raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
-
-
-class Clock:
-    """The machine's clock; tests replace it."""
-
-    def now(self) -> float:
-        """Monotonic seconds."""
-        return time.monotonic()
-
-    async def sleep(self, seconds: float) -> None:
-        """Wait."""
-        await asyncio.sleep(seconds)
 
 
 class RateLimiter:
@@ -152,22 +139,26 @@ class RateLimiter:
 
     Args:
         options: Limits, rate, prices and maximum concurrency.
-        clock: The time, and how to wait.
+        now: Returns monotonic seconds.
+        sleep: Waits for seconds.
 
     Attributes:
         budget: The requests and tokens so far.
         active: Number of open requests.
         limit: Current maximum number of open requests.
-        fatal: Why every further request would fail; None if there is no such reason.
     """
 
-    def __init__(self, options: Options, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        options: Options,
+        now: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
         self.options = options
-        self.clock = clock or Clock()
+        self.now, self.sleep = now, sleep
         self.budget = Budget(options)
         self.active = 0
         self.limit = float(min(FIRST_CONCURRENCY, options.concurrency))
-        self.fatal: EndpointError | None = None
         self._slow_start = True
         self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
@@ -180,7 +171,6 @@ class RateLimiter:
         Yields the time at which the request is sent.
 
         Raises:
-            StoppedError: if the run stops.
             LimitReachedError: if the budget is spent.
         """
         async with self._changed:
@@ -188,10 +178,9 @@ class RateLimiter:
             self.active += 1
         try:
             await self._pace()
-            self.check_running()
             self.budget.check()
             self.budget.requests += 1
-            yield self.clock.now()
+            yield self.now()
         finally:
             async with self._changed:
                 self.active -= 1
@@ -201,17 +190,17 @@ class RateLimiter:
         """Wait until the end of a pause, and space requests evenly."""
         per_minute = self.options.requests_per_minute
         if per_minute is not None:
-            gap, now = 60 / per_minute, self.clock.now()
+            gap, now = 60 / per_minute, self.now()
             # After an idle time, one request may follow without a gap.
             sent_at = max(self._next_request, now)
             self._next_request = max(self._next_request, now - gap) + gap
             await self._sleep_until(sent_at)
-        while self._paused_until > self.clock.now():
+        while self._paused_until > self.now():
             await self._sleep_until(self._paused_until)
 
     async def _sleep_until(self, when: float) -> None:
-        if (seconds := when - self.clock.now()) > 0:
-            await self.clock.sleep(seconds)
+        if (seconds := when - self.now()) > 0:
+            await self.sleep(seconds)
 
     def answered(self) -> None:
         """Allow more requests at once after an answer."""
@@ -226,12 +215,7 @@ class RateLimiter:
             pause: Seconds.
         """
         self._slow_start = False
-        self._paused_until = max(self._paused_until, self.clock.now() + pause)
+        self._paused_until = max(self._paused_until, self.now() + pause)
         if sent_at > self._halved_at:
             self.limit = max(1.0, self.limit / 2)
-            self._halved_at = self.clock.now()
-
-    def check_running(self) -> None:
-        """Raise `StoppedError` if every further request would fail."""
-        if self.fatal is not None:
-            raise StoppedError("the run stops")
+            self._halved_at = self.now()

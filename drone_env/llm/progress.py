@@ -2,13 +2,15 @@
 
 import sys
 import time
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from drone_env.core.actions import Action
 from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limiter import Budget
-from drone_env.llm.run_folder import RunFolder
+from drone_env.llm.run_folder import EpisodeIds
 from drone_env.llm.text_episode import Flight
 from drone_env.results.store import Store
 
@@ -17,34 +19,34 @@ LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
 
 
+@dataclass
 class Progress:
     """Prints the log lines of each flight to standard output, together, and everything else to standard error.
 
-    Args:
+    Attributes:
         config: The run.
         budget: Its requests and tokens.
         folder: Its folder.
-        store: Gets each finished flight before its log lines are printed; None to store none.
-
-    Attributes:
+        store: Gets each finished episode, once however often the run is resumed; None to store none.
         not_stored: The errors of flights that are not in the store.
     """
 
-    def __init__(self, config: RunConfig, budget: Budget, folder: RunFolder, store: Store | None) -> None:
-        self.not_stored: list[str] = []
-        self._config = config
-        self._budget = budget
-        self._folder = folder
-        self._store = store
-        self._flights = self._retries = 0
-        self._line_shown, self._wait_shown = time.monotonic(), 0.0
+    config: RunConfig
+    budget: Budget
+    folder: Path
+    store: Store | None = None
+    not_stored: list[str] = field(default_factory=list[str])
+    _flights: int = 0
+    _retries: int = 0
+    _line_shown: float = field(default_factory=time.monotonic)
+    _wait_shown: float = 0.0
 
     def on_call(self) -> None:
         """Print a line of progress if the last one is old."""
-        now, budget = time.monotonic(), self._budget
+        now, budget = time.monotonic(), self.budget
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
-            flights = f"{self._flights} of {self._config.flights} flights"
+            flights = f"{self._flights} of {self.config.flights} flights"
             cost = "" if budget.cost is None else f", ${budget.cost:.4f}"
             print(f"{flights}, {budget.requests} requests, {budget.tokens} tokens{cost}", file=sys.stderr)
 
@@ -59,12 +61,12 @@ class Progress:
     def on_flight(self, flight: Flight) -> None:
         """Store the flight and print its log lines."""
         try:
-            if self._store is not None:
-                self._folder.add_to(self._store, flight)
+            if self.store is not None and flight.episode.ended:
+                self.store.add_episode(flight.episode, self.config.model, EpisodeIds(self.folder).of(flight.index))
         except StoreError as error:
             # The flight is paid for: the run continues without the store.
             self.not_stored.append(str(error))
-        print(log_text(flight, self._config.model), end="", flush=True)
+        print(log_text(flight, self.config.model), end="", flush=True)
         self._flights += 1
         if flight.status != "finished":
             print(f"map {flight.episode.seed}: {flight.status}: {flight.error}", file=sys.stderr)

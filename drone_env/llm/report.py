@@ -1,11 +1,11 @@
 """The report of a run: scores with the optimum of each map and the scores of other agents on the same maps."""
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median_high
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +14,13 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
-from drone_env.llm.limiter import Options
-from drone_env.llm.run_folder import RESULTS, FlightResult, load_config, results_of
+from drone_env.llm.limiter import Budget, Options
+from drone_env.llm.run_folder import RESULTS, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.leaderboard import LeaderboardEntry, NotRanked
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, map_rows
 from drone_env.results.statistics import Summary, mean_of, normalised, with_interval
 from drone_env.results.tables import Table, number, percent
 
@@ -46,13 +46,13 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
     config = run.config
     counted = [result for result in run.results if result.status != "errored"]
     verdict, reason = verdict_of(config.flights, [str(result.status) for result in run.results])
-    by_map: dict[int, list[FlightResult]] = defaultdict(list)
-    for result in sorted(counted, key=lambda result: result.seed):
-        by_map[result.seed].append(result)
-    baselines = _baselines(run, list(by_map))
-    best = baselines["optimal"]
-    optimum: dict[int, float] = {} if best is None else dict(zip(by_map, best, strict=True))
-    summary = Summary.of(results_of(config, run.results, optimum))
+    waits: Counter[int] = Counter()
+    for result in counted:
+        waits[result.seed] += result.waits
+    seeds = sorted(waits)
+    baselines = _baselines(run, seeds)
+    flown = results_of(config, run.results, dict(zip(seeds, baselines["optimal"] or (), strict=False)))
+    summary, maps = Summary.of(flown), map_rows(flown)
     means = {name: None if scores is None else mean_of(scores) for name, scores in baselines.items()}
     turns: dict[TurnKind, int] = {name: sum(one.turns.get(name, 0) for one in run.results) for name in TURN_KINDS}
     return {
@@ -76,7 +76,7 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
         "score": summary.score,
         "score_ci95": summary.score_ci95,
         "success_rate": summary.success_rate,
-        "pass_hat_k": _pass_hat_k(list(by_map.values())),
+        "pass_hat_k": _pass_hat_k([(row["success"], len(row["scores"])) for row in maps]),
         "regret": summary.regret,
         "normalised": normalised(summary.score, means["random"], means["optimal"]),
         "baselines": means,
@@ -85,17 +85,7 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
         "waits": sum(result.waits for result in run.results),
         "moves": _moves(run) if moves else None,
         **_spending(run, options),
-        "maps": [
-            {
-                "seed": seed,
-                "scores": [result.score for result in flights],
-                "optimum": optimum.get(seed),
-                "success": sum(result.success for result in flights),
-                "steps": [result.steps for result in flights],
-                "waits": sum(result.waits for result in flights),
-            }
-            for seed, flights in by_map.items()
-        ],
+        "maps": [{**row, "waits": waits[row["seed"]]} for row in maps],
     }
 
 
@@ -112,7 +102,8 @@ def run_entry(path: Path) -> LeaderboardEntry | NotRanked:
     figures = report(run, moves=False)
     if figures["verdict"] != "valid":
         return NotRanked(path, f"{figures['verdict']}: {figures['reason']}", damaged=False)
-    return LeaderboardEntry(path, figures)
+    optima = {row["seed"]: row["optimum"] for row in figures["maps"]}
+    return LeaderboardEntry(path, figures, results_of(run.config, run.results, optima))
 
 
 def unusable_of(figures: dict[str, Any]) -> Unusable:
@@ -135,12 +126,11 @@ def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, list[float] 
     return found
 
 
-def _pass_hat_k(maps: Sequence[Sequence[FlightResult]]) -> dict[str, float]:
+def _pass_hat_k(counts: Sequence[tuple[int, int]]) -> dict[str, float]:
     """For each k, the chance that k flights over one map, drawn without replacement, all deliver everything.
 
     The unbiased estimate C(successes, k) / C(flights, k), averaged over the maps (Yao et al., tau-bench, 2024).
     """
-    counts = [(sum(result.success for result in flights), len(flights)) for flights in maps]
     repeats = min((flights for _, flights in counts), default=0)
     return {
         str(k): fmean(math.comb(successes, k) / math.comb(flights, k) for successes, flights in counts)
@@ -174,20 +164,14 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
 
 
 def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
-    answered = [call for call in run.calls if call.answer is not None]
-    answers = [call.answer for call in answered if call.answer is not None]
-    prompt = sum(answer.prompt_tokens or 0 for answer in answers)
-    completion = sum(answer.completion_tokens or 0 for answer in answers)
-    latencies = sorted(call.latency for call in answered)
+    budget = Budget(options or Options())
+    budget.resume(run.calls)
+    latencies = [call.latency for call in run.calls if call.answer is not None]
     return {
-        "calls": {
-            "answered": len(answers),
-            "requests": sum(call.requests for call in run.calls),
-            "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in answers),
-        },
-        "tokens": {"prompt": prompt, "completion": completion},
-        "cost_usd": None if options is None else options.cost(prompt, completion),
-        "latency_median": latencies[len(latencies) // 2] if latencies else None,
+        "calls": {"answered": len(latencies), "requests": budget.requests, "without_usage": budget.unmetered},
+        "tokens": {"prompt": budget.prompt_tokens, "completion": budget.completion_tokens},
+        "cost_usd": budget.cost,
+        "latency_median": median_high(latencies) if latencies else None,
     }
 
 

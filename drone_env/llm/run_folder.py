@@ -1,8 +1,8 @@
 """The folder of a run: configuration, transcript, records and results. One process at a time writes to it."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from pydantic import Field
@@ -17,7 +17,6 @@ from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 from drone_env.results.record import record_of
 from drone_env.results.result import EpisodesKey, Results
-from drone_env.results.store import Store
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
 MAX_CONFIG, MAX_RESULT = 1 << 20, 1 << 16
@@ -58,7 +57,7 @@ class FlightResult(Message):
         )
 
 
-def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mapping[int, float]) -> Results:
+def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mapping[int, float | None]) -> Results:
     """The results of the flights that count: all that did not error.
 
     Args:
@@ -94,55 +93,39 @@ class EpisodeIds:
         return hashlib.sha256(b"%d %s" % (flight, self._run)).hexdigest()[:16]
 
 
-class RunFolder:
-    """An open run folder. Close it after use.
+@contextmanager
+def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, None, None]:
+    """Begin or continue the run in a folder, and hold its lock until the end of the `with`.
 
     Raises:
         OSError: if it cannot be created or read.
         InvalidValueError: if it contains a run and `resume` is false, or a run of another configuration, or if another
             process writes to it.
     """
+    begun = is_begun(path, CONFIG, "a run")
+    if begun and not resume:
+        raise InvalidValueError(f"{path} contains a run: add --resume to continue it, or name a new folder")
+    path.mkdir(parents=True, exist_ok=True)
+    with locked(path / "lock", f"another process is working on the run in {path}"):
+        if (path / CONFIG).exists():
+            changed = differences(dict(load_config(path)), dict(config))
+            if changed:
+                raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
+        else:
+            write_text(path / CONFIG, config.model_dump_json(indent=2) + "\n")
+        yield
 
-    def __init__(self, path: Path, config: RunConfig, resume: bool) -> None:
-        self.path = path
-        self._agent = config.model
-        begun = is_begun(path, CONFIG, "a run")
-        if begun and not resume:
-            raise InvalidValueError(f"{path} contains a run: add --resume to continue it, or name a new folder")
-        path.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as opened:
-            opened.enter_context(locked(path / "lock", f"another process is working on the run in {path}"))
-            if (path / CONFIG).exists():
-                changed = differences(dict(load_config(path)), dict(config))
-                if changed:
-                    raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
-            else:
-                write_text(path / CONFIG, config.model_dump_json(indent=2) + "\n")
-            self._opened = opened.pop_all()
 
-    def write_flights(self, flights: Sequence[Flight]) -> None:
-        """Write the records and the results of ordered flights; each file is written whole or not at all.
+def write_flights(path: Path, config: RunConfig, flights: Sequence[Flight]) -> None:
+    """Write the records and the results of ordered flights; each file is written whole or not at all.
 
-        Raises:
-            OSError: if they cannot be written.
-        """
-        records = [record_of(flight.episode, self._agent).to_json() for flight in flights]
-        results = [FlightResult.of(flight).model_dump_json() for flight in flights]
-        for name, lines in ((EPISODES, records), (RESULTS, results)):
-            write_text(self.path / name, "".join(f"{line}\n" for line in lines))
-
-    def add_to(self, store: Store, flight: Flight) -> None:
-        """Add a finished episode to a store, which contains it once however often the run is resumed.
-
-        Raises:
-            StoreError: if the store refuses it.
-        """
-        if flight.episode.ended:
-            store.add_episode(flight.episode, self._agent, EpisodeIds(self.path).of(flight.index))
-
-    def close(self) -> None:
-        """Release the folder to other processes."""
-        self._opened.close()
+    Raises:
+        OSError: if they cannot be written.
+    """
+    records = [record_of(flight.episode, config.model).to_json() for flight in flights]
+    results = [FlightResult.of(flight).model_dump_json() for flight in flights]
+    for name, lines in ((EPISODES, records), (RESULTS, results)):
+        write_text(path / name, "".join(f"{line}\n" for line in lines))
 
 
 def load_config(path: Path) -> RunConfig:

@@ -4,19 +4,20 @@ import asyncio
 import contextlib
 import random
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NoReturn, Protocol
+from pathlib import Path
+from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import TURN_KINDS, Answer, ChatMessage, TurnKind, Unusable
-from drone_env.llm.config import RunConfig, request_bodies
+from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable
+from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
-from drone_env.llm.limiter import RateLimiter, StoppedError
+from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.progress import Progress
-from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, RunFolder, results_of
+from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, write_flights
 from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
 from drone_env.llm.transcript import Call, Failure, Transcript, digest
 from drone_env.results.statistics import Summary
@@ -32,7 +33,7 @@ MAX_WAIT = 120.0
 class Sender(Protocol):
     """An `Endpoint`, of this process or of others."""
 
-    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
         """See `Endpoint.send`."""
         ...
 
@@ -77,26 +78,25 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
     return "valid", ""
 
 
+@dataclass
 class Calls:
     """Makes the calls of a run: an answer comes from the transcript, or from the endpoint with retries.
 
-    Args:
+    Attributes:
         config: The run.
         endpoint: Sends the requests.
         transcript: Gets every call.
         limiter: Decides when a request is sent.
         progress: Shows the progress.
+        fatal: Why every further request would fail; None if there is no such reason.
     """
 
-    def __init__(
-        self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, progress: Progress
-    ) -> None:
-        self._url = config.base_url
-        self._bodies = request_bodies(config)
-        self._endpoint = endpoint
-        self._transcript = transcript
-        self._limiter = limiter
-        self._progress = progress
+    config: RunConfig
+    endpoint: Sender
+    transcript: Transcript
+    limiter: RateLimiter
+    progress: Progress
+    fatal: str | None = None
 
     async def ask(self, flight: Flight) -> Answer:
         """The answer to the next call of a flight.
@@ -104,17 +104,13 @@ class Calls:
         Raises:
             CallFailedError: if there is none after all retries.
             LimitReachedError: if the budget of the run is spent.
-            StoppedError: if the run stops because of another call.
             InvalidValueError: if the transcript contains another request under its key.
         """
-        key, messages, body = flight.key, flight.messages, self._bodies[flight.repeat]
-        request = digest({"body": body, "messages": messages})
-        stored = self._transcript.answered.get(key)
-        if stored is not None and stored.answer is not None:
-            stored.require_same(messages, request, body.get("seed"))
-            return stored.answer
-        self._limiter.check_running()
-        began = self._limiter.clock.now()
+        key, request = flight.key, flight.request
+        stored = self.transcript.answered.get(key)
+        if stored is not None:
+            return stored.answer_to(request)
+        began = self.limiter.now()
         failures: list[Failure] = []
 
         def record(answer: Answer | None, outcome: str) -> None:
@@ -124,18 +120,18 @@ class Calls:
                 repeat=flight.repeat,
                 turn=key.turn,
                 attempt=flight.attempt,
-                messages=messages,
-                request_digest=request,
-                sampling_seed=body.get("seed"),
+                messages=flight.messages,
+                request_digest=digest(request),
+                sampling_seed=request.get("seed"),
                 answer=answer,
                 outcome=outcome,
                 failures=failures,
-                latency=self._limiter.clock.now() - began,
+                latency=self.limiter.now() - began,
                 at=time.time(),
             )
-            self._limiter.budget.count(call)
-            self._transcript.append(call)
-            self._progress.on_call()
+            self.limiter.budget.count(call)
+            self.transcript.append(call)
+            self.progress.on_call()
 
         try:
             answer, began = await self._send(flight, failures)
@@ -145,17 +141,21 @@ class Calls:
             raise
         except TryFailedError as failed:
             record(None, "api_error")
-            self._give_up(failed)
+            # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be.
+            first = not self.transcript.answered and 300 <= failed.status < 500 and not failed.retried
+            if failed.fatal or first:
+                self.fatal = f"{urlsplit(self.config.base_url).netloc} returned {failed}"
+            raise CallFailedError(str(failed)) from None
         record(answer, flight.prompt.read_answer(answer).kind)
         return answer
 
     async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
         """The answer, and when its request was sent; appends each failed try to `failures`."""
-        limiter, options, key = self._limiter, self._limiter.options, flight.key
+        limiter, options, key = self.limiter, self.limiter.options, flight.key
         while True:
             async with limiter.slot() as sent_at:
                 try:
-                    answer = await self._endpoint.send(flight.messages, str(key), flight.repeat)
+                    answer = await self.endpoint.send(flight.request, str(key))
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after
                     if failed.retried:
@@ -170,27 +170,16 @@ class Calls:
             if not again:
                 raise failed
             attempt = f"attempt {len(failures)} of {options.tries} failed"
-            self._progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
-            await limiter.clock.sleep(wait)
-
-    def _give_up(self, failed: TryFailedError) -> NoReturn:
-        self._limiter.check_running()
-        # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be too.
-        first = not self._transcript.answered and 300 <= failed.status < 500 and not failed.retried
-        if failed.fatal or first:
-            host = urlsplit(self._url).netloc
-            self._limiter.fatal = EndpointError(f"{host} returned {failed.status}: {failed.reason}")
-        raise CallFailedError(str(failed))
+            self.progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
+            await limiter.sleep(wait)
 
 
-async def run(
-    config: RunConfig, folder: RunFolder, endpoint: Sender, limiter: RateLimiter, progress: Progress
-) -> RunResult:
+async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLimiter, progress: Progress) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
     Args:
         config: The run.
-        folder: Its folder.
+        folder: Its folder, which is locked.
         endpoint: Sends the requests; it is closed.
         limiter: Decides when a request is sent; it must be new.
         progress: Shows the progress.
@@ -199,12 +188,10 @@ async def run(
         OSError: if the folder cannot be written to.
         InvalidValueError: if the transcript is damaged or belongs to another run.
     """
-    flights: list[Flight] = []
+    flights, fatal = list[Flight](), None
     prompt, numbers = config.load_prompt(), iter(range(config.flights))
-    with contextlib.closing(Transcript(folder.path / TRANSCRIPT)) as transcript:
-        for call in transcript.calls:
-            limiter.budget.requests += call.requests
-            limiter.budget.count(call)
+    with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
+        limiter.budget.resume(transcript.calls)
         calls = Calls(config, endpoint, transcript, limiter, progress)
 
         async def worker() -> None:
@@ -213,15 +200,17 @@ async def run(
                 with following(limiter.options.server, config.model) as follow:
                     await fly(flight, calls.ask, follow)
                 # A flight that reached a limit before its first answer has not begun.
-                if flight.begun or flight.status != "budget_stop":
+                if flight.status != "budget_stop" or flight.attempt == 2 or flight.step_errors:
                     flights.append(flight)
                     progress.on_flight(flight)
-                limiter.check_running()
+                if calls.fatal is not None:
+                    raise EndpointError(calls.fatal)
 
         workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, limiter.options.concurrency))]
         try:
-            with contextlib.suppress(StoppedError):
-                await asyncio.gather(*workers)
+            await asyncio.gather(*workers)
+        except EndpointError as error:
+            fatal = str(error)
         finally:
             for task in workers:
                 task.cancel()
@@ -229,8 +218,7 @@ async def run(
             await endpoint.close()
             # Also after an interruption.
             flights.sort(key=lambda flight: flight.index)
-            folder.write_flights(flights)
-    fatal = None if limiter.fatal is None else str(limiter.fatal)
+            write_flights(folder, config, flights)
     return RunResult(config, *verdict_of(config.flights, [flight.status for flight in flights], fatal), flights)
 
 

@@ -1,7 +1,7 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
-from collections.abc import Awaitable, Callable, Sequence
-from typing import Literal, cast
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import Any, Literal, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -162,35 +162,18 @@ def status_text(episode: Episode) -> str:
 class Flight(TextEpisode):
     """A flight of a run. Its calls can fail.
 
-    Args:
-        task: See `TextEpisode`, as for the next four.
-        seed: The map.
-        prompt: The prompt.
-        reward_profile: The rewards of the steps.
-        history: Number of last steps that the prompt shows.
+    Attributes:
         index: Its number in the run, from 0.
         repeat: The number of earlier flights of the run over the same map.
-
-    Attributes:
+        parameters: The fields of its requests besides the messages.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
     """
 
-    def __init__(
-        self,
-        task: TaskConfig | str,
-        seed: int,
-        prompt: Prompt | str,
-        reward_profile: RewardProfile | str,
-        history: int,
-        index: int,
-        repeat: int,
-    ) -> None:
-        super().__init__(task, seed, prompt, reward_profile, history)
-        self.index = index
-        self.repeat = repeat
-        self.status: Status = "finished"
-        self.error: str | None = None
+    index = repeat = 0
+    parameters: Mapping[str, Any]
+    status: Status = "finished"
+    error: str | None = None
 
     @property
     def key(self) -> CallKey:
@@ -198,9 +181,9 @@ class Flight(TextEpisode):
         return CallKey(self.index, len(self.turns) + 1, self.attempt)
 
     @property
-    def begun(self) -> bool:
-        """Whether any answer came."""
-        return self.attempt == 2 or bool(self.step_errors)
+    def request(self) -> dict[str, Any]:
+        """The body of the next request."""
+        return {"messages": self.messages, **self.parameters}
 
     def stop(self, error: CallFailedError | LimitReachedError) -> None:
         """End the flight because a call has no answer."""

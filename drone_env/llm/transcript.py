@@ -7,14 +7,14 @@ leaves at most a cut last line, and the answer on it was not used.
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import read_lines
+from drone_env.files import append_line, read_lines
 from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.models import Count, Message
 
@@ -68,15 +68,16 @@ class Call(Message):
         """The number of requests sent for it."""
         return len(self.failures) + (self.answer is not None)
 
-    def require_same(self, messages: Sequence[ChatMessage], request_digest: str, sampling_seed: int | None) -> None:
-        """Check that this call sent the same request as the run sends now.
+    def answer_to(self, request: Mapping[str, Any]) -> Answer:
+        """The answer, if this call sent the same request as the run sends now.
 
         Raises:
-            InvalidValueError: if it sent another one.
+            InvalidValueError: if it sent another one, or has no answer.
         """
         sent = (self.messages, self.request_digest, self.sampling_seed)
-        if sent != (messages, request_digest, sampling_seed):
+        if self.answer is None or sent != (request["messages"], digest(request), request.get("seed")):
             raise InvalidValueError(f"call {self.key} has another request than this run sends")
+        return self.answer
 
 
 def digest(value: object) -> str:
@@ -97,7 +98,6 @@ class Transcript:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         self.calls: list[Call] = []
         path.touch()
         end = 0
@@ -114,12 +114,7 @@ class Transcript:
         Raises:
             OSError: if it cannot be written.
         """
-        data = f"{call.model_dump_json()}\n".encode()
-        written = self._file.write(data)
-        if written != len(data):
-            # The next call would continue this line.
-            self._file.truncate(self._file.tell() - (written or 0))
-            raise OSError(f"a call could not be written whole to {self.path}")
+        append_line(self._file, call.model_dump_json())
         self.calls.append(call)
         if call.answer is not None:
             self.answered[call.key] = call

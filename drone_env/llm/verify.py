@@ -6,10 +6,10 @@ from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.config import RunConfig, request_bodies
+from drone_env.llm.config import RunConfig
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
-from drone_env.llm.transcript import Call, CallKey, digest, read_calls
+from drone_env.llm.transcript import Call, CallKey, read_calls
 from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
@@ -54,17 +54,14 @@ def verified_run(path: Path) -> VerifiedRun:
         # A run without its worst flights would look better than it is.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    bodies, prompt = request_bodies(config), config.load_prompt()
+    prompt = config.load_prompt()
 
     def replayed(result: FlightResult) -> Flight:
         async def ask(flight: Flight) -> Answer:
-            key, body = flight.key, bodies[flight.repeat]
-            call = answers.get(key)
-            if call is not None and call.answer is not None:
-                messages = flight.messages
-                call.require_same(messages, digest({"body": body, "messages": messages}), body.get("seed"))
+            key = flight.key
+            if key in answers:
                 used.add(key)
-                return call.answer
+                return answers[key].answer_to(flight.request)
             # After its last answer the flight ended with the status of its result, which is compared below.
             if result.status == "errored" and key in failed:
                 raise CallFailedError(result.error or "")

@@ -20,8 +20,7 @@ from drone_env.core.actions import FLYING, N_ACTIONS, Action, Event
 from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.compiled import jitable
-from drone_env.core.episode import Episode, rollout
-from drone_env.core.observation import Observation
+from drone_env.core.episode import Episode, Observation, rollout
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
 from drone_env.core.rules import manhattan, score, step
 from drone_env.core.tables import BATTERY, CELL, DELIVERIES_DONE, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate

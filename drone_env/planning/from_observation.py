@@ -1,6 +1,7 @@
 """Episodes from their fields or from an observation, as inputs of planners."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -71,16 +72,43 @@ def episode_of(task: TaskConfig, observation: Observation, reward_profile: str =
     Raises:
         InvalidValueError: if this is not an observation of the task.
     """
-    x, y = drone_positions(task, observation["grid"][None], observation["telemetry"][None])[0].tolist()
-    ground = np.ravel(observation["grid"]).copy()
-    telemetry = observation["telemetry"].tolist()
-    drone = y * task.width + x
-    battery = round(telemetry[2] * task.battery_capacity)
-    left = round(telemetry[5] * task.max_steps) if len(telemetry) > 5 else battery
-    ground[drone] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, ground)
+    (ground,), ((drone, battery, left),) = read_observations(
+        task, observation["grid"][None], observation["telemetry"][None]
+    )
     kinds = (Cell.DELIVERY, False), (Cell.DELIVERED, True)
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
-    return episode_from_fields(task, ground, drone, battery, task.max_steps - left, parcels, reward_profile)
+    return episode_from_fields(
+        task, ground, int(drone), int(battery), task.max_steps - int(left), parcels, reward_profile
+    )
+
+
+def read_observations(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """The states of M observations.
+
+    Args:
+        task: The task.
+        grids: uint8[M, height, width]
+        telemetry: float32[M, telemetry_size]
+
+    Returns:
+        The grids without the drones, uint8[M, cells], and cell, units left and steps left of the drones, int64[M, 3].
+
+    Raises:
+        InvalidValueError: as `drone_positions`.
+    """
+    x, y = drone_positions(task, grids, telemetry).T
+    units = np.rint(telemetry[:, 2] * task.battery_capacity)
+    left = np.rint(telemetry[:, 5] * task.max_steps) if task.telemetry_size > 5 else units
+    drones = np.stack([y * task.width + x, units, left], axis=1).astype(np.int64)
+    grounds = grids.reshape(len(grids), -1).copy()
+    if task.telemetry_size > 6:
+        below: Any = np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)]
+    else:
+        below = [hidden_kind(task, ground) for ground in grounds]
+    grounds[np.arange(len(grids)), drones[:, 0]] = below
+    return grounds, drones
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:

@@ -4,8 +4,6 @@ If terrain has costs or is impassable, the target is the parcel that is cheapest
 and never charges.
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -20,8 +18,6 @@ UP, LEFT, WAIT = int(Action.UP), int(Action.LEFT), int(Action.WAIT)
 
 def greedy_action(task: TaskConfig, observation: Observation) -> Action:
     """The next action towards the nearest target; WAIT if nothing is left."""
-    if task.uniform:
-        return Action(straight(observation["telemetry"].tolist()))
     return Action(int(greedy_actions(task, observation["grid"][None], observation["telemetry"][None])[0]))
 
 
@@ -33,19 +29,10 @@ def greedy_actions(
     Raises:
         InvalidValueError: if the task is not uniform, and these are not observations of it.
     """
-    if task.uniform:
-        return straight(telemetry.T)
+    if task.uniform:  # along the row to the target, then along the column
+        x, y, _, to_x, to_y, *_ = telemetry.T
+        down_or_wait = np.where(y == to_y, WAIT, UP + (to_y > y))
+        return np.where(x == to_x, down_or_wait, LEFT + (to_x > x))
     from drone_env.planning.paths import cheapest_actions  # Imported lazily: compiling takes seconds.
 
     return cheapest_actions(task, grids, drone_positions(task, grids, telemetry))
-
-
-def straight(telemetry: Any) -> Any:
-    """The action along the row to the target, then along the column; WAIT above it.
-
-    Returns an int for one telemetry as a list, and int64[N] for float32[telemetry_size, N].
-    """
-    x, y, _, to_x, to_y, *_ = telemetry
-    in_column, in_row = x == to_x, y == to_y
-    column_action = (1 - in_row) * (UP + (to_y > y)) + in_row * WAIT
-    return (1 - in_column) * (LEFT + (to_x > x)) + in_column * column_action

@@ -22,19 +22,10 @@ from drone_env.core.compiled import OPTIONS, jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rules import step, units_left
-from drone_env.core.tables import BATTERY, CELL, OUTCOME, Tables, tabulate
+from drone_env.core.tables import BATTERY, CELL, OUTCOME
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError, UnsupportedTaskError
-from drone_env.planning.paths import (
-    NO_STOP,
-    ParetoPaths,
-    Workspace,
-    counts_units,
-    find_paths,
-    make_paths,
-    make_workspace,
-    most_paths,
-)
+from drone_env.planning.paths import PathSearch, find_paths, make_search
 from drone_env.planning.solver import Solver, ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, require_memory, state_arrays
 
@@ -53,15 +44,10 @@ def covers(task: TaskConfig) -> bool:
 class Legs(NamedTuple):
     """One map and its values, for kernels. Stops are the parcels that wait in the solved state, then the pads."""
 
-    tables: Tables
-    counts: Any
-    """1 if units count; 0 if every step drains one unit, so that only steps count."""
-    ground: Any
-    """uint8[cells], the kind of each cell without the drone; kernels modify it."""
+    search: PathSearch
+    """The map, with entries for the paths from a parcel and from each pad to every stop. Kernels modify its ground."""
     stops: Any
     """int64[N], the cell of each stop."""
-    stop_at: Any
-    """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
     parcels: Any
     """Number of stops that are parcels, n."""
     most: Any
@@ -98,7 +84,7 @@ def mark_delivered(legs: Legs, delivered: int) -> int:
     for i in range(legs.parcels):
         bit = delivered >> i & 1
         done += bit
-        legs.ground[legs.stops[i]] = DELIVERED_CELL if bit else DELIVERY_CELL
+        legs.search.ground[legs.stops[i]] = DELIVERED_CELL if bit else DELIVERY_CELL
     return done
 
 
@@ -108,7 +94,7 @@ def arrives(legs: Legs, stop: int, units: int) -> bool:
 
     The last step to a parcel may drain more than the battery has: the drone still delivers, and `units` is negative.
     """
-    return units > (-legs.tables.drain[DELIVERY_CELL * N_ACTIONS] if stop < legs.parcels else 0)
+    return units > (-legs.search.tables.drain[DELIVERY_CELL * N_ACTIONS] if stop < legs.parcels else 0)
 
 
 @jitable
@@ -139,7 +125,6 @@ def raise_by_paths(
     legs: Legs,
     delivered: int,
     done: int,
-    paths: ParetoPaths,
     base: int,
     units: int,
     row: int,
@@ -147,6 +132,7 @@ def raise_by_paths(
     stop_end: int,
 ) -> None:
     """Raise the row of a drone with these units by the paths to the stops in [first, stop_end)."""
+    paths = legs.search.paths
     for stop in range(first, stop_end):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
@@ -176,63 +162,49 @@ def sum_at_pads(legs: Legs, delivered: int) -> int:
     return total
 
 
-@jitable
-def find_stops(legs: Legs, cell: int, units: int, paths: ParetoPaths, base: int, workspace: Workspace) -> None:
-    """Find the Pareto-optimal paths of a drone with these units from a cell to every stop."""
-    find_paths(legs.tables, legs.ground, cell, units, legs.counts, legs.stop_at, paths, base, workspace)
-
-
 @kernel
-def value_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
-    """Compute the ranks.
-
-    Args:
-        legs: The map.
-        paths: Working memory: from a parcel, then from each pad, to every stop.
-        workspace: Working memory.
-    """
+def value_kernel(legs: Legs) -> None:
+    """Compute the ranks."""
     n, stops = legs.parcels, len(legs.stops)
-    charge = -legs.tables.drain[PAD_CELL * N_ACTIONS + WAIT]
+    charge = -legs.search.tables.drain[PAD_CELL * N_ACTIONS + WAIT]
     for delivered in range((1 << n) - 2, -1, -1):
         done = mark_delivered(legs, delivered)
         for pad in range(n, stops):
             base = (pad - n + 1) * stops
-            find_stops(legs, legs.stops[pad], legs.most, paths, base, workspace)
+            find_paths(legs.search, legs.stops[pad], legs.most, base)
             for units in range(1, legs.most + 1):
                 row = row_of(legs, delivered, pad, units)
                 begin_row(legs, done, units, row)
-                raise_by_paths(legs, delivered, done, paths, base, units, row, 0, n)
+                raise_by_paths(legs, delivered, done, base, units, row, 0, n)
         before, total = -1, sum_at_pads(legs, delivered)
         while before != total:
             for pad in range(n, stops):
                 base = (pad - n + 1) * stops
                 for units in range(legs.most, 0, -1):
                     row = row_of(legs, delivered, pad, units)
-                    charged = units_left(legs.tables, units, -charge)
+                    charged = units_left(legs.search.tables, units, -charge)
                     if charged > units:
                         raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
-                    raise_by_paths(legs, delivered, done, paths, base, units, row, n, stops)
+                    raise_by_paths(legs, delivered, done, base, units, row, n, stops)
             before, total = total, sum_at_pads(legs, delivered)
         for parcel in range(n):
             if delivered >> parcel & 1:
-                find_stops(legs, legs.stops[parcel], legs.most, paths, 0, workspace)
+                find_paths(legs.search, legs.stops[parcel], legs.most, 0)
                 for units in range(1, legs.most + 1):
                     row = row_of(legs, delivered, parcel, units)
                     begin_row(legs, done, units, row)
-                    raise_by_paths(legs, delivered, done, paths, 0, units, row, 0, stops)
+                    raise_by_paths(legs, delivered, done, 0, units, row, 0, stops)
 
 
 @jitable
-def best_option(
-    legs: Legs, delivered: int, cell: int, units: int, steps: int, paths: ParetoPaths, workspace: Workspace
-) -> tuple[Any, int]:
+def best_option(legs: Legs, delivered: int, cell: int, units: int, steps: int) -> tuple[Any, int]:
     """The rank of the highest score that a drone can still reach from a cell, and an action towards it.
 
     The action is -1 if no further delivery raises the score. Ties go to the first option, in the order of stops and of
     their paths; charging comes last.
     """
-    done = mark_delivered(legs, delivered)
-    find_stops(legs, cell, units, paths, 0, workspace)
+    done, paths, tables = mark_delivered(legs, delivered), legs.search.paths, legs.search.tables
+    find_paths(legs.search, cell, units, 0)
     best, action = legs.ranks[end_row(legs, done, units), steps], -1
     for stop in range(len(legs.stops)):
         if stop < legs.parcels and delivered >> stop & 1:
@@ -244,9 +216,9 @@ def best_option(
             rank = legs.ranks[row_after(legs, delivered, done, stop, units - paths.units[stop, k]), left]
             if rank > best:
                 best, action = rank, paths.first[stop, k]
-    at = legs.stop_at[cell]
+    at = legs.search.stop_at[cell]
     if at >= legs.parcels and steps > 0:
-        charged = units_left(legs.tables, units, int(legs.tables.drain[PAD_CELL * N_ACTIONS + WAIT]))
+        charged = units_left(tables, units, int(tables.drain[PAD_CELL * N_ACTIONS + WAIT]))
         rank = legs.ranks[row_of(legs, delivered, at, charged), steps - 1]
         if rank > best:
             best, action = rank, WAIT
@@ -255,32 +227,21 @@ def best_option(
 
 # These two hold the interpreter's lock, because threads that use the same solver share its working memory.
 @compiled_once(**OPTIONS)
-def rank_kernel(legs: Legs, states: Any, paths: ParetoPaths, workspace: Workspace, ranks: Any) -> None:
+def rank_kernel(legs: Legs, states: Any, ranks: Any) -> None:
     """Write the rank of the highest score that can still be reached from each state.
 
     Args:
         legs: The map with its ranks.
         states: int64[N, 4]: set delivered, cell, units and steps left, as returned by `clock`.
-        paths: Working memory.
-        workspace: Working memory.
         ranks: int64[N], receives the ranks.
     """
     for k in range(len(states)):
         delivered, cell, units, steps = states[k]
-        ranks[k], _ = best_option(legs, delivered, cell, units, steps, paths, workspace)
+        ranks[k], _ = best_option(legs, delivered, cell, units, steps)
 
 
 @compiled_once(**OPTIONS)
-def flight_kernel(
-    legs: Legs,
-    rewards: Rewards,
-    grid: Any,
-    state: Any,
-    parcels: Any,
-    paths: ParetoPaths,
-    workspace: Workspace,
-    actions: Any,
-) -> int:
+def flight_kernel(legs: Legs, rewards: Rewards, grid: Any, state: Any, parcels: Any, actions: Any) -> int:
     """Fly the shortest best flight by the rules, write its actions, and return their number.
 
     Args:
@@ -289,30 +250,28 @@ def flight_kernel(
         grid: uint8[cells], with the drone; modified.
         state: uint16[state size] of the solved episode; modified.
         parcels: int64[n], the entries of `state` of the waiting parcels.
-        paths: Working memory.
-        workspace: Working memory.
         actions: int64[steps], receives the actions.
     """
     steps, flown = len(actions), 0
-    units = state[BATTERY] if legs.counts else 1
-    best, _ = best_option(legs, 0, state[CELL], units, steps, paths, workspace)
-    while steps > 0 and best_option(legs, 0, state[CELL], units, steps - 1, paths, workspace)[0] == best:
+    units = state[BATTERY] if legs.search.counts else 1
+    best, _ = best_option(legs, 0, state[CELL], units, steps)
+    while steps > 0 and best_option(legs, 0, state[CELL], units, steps - 1)[0] == best:
         steps -= 1
     while state[OUTCOME] == FLYING and flown < steps:
         delivered = delivered_set(state, parcels)
-        units = state[BATTERY] if legs.counts else 1
-        _, action = best_option(legs, delivered, state[CELL], units, steps - flown, paths, workspace)
+        units = state[BATTERY] if legs.search.counts else 1
+        _, action = best_option(legs, delivered, state[CELL], units, steps - flown)
         if action < 0:
             break
         actions[flown] = action
         flown += 1
-        step(legs.tables, rewards, grid, state, action)
+        step(legs.search.tables, rewards, grid, state, action)
     return flown
 
 
 def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
     """Convert battery units and steps left, numbers or arrays, to units and steps left of the kernels."""
-    return (battery, left) if counts_units(task) else (1, np.minimum(battery, left))
+    return (battery, left) if not task.uniform else (1, np.minimum(battery, left))
 
 
 def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: int) -> int:
@@ -350,17 +309,20 @@ def make_legs(
 
     Raises:
         UnsupportedTaskError: if `covers(task)` is False.
-        TooLargeError: as `require_room`.
+        TooLargeError: as `require_room` and `make_search`.
     """
     if not covers(task):
         raise UnsupportedTaskError(
             f"task {task.id!r}: LegSolver needs equal costs of all steps, or efficiency_needs_all"
         )
-    counts, n = counts_units(task), len(parcels)
+    counts, n = not task.uniform, len(parcels)
     pads = np.flatnonzero(ground == PAD_CELL) if counts and task.charge_rate else np.zeros(0, np.int64)
     stops = np.concatenate([np.array(parcels, np.int64), pads])
     units, steps = (task.battery_capacity, left) if counts else clock(task, battery, left)
     rows = require_room(task, n, len(pads), units, steps)
+    search = make_search(task, len(stops) * (len(pads) + 1))
+    search.ground[:] = ground
+    search.stop_at[stops] = np.arange(len(stops))
     _, ranked = ranked_scores(task)
     ranks = np.zeros((rows, steps + 1), ranked.dtype)
     ends = np.reshape(ranks[: (n + 1) * (units + 1)], (n + 1, units + 1, steps + 1))
@@ -372,22 +334,7 @@ def make_legs(
         # The difference between battery and steps left is constant.
         ends[:n] = ranked[done : done + n, battery - steps, task.max_steps - left + steps][:, None, None]
         ends[n] = ranked[task.deliveries, battery - steps + later, task.max_steps - left + steps - later]
-    tables = tabulate(task)
-    stop_at = np.full(tables.cells, NO_STOP, np.int32)
-    stop_at[stops] = np.arange(len(stops))
-    return Legs(tables, int(counts), ground.copy(), stops, stop_at, n, units, ranks)
-
-
-def working_memory(task: TaskConfig, legs: Legs) -> tuple[ParetoPaths, Workspace]:
-    """Allocate the working memory of the kernels.
-
-    Raises:
-        TooLargeError: if it would take more than `states.MAX_BYTES`.
-    """
-    stops = len(legs.stops)
-    paths = stops * (stops - legs.parcels + 1)
-    require_memory("the paths", task, 12 * paths * most_paths(task))
-    return make_paths(task, paths), make_workspace(task)
+    return Legs(search, stops, n, units, ranks)
 
 
 class LegSolver(Solver):
@@ -396,8 +343,6 @@ class LegSolver(Solver):
     Attributes:
         legs: The map with its ranks.
         scores: float64, the score of each rank.
-        paths: Working memory of the kernels.
-        workspace: Working memory of the kernels.
 
     Args:
         episode: An episode in flight; it is not changed.
@@ -405,7 +350,7 @@ class LegSolver(Solver):
     Raises:
         EpisodeError: if the episode has not started, or has ended.
         UnsupportedTaskError: if `covers(task)` is False.
-        TooLargeError: as `make_legs`, and if the paths would take too much memory.
+        TooLargeError: as `make_legs`.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -415,13 +360,12 @@ class LegSolver(Solver):
         parcels, left = state[entries].tolist(), task.max_steps - episode.steps
         self.legs = make_legs(task, ground, parcels, episode.deliveries_done, episode.battery_units, left)
         self.scores, _ = ranked_scores(task)
-        self.paths, self.workspace = working_memory(task, self.legs)
-        value_kernel(self.legs, self.paths, self.workspace)
+        value_kernel(self.legs)
 
     @property
     def nbytes(self) -> int:
         """Memory of the values in bytes."""
-        return self.legs.ranks.nbytes + sum(array.nbytes for array in self.paths)
+        return self.legs.ranks.nbytes + sum(array.nbytes for array in self.legs.search.paths)
 
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         delivered, cells, battery, left = states.T
@@ -430,7 +374,7 @@ class LegSolver(Solver):
         rows, which = np.unique(rows, axis=0, return_inverse=True)  # several actions lead to the same cell
         ranks = np.zeros(len(rows), np.int64)
         for i in range(0, len(rows), CHUNK):
-            rank_kernel(self.legs, rows[i : i + CHUNK], self.paths, self.workspace, ranks[i : i + CHUNK])
+            rank_kernel(self.legs, rows[i : i + CHUNK], ranks[i : i + CHUNK])
         return self.scores[ranks[which.ravel()]]
 
     def best_actions(self) -> list[Action]:
@@ -443,5 +387,5 @@ class LegSolver(Solver):
         _, steps = clock(task, start.battery_units, task.max_steps - start.steps)
         actions = np.zeros(steps, np.int64)
         rewards, grid = tabulate_rewards(task, UNPAID), start.grid().ravel()
-        flown = flight_kernel(self.legs, rewards, grid, state, parcels, self.paths, self.workspace, actions)
+        flown = flight_kernel(self.legs, rewards, grid, state, parcels, actions)
         return [Action(action) for action in actions[:flown].tolist()]

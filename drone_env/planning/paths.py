@@ -16,6 +16,7 @@ from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import NONE, collision
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
+from drone_env.planning.states import require_memory
 
 WAIT = int(Action.WAIT)
 UNREACHED = 1 << 30
@@ -43,9 +44,17 @@ class ParetoPaths(NamedTuple):
     """int32[N, most paths], first action of a path."""
 
 
-class Workspace(NamedTuple):
-    """Working memory of `find_paths`: arrays per cell, and the cells that the last and the current round reached."""
+class PathSearch(NamedTuple):
+    """A map, the paths from one of its cells or several to its stops, and working memory of `find_paths`."""
 
+    tables: Tables
+    counts: Any
+    """1 if units count; 0 if every step drains one unit, so that only steps count and paths drain nothing."""
+    ground: Any
+    """uint8[cells], the kind of each cell without the drone; `Cell.DELIVERY` is a waiting parcel."""
+    stop_at: Any
+    """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
+    paths: ParetoPaths
     fewest: Any
     """int32[cells], units of the cheapest path so far."""
     action: Any
@@ -53,63 +62,44 @@ class Workspace(NamedTuple):
     reached_in: Any
     """int32[cells], the last round that found a cheaper path."""
     last: Any
-    """int32[3, cells]: cell, units and first action."""
+    """int32[3, cells]: cell, units and first action of the cells that the last round reached."""
     next: Any
-    """int32[3, cells]"""
+    """int32[3, cells], those of the current round."""
 
 
-def make_paths(task: TaskConfig, stops: int) -> ParetoPaths:
-    """Allocate the paths to this many stops."""
-    return ParetoPaths(np.zeros(stops, np.int64), *np.zeros((3, stops, most_paths(task)), np.int32))
+def make_search(task: TaskConfig, paths: int) -> PathSearch:
+    """Allocate the search on a map without stops, for paths from cells to stops, this many pairs in all.
+
+    Raises:
+        TooLargeError: if it would take more memory than `states.MAX_BYTES`.
+    """
+    require_memory("the paths", task, 12 * paths * most_paths(task))
+    tables, cells = tabulate(task), task.width * task.height
+    found = ParetoPaths(np.zeros(paths, np.int64), *np.zeros((3, paths, most_paths(task)), np.int32))
+    ground, stop_at = np.zeros(cells, np.uint8), np.full(cells, NO_STOP, np.int32)
+    working_memory = (*np.zeros((3, cells), np.int32), *np.zeros((2, 3, cells), np.int32))
+    return PathSearch(tables, int(not task.uniform), ground, stop_at, found, *working_memory)
 
 
 def most_paths(task: TaskConfig) -> int:
     """The largest number of Pareto-optimal paths to one stop."""
     # Each further path takes at least one step more and one unit less.
-    return min(task.battery_capacity + 1, task.width * task.height) if counts_units(task) else 1
-
-
-def make_workspace(task: TaskConfig) -> Workspace:
-    """Allocate the working memory for a map of the task."""
-    cells = task.width * task.height
-    return Workspace(*np.zeros((3, cells), np.int32), *np.zeros((2, 3, cells), np.int32))
-
-
-def counts_units(task: TaskConfig) -> bool:
-    """Whether units must be counted: not if every step drains one unit."""
-    return not task.uniform
+    return 1 if task.uniform else min(task.battery_capacity + 1, task.width * task.height)
 
 
 @jitable
-def find_paths(
-    tables: Tables,
-    ground: Any,
-    start: int,
-    most: int,
-    counts: int,
-    stop_at: Any,
-    paths: ParetoPaths,
-    base: int,
-    workspace: Workspace,
-) -> None:
+def find_paths(search: PathSearch, start: int, most: int, base: int) -> None:
     """Find all Pareto-optimal paths from a cell to each stop. A path ends at a waiting parcel, which it delivers.
 
     Args:
-        tables: The task's tables.
-        ground: uint8[cells], the kind of each cell without the drone; `Cell.DELIVERY` is a waiting parcel.
+        search: The map; receives the paths, those to stop i at entry `base` + i.
         start: The first cell.
         most: Units of the drone. Only the last step to a waiting parcel may use up all of them.
-        counts: 1 if units count; 0 if only steps count, so that paths drain nothing.
-        stop_at: int32[cells], the number of the stop at each cell, or `NO_STOP`.
-        paths: Receives the paths, those to stop i at entry `base` + i.
         base: The first entry of this cell.
-        workspace: Working memory.
     """
-    fewest, action_of, reached_in = workspace.fewest, workspace.action, workspace.reached_in
+    tables, counts, ground, stop_at, paths, fewest, action_of, reached_in, last, reached = search
     moves: Any = tables.moves
     drain: Any = tables.drain
-    last: Any = workspace.last
-    reached: Any = workspace.next
     for cell in range(tables.cells):
         fewest[cell] = UNREACHED
         reached_in[cell] = 0

@@ -39,6 +39,7 @@ CREATE TABLE IF NOT EXISTS episodes (
     episode TEXT NOT NULL
 );
 CREATE INDEX IF NOT EXISTS episodes_by_task ON episodes (task, task_version, number);
+CREATE INDEX IF NOT EXISTS episodes_by_map ON episodes (task, task_version, seed);
 CREATE TABLE IF NOT EXISTS optima (
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
@@ -59,13 +60,8 @@ CREATE TABLE IF NOT EXISTS sessions (
     touched_at REAL NOT NULL,
     address TEXT
 ) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS gone_sessions (
-    id TEXT NOT NULL PRIMARY KEY,
-    gone_at REAL NOT NULL
-) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS sessions_by_use ON sessions (touched_at);
 CREATE INDEX IF NOT EXISTS finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
-CREATE INDEX IF NOT EXISTS gone_sessions_by_time ON gone_sessions (gone_at);
 CREATE UNIQUE INDEX IF NOT EXISTS unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
 CREATE TABLE IF NOT EXISTS own_tasks (
     task TEXT NOT NULL,

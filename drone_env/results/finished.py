@@ -17,7 +17,7 @@ from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.models import DIRECTIONS, Count, Direction, Message, OutcomeName, Score, Seed
 from drone_env.results.record import AgentLabel, EpisodeRecord, record_of
 from drone_env.results.result import EpisodesKey, Results
-from drone_env.results.statistics import Summary, mean_of
+from drone_env.results.statistics import mean_of
 
 AGENT_LABEL: TypeAdapter[str] = TypeAdapter(AgentLabel)
 
@@ -121,6 +121,14 @@ SELECT_ROWS = (
 )
 """Selects the fields of `EpisodeSummary`."""
 
+SELECT_BEST = f"""
+    SELECT {", ".join(COLUMNS)}, 0 AS solved, NULL AS optimal_score FROM (
+        SELECT *, row_number() OVER (PARTITION BY agent ORDER BY score DESC, steps, number) AS place
+        FROM episodes {{where}} AND (agent = ? OR agent GLOB ? || ' (*)' AND instr(agent, ')') = length(agent))
+    ) WHERE place = 1 ORDER BY score DESC, steps, number LIMIT ?
+"""
+"""Selects the best flight of an agent and of each of its names; `where` names one map."""
+
 # Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
 SELECT_BY_MAP = """
     SELECT e.agent, task, task_version, o.task IS NOT NULL AS solved, max(e.number),
@@ -196,30 +204,21 @@ def analyse(task: TaskConfig, total: int, rows: Sequence[EpisodeSummary]) -> Ana
         total: Finished episodes of this task in the store.
         rows: The newest of them, newest first.
     """
-    success = [row.success for row in rows]
-    results = Results.of_rows(
-        EpisodesKey(task.id, task.version, "custom", (0, 0), "all"),
-        seeds=[row.seed for row in rows],
-        scores=[row.score for row in rows],
-        steps=[row.steps for row in rows],
-        success=success,
-        optimal_scores=[row.optimal_score for row in rows],
-    )
-    summary, half, flown = Summary.of(results, by_map=False), len(rows) // 2, "".join([row.actions for row in rows])
-    deliveries = [row.deliveries for row in rows]
+    success, half, flown = [row.success for row in rows], len(rows) // 2, "".join([row.actions for row in rows])
+    deliveries, regrets = [row.deliveries for row in rows], [row.regret for row in rows if row.regret is not None]
     return Analysis(
         task=task.id,
         episodes_total=total,
-        episodes=summary.flights,
+        episodes=len(rows),
         average_reward=mean_of([row.reward_total for row in rows]),
-        average_score=summary.score,
-        success_rate=summary.success_rate,
+        average_score=mean_of([row.score for row in rows]),
+        success_rate=mean_of(success),
         # An odd episode in the middle belongs to neither half.
         success_trend=(sum(success[:half]) - sum(success[-half:])) / half if half else None,
-        average_steps=summary.steps,
+        average_steps=mean_of([row.steps for row in rows]),
         average_deliveries=mean_of(deliveries),
         deliveries=sum(deliveries),
         action_distribution={action.name: flown.count(str(int(action))) / max(len(flown), 1) for action in Action},
-        mean_regret=summary.regret,
-        regret_episodes=summary.regret_maps,
+        mean_regret=mean_of(regrets),
+        regret_episodes=len(regrets),
     )

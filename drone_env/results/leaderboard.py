@@ -10,7 +10,7 @@ import numpy as np
 
 from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.results.result import Results
+from drone_env.results.result import Results, repeated
 from drone_env.results.statistics import normalised
 
 
@@ -28,18 +28,14 @@ class LeaderboardEntry(NamedTuple):
 
     path: Path
     report: dict[str, Any]
-    """JSON values; they include `config` (`task`, `task_version`, `seeds`, `split`), `maps`, `score` and
-    `normalised`."""
+    """JSON values; they include `config` (`task`, `task_version`, `seeds`, `split`), `score` and `normalised`."""
+    results: Results
+    """The flights that count."""
 
     @property
     def agent(self) -> str:
         """The agent or the model."""
-        return self.report.get("agent") or self.report["config"]["model"]
-
-    @property
-    def results(self) -> Results:
-        """One row per map."""
-        return Results.of_report(self.agent, self.report)
+        return self.results.key.agent
 
 
 class Leaderboard(NamedTuple):
@@ -65,13 +61,13 @@ def evaluation_entries(
     from drone_env.results.folder import IncompleteError, stored_results  # loads Pydantic
 
     try:
-        return [LeaderboardEntry(path, _report(agent, repeats)) for agent, repeats in stored_results(path, task, most)]
+        return [_entry(path, agent, repeats) for agent, repeats in stored_results(path, task, most)]
     except (DroneEnvError, OSError) as error:
         incomplete = isinstance(error, (IncompleteError, TooLargeError, UnknownNameError))
         return [NotRanked(path, str(error), damaged=not incomplete)]
 
 
-def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
+def _entry(path: Path, agent: str, repeats: tuple[Results, ...]) -> LeaderboardEntry:
     key = repeats[0].key
     random = run_episodes(episodes_key(key.task, "random", range(*key.seeds), key.split))
     best = random.optimal_scores  # NaN if unknown
@@ -79,11 +75,8 @@ def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
         known = np.array_equal(results.optimal_scores, best, equal_nan=True)
         if not known or (results.scores > best).any():
             raise InvalidValueError(f"{agent} on {key.task}: these scores are impossible on these maps")
-    figures = summarise(*repeats)
-    scores, success, steps = (
-        np.array([getattr(results, name) for results in repeats]).T for name in ("scores", "success", "steps")
-    )
-    return {
+    figures, results = summarise(*repeats), repeated(repeats)
+    report = {
         "format": "drone_env/agent-report",
         "agent": agent,
         "config": {
@@ -99,17 +92,26 @@ def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
         "normalised": normalised(figures["mean_score"], fmean(random.scores), figures["mean_optimal_score"]),
         "regret": figures["mean_regret"],
         "success_rate": figures["success_rate"],
-        "maps": [
-            {
-                "seed": int(seed),
-                "scores": scores[row].tolist(),
-                "optimum": None if np.isnan(best[row]) else float(best[row]),
-                "success": int(success[row].sum()),
-                "steps": steps[row].tolist(),
-            }
-            for row, seed in enumerate(repeats[0].seeds)
-        ],
+        "maps": map_rows(results),
     }
+    return LeaderboardEntry(path, report, results)
+
+
+def map_rows(results: Results) -> list[dict[str, Any]]:
+    """Return the flights over each map as JSON values, by number of the map."""
+    order = np.argsort(results.seeds, kind="stable")
+    seeds, first = np.unique(results.seeds[order], return_index=True)
+    best = results.optimal_scores
+    return [
+        {
+            "seed": seed,
+            "scores": results.scores[rows].tolist(),
+            "optimum": None if np.isnan(best[rows[0]]) else float(best[rows[0]]),
+            "success": int(results.success[rows].sum()),
+            "steps": results.steps[rows].tolist(),
+        }
+        for seed, rows in zip(seeds.tolist(), np.split(order, first[1:]), strict=False)
+    ]
 
 
 def group_by_maps(entries: Iterable[LeaderboardEntry]) -> list[Leaderboard]:

@@ -17,7 +17,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.files import read_file, read_lines, write_text
+from drone_env.files import append_line, read_file, read_lines, write_text
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
 
 LONGEST_RECORD = 4 << 20
@@ -163,7 +163,7 @@ def save_record(record: EpisodeRecord, path: str | Path) -> None:
     A JSON file is never left partial. If the process dies, at most the last line of a JSONL file is cut.
 
     Raises:
-        OSError: if it cannot be written; the JSONL file may then end in a part of the line.
+        OSError: if it cannot be written.
         InvalidValueError: if the last line of the JSONL file is cut; the file is not changed.
     """
     path = Path(path)
@@ -175,10 +175,7 @@ def save_record(record: EpisodeRecord, path: str | Path) -> None:
             file.seek(-1, os.SEEK_END)
             if file.read() != b"\n":
                 raise InvalidValueError(f"the last line of {path} is cut; remove it before more are appended")
-        line = f"{record.to_json()}\n".encode()
-        written = file.write(line)
-        if written != len(line):
-            raise OSError(f"only {written} of {len(line)} bytes could be written to {path}")
+        append_line(file, record.to_json())
 
 
 def load_record(path: str | Path) -> EpisodeRecord:

@@ -1,8 +1,7 @@
 """Results of flights over maps in columns: one row per flight or per map."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,20 +102,6 @@ class Results:
         }
         unknown = np.full(len(arrays["seeds"]), -1)
         return cls(key, **arrays, deliveries=unknown, optimal_steps=unknown, reward_profile=reward_profile, ids=ids)
-
-    @classmethod
-    def of_report(cls, agent: str, report: Mapping[str, Any]) -> Self:
-        """Create results from the report of an evaluation or of a language model: one row per map."""
-        config, maps = report["config"], report["maps"]
-        return cls.of_rows(
-            EpisodesKey(config["task"], config["task_version"], config["split"], tuple(config["seeds"]), agent),
-            seeds=[row["seed"] for row in maps],
-            scores=[fmean(row["scores"]) for row in maps],
-            steps=[fmean(row["steps"]) for row in maps],
-            success=[row["success"] / len(row["scores"]) for row in maps],
-            optimal_scores=[row["optimum"] for row in maps],
-            flights=[len(row["scores"]) for row in maps],
-        )
 
     def by_map(self) -> "Results":
         """Return one row per map, sorted by seed: the means of the flights over it."""

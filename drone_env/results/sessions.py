@@ -58,9 +58,9 @@ class Session:
         return self.flight == other.flight and self.actions[: len(other.actions)] == other.actions
 
     def go_on_from(self, other: "Session | None") -> None:
-        """Reuse the episode in memory of an earlier state of this session, and fly the actions since."""
+        """Copy the episode in memory of an earlier state of this session, and fly the actions since."""
         if other is not None and other.episode is not None and self.follows(other):
-            self.episode = other.episode.fly(self.actions[len(other.actions) :])
+            self.episode = other.episode.copy().fly(self.actions[len(other.actions) :])
 
     def begin(self, episode: Episode, agent: str | None = None) -> None:
         """Start an episode in this session. An unfinished one is dropped.
@@ -99,7 +99,7 @@ def advance(session: Session, action: int) -> float:
 
     Raises:
         InvalidValueError: if it is not an action.
-        SessionGoneError, UnknownNameError: as `Session.fly`.
+        UnknownNameError: as `Session.fly`.
     """
     episode = session.fly()
     over = episode.ended

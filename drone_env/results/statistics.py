@@ -174,27 +174,20 @@ class Summary:
     excess_steps: float | None
 
     @classmethod
-    def of(cls, results: Results, by_map: bool = True) -> Self:
-        """Return the statistics of results.
-
-        Args:
-            results: The results.
-            by_map: Whether to average the flights over each map first; otherwise each flight counts as a map.
-        """
-        rows = results.by_map() if by_map else results
-        n, flights = len(rows.seeds), len(results.seeds)
-        if results.flights is not None:
-            flights = int(results.flights.sum())
+    def of(cls, results: Results) -> Self:
+        """Return the statistics of results; the flights over each map are averaged first."""
+        rows = results.by_map()
+        assert rows.flights is not None
         # If all maps have equally many flights, the mean over flights equals the mean over maps and is rounded once.
-        even = results if rows.flights is None or len(set(rows.flights.tolist())) == 1 else rows
+        even = results if len(set(rows.flights.tolist())) == 1 else rows
         known = ~np.isnan(rows.optimal_scores)
         regret = (rows.optimal_scores - rows.scores)[known]
         score, optimum = mean_of(rows.scores), mean_of(rows.optimal_scores) if known.all() else None
         delivered = results.success == 1
         excess = (results.steps - results.optimal_steps)[delivered & (results.optimal_steps >= 0)]
         return cls(
-            maps=n,
-            flights=flights,
+            maps=len(rows.seeds),
+            flights=int(rows.flights.sum()),
             score=score,
             score_ci95=ci95(rows.scores, SCORES),
             success_rate=mean_of(even.success),

@@ -17,9 +17,10 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, SessionGoneError, UnknownNameError
+from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
+    SELECT_BEST,
     SELECT_BY_MAP,
     SELECT_ROWS,
     Analysis,
@@ -45,7 +46,9 @@ MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
 SELECT_STORED = "SELECT number, episode FROM episodes"
 COUNT = "SELECT count(*) FROM sessions"
-IDLE = "SELECT id FROM sessions WHERE touched_at <= ?"
+END = "DELETE FROM sessions WHERE id = ?"
+OLDEST = "SELECT id FROM sessions WHERE touched_at <= ? AND episode_id IS NOT NULL ORDER BY touched_at LIMIT 1"
+EXPIRE = "DELETE FROM sessions WHERE touched_at <= ?"
 UPDATE = """
     UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent,
         reward_profile = :reward_profile, actions = :actions, episode_id = :episode_id, touched_at = :now,
@@ -54,7 +57,6 @@ UPDATE = """
 """
 FINISHED_SECONDS = 30.0
 """A finished session is not evicted for this long: its owner still needs the score."""
-GONE_SECONDS = 7 * 24 * 3600.0
 TO_DIGITS = bytes.maketrans(bytes(range(10)), b"0123456789")
 TO_NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
 """The store writes actions as digits; these tables translate bytes of numbers to digits and back."""
@@ -205,6 +207,27 @@ class Store:
         where, values = _where(task)
         return results_by_agent(self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds", patience))
 
+    def best(self, task: str | TaskConfig, seed: int, agent: str, since: float, n: int) -> list[EpisodeSummary]:
+        """Return the best flights of an agent over a map, with and without a name: one for each name, the best first.
+
+        Flights of equal score and length are in the order of storing. A name follows the agent in parentheses.
+
+        Args:
+            task: The task.
+            seed: The map.
+            agent: The agent, without a name.
+            since: The earliest time of storing, in seconds since 1970.
+            n: How many, 0 or more.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            StoreError: if the store cannot be read.
+        """
+        where, values = _where(task, {"seed =": seed, "finished_at >=": since})
+        return [
+            EpisodeSummary(**row) for row in self._read(SELECT_BEST.format(where=where), (*values, agent, agent, n))
+        ]
+
     def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
         """Return the ids that the store contains."""
         return {id_ for id_ in episode_ids if self._read("SELECT 1 FROM episodes WHERE id = ?", (id_,))}
@@ -264,11 +287,10 @@ class Store:
             self._database.check_task(connection, episode.task, claim=True)
             (taken,) = connection.execute(COUNT).fetchone()
             if taken >= capacity:
-                query = f"{IDLE} AND episode_id IS NOT NULL ORDER BY touched_at LIMIT 1"
-                finished = connection.execute(query, (now - FINISHED_SECONDS,)).fetchone()
+                finished = connection.execute(OLDEST, (now - FINISHED_SECONDS,)).fetchone()
                 if finished is None:
                     raise CapacityError(f"all {capacity} sessions are taken: try again later")
-                _end(connection, finished["id"], now)
+                connection.execute(END, (finished["id"],))
             # An address has at most one unnamed session.
             connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
             connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
@@ -289,8 +311,7 @@ class Store:
             address: The address of a caller that does not name the session. A caller that names it makes it private.
 
         Raises:
-            NoSessionError: if there never was such a session, or somebody has named that of the address.
-            SessionGoneError: if it has ended or expired.
+            NoSessionError: if there is no such session, or somebody has named that of the address.
             StoreError: if the store stays busy for 30 s, cannot be written, or the same thread is already in a block.
         """
         with self._database.writing() as connection:
@@ -322,8 +343,7 @@ class Store:
         """Return a session to read only. This does not wait for writers and does not count as use.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
+            NoSessionError: if there is no such session.
             StoreError: if the store cannot be read.
         """
         with self._database.reading() as connection:
@@ -342,13 +362,12 @@ class Store:
         """End a session.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired already.
+            NoSessionError: if there is no such session.
             StoreError: if it could not be written.
         """
         with self._database.writing() as connection:
             _session(connection, session_id)
-            _end(connection, session_id, self._clock())
+            connection.execute(END, (session_id,))
 
     def touch_sessions(self, session_ids: Iterable[str]) -> None:
         """Count sessions as used now; this does not bring back sessions that are gone.
@@ -362,19 +381,14 @@ class Store:
                 "UPDATE sessions SET touched_at = ? WHERE id = ?", [(now, id_) for id_ in session_ids]
             )
 
-    def expire_sessions(self, idle_seconds: float) -> list[str]:
-        """End the sessions that are idle for this long and return their ids. The store remembers them for a week.
+    def expire_sessions(self, idle_seconds: float) -> int:
+        """End the sessions that are idle for this long and return their number.
 
         Raises:
             StoreError: if it could not be written.
         """
-        now = self._clock()
         with self._database.writing() as connection:
-            idle: list[str] = [id_ for (id_,) in connection.execute(IDLE, (now - idle_seconds,))]
-            for session_id in idle:
-                _end(connection, session_id, now)
-            connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
-        return idle
+            return connection.execute(EXPIRE, (self._clock() - idle_seconds,)).rowcount
 
     def count_sessions(self) -> int:
         """Return the number of open sessions.
@@ -439,24 +453,15 @@ def _session(connection: sqlite3.Connection, session_id: str) -> Session:
     """Read a session.
 
     Raises:
-        NoSessionError: if there never was such a session.
-        SessionGoneError: if it has ended or expired.
+        NoSessionError: if there is none.
     """
     # Ids are ASCII, and SQLite rejects lone surrogates.
     known = session_id if session_id.isascii() else ""
     row = connection.execute("SELECT * FROM sessions WHERE id = ?", (known,)).fetchone()
     if row is None:
-        if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
-            raise SessionGoneError("this session has ended or was idle for too long: open a new one")
-        raise NoSessionError("there is no such session: open one first")
+        raise NoSessionError("there is no such session: it has ended, was idle for too long, or never was")
     columns: dict[str, Any] = {**row, "actions": tuple(row["actions"].encode().translate(TO_NUMBERS))}
     return Session(**columns)
-
-
-def _end(connection: sqlite3.Connection, session_id: str, now: float) -> None:
-    """Delete a session and remember that it is gone."""
-    connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
-    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, now))
 
 
 def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:

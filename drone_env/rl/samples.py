@@ -13,12 +13,10 @@ import numpy.typing as npt
 from drone_env.agents.tour_features import (
     Distances,
     Features,
-    PathSearch,
     find_distances,
     first_states,
     make_distances,
     make_features,
-    search_paths,
     write_features,
 )
 from drone_env.core.actions import FLYING, Action
@@ -30,8 +28,8 @@ from drone_env.core.rules import choose_target, reset, step
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel, working_memory
-from drone_env.planning.paths import NO_STOP
+from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel
+from drone_env.planning.paths import NO_STOP, find_paths, most_paths
 from drone_env.planning.solver import ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 
@@ -64,8 +62,8 @@ class Workspace(NamedTuple):
 def place_stops(workspace: Workspace, legs: Legs) -> None:
     """Write the map of the workspace, without its drone, into the legs."""
     for cell in range(workspace.tables.cells):
-        legs.stop_at[cell] = NO_STOP
-        legs.ground[cell] = workspace.grid[cell]
+        legs.search.stop_at[cell] = NO_STOP
+        legs.search.ground[cell] = workspace.grid[cell]
     stop = legs.parcels
     for cell in range(workspace.tables.cells):
         if stop < len(legs.stops) and workspace.grid[cell] == PAD_CELL:
@@ -74,14 +72,14 @@ def place_stops(workspace: Workspace, legs: Legs) -> None:
     for i in range(legs.parcels):
         legs.stops[i] = workspace.state[PARCELS + i]
     for i in range(len(legs.stops)):
-        legs.stop_at[legs.stops[i]] = i
+        legs.search.stop_at[legs.stops[i]] = i
 
 
 @jitable
 def option_row(legs: Legs, delivered: int, done: int, features: Features, option: int, units: int) -> int:
     """The row of `legs.ranks` after an option, `features.numbers[option, 1]` steps later."""
     stop, drained = features.token[option] - 1, features.numbers[option, 0]
-    after = units - drained if legs.counts else 1
+    after = units - drained if legs.search.counts else 1
     if drained < 0:
         return row_of(legs, delivered, stop, after)
     return row_after(legs, delivered, done, stop, after)
@@ -138,7 +136,6 @@ def sample_kernel(
     legs: Legs,
     scores: Any,
     distances: Distances,
-    search: PathSearch,
     seeds: Any,
     per_map: int,
     features: Features,
@@ -151,14 +148,13 @@ def sample_kernel(
         legs: Working memory, for whole episodes.
         scores: float64[ranks], the score of each rank.
         distances: Working memory.
-        search: Working memory; it shares the map with the legs.
         seeds: int64[maps]
         per_map: Maximum number of states of each map.
         features: The output.
         values: float32[options], the values of the options, also output.
     """
     tables, rewards, grid, state, parcels = workspace
-    m, n = 0, legs.parcels
+    m, n, search = 0, legs.parcels, legs.search
     features.begins[0] = 0
     for seed in seeds:
         reset(tables, grid, state, seed)
@@ -167,21 +163,21 @@ def sample_kernel(
         place_stops(workspace, legs)
         mark_delivered(legs, (1 << n) - 1)
         find_distances(search, legs.stops, distances)
-        value_kernel(legs, search.paths, search.workspace)
+        value_kernel(legs)
         key, target = mix64(seed ^ GOLDEN), m + per_map
         for _ in range(4 * per_map):
             if m == target:
                 break
-            key, flies = sample_start_state(workspace, legs.counts, start, key)
+            key, flies = sample_start_state(workspace, legs.search.counts, start, key)
             if not flies:
                 continue
             chosen_token, path_units, path_steps = -1, 0, 0
             while state[OUTCOME] == FLYING and m < target:
                 delivered = delivered_set(state, parcels)
                 cell, units, left = state[CELL] * 1, state[BATTERY] * 1, tables.max_steps - state[STEPS]
-                still = left if legs.counts else min(left, units)
+                still = left if legs.search.counts else min(left, units)
                 done = mark_delivered(legs, delivered)
-                search_paths(search, cell, units)
+                find_paths(search, cell, units, 0)
                 write_features(search, legs.stops, n, delivered, cell, units, left, distances, features, m)
                 first, behind = features.begins[m], features.begins[m + 1]
                 best, lost, alike = -1, 0, True
@@ -223,7 +219,7 @@ def sample_kernel(
                     m += 1
                 step(tables, rewards, grid, state, action)
                 key = next_key(key)
-                path_units -= before - state[BATTERY] if legs.counts else 1
+                path_units -= before - state[BATTERY] if legs.search.counts else 1
                 path_steps -= 1
                 if action == WAIT or uniform_below(key, 100) >= GOES_ON:
                     chosen_token = -1
@@ -258,14 +254,13 @@ class SampleGenerator:
         # All maps of a task have the same number of stops.
         ground, state, entries = state_arrays(Episode(task, seed=0))
         legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
-        search = PathSearch(tables, legs.counts, legs.ground, legs.stop_at, *working_memory(task, legs))
         scores, _ = ranked_scores(task)
         grid, state = np.zeros(tables.cells, np.uint8), np.zeros(state_size(tables), np.uint16)
         workspace = Workspace(tables, tabulate_rewards(task, UNPAID), grid, state, entries)
         stops = len(legs.stops)
-        self._working_memory = workspace, legs, scores, make_distances(stops), search
+        self._working_memory = workspace, legs, scores, make_distances(stops)
         states = maps * per_map + 1
-        options = states * stops * search.paths.units.shape[1]
+        options = states * stops * most_paths(task)
         self._features, self._values = make_features(states, stops, options), np.zeros(options, np.float32)
 
     def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:

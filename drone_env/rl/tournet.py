@@ -27,8 +27,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
-from drone_env.agents.tour_encoder import FeatureEncoder
-from drone_env.agents.tour_features import SHORT_TIME, SMALL_BATTERY, Features
+from drone_env.agents.tour_features import SHORT_TIME, SMALL_BATTERY, FeatureEncoder, Features
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS

@@ -19,7 +19,6 @@ from drone_env.errors import (
     EpisodeError,
     InvalidValueError,
     NoSessionError,
-    SessionGoneError,
     StoreError,
     TooLargeError,
     UnknownNameError,
@@ -69,7 +68,6 @@ class RequestError(DroneEnvError):
 
 STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
     (NoSessionError, 410, "session_gone"),
-    (SessionGoneError, 410, "session_gone"),
     (CapacityError, 503, "no_room"),
     (StoreError, 503, "store"),
     (CheckpointError, 503, "no_network"),

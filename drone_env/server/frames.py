@@ -34,12 +34,11 @@ class FlightHeader(Message):
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
     pilot: str = Field(description="Id of the pilot; the agent of the record if it is not a pilot.")
     by: str = Field(
-        description="The pilot; then ` with values`, ` with undo` or ` with values and undo` if a person used them; "
-        "then, for a fork, ` from step N of ` and the pilot of the first N steps."
+        description="The pilot, or `human (NAME)`; then ` with values`, ` with undo` or ` with values and undo` if a "
+        "person used them; then, for a fork, ` from step N of ` and the pilot of the first N steps."
     )
     forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")
-    task_version: int = Field(ge=1, description="Version of the task.")
     short_name: str = Field(description="Short name of the task.")
     seed: Count = Field(description="Number of the map.")
     reward_profile: str = Field(description="Id of the reward profile.")
@@ -47,7 +46,6 @@ class FlightHeader(Message):
     height: int
     max_steps: int
     battery_capacity: int
-    deliveries_total: int
     cells: list[list[int]] = Field(description="Kinds of the cells at the start, cells[y][x], without the drone.")
     parcels: list[Position] = Field(description="[x, y] of each parcel.")
     start: Position = Field(description="[x, y] where the drone starts.")
@@ -65,7 +63,6 @@ class FlightHeader(Message):
             by=by,
             forked_at=provenance.forked_at,
             task=task.id,
-            task_version=task.version,
             short_name=task.short_name,
             seed=episode.seed,
             reward_profile=episode.reward_profile.id,
@@ -73,7 +70,6 @@ class FlightHeader(Message):
             height=task.height,
             max_steps=task.max_steps,
             battery_capacity=task.battery_capacity,
-            deliveries_total=task.deliveries,
             cells=cells,
             parcels=[(px, py) for px, py, _ in episode.parcels],
             start=(x, y),
@@ -105,7 +101,6 @@ class Frame(Message):
     delivered: list[Position] = Field(description="[x, y] of the parcels delivered so far.")
     target: Position | None = Field(description="[x, y] of the current target.")
     distance: int | None = Field(description="Manhattan distance to the target in cells.")
-    telemetry: list[float] = Field(description="The numbers that the network reads besides the grid.")
     score: Score = Field(description="The graded score; provisional until `done`.")
     efficiency: float = Field(ge=0, le=100, description="The weighted sum of its parts; not the score.")
     efficiency_parts: list[EfficiencyPart]
@@ -142,8 +137,8 @@ def frame_of(
         optimum: The optimum of the map; required if `value` is given.
     """
     x, y = episode.position
-    last, obs = episode.last_step, episode.observation()
-    q_values = None if network is None or episode.ended else network.q_values(obs).tolist()
+    last = episode.last_step
+    q_values = None if network is None or episode.ended else network.q_values(episode.observation()).tolist()
     return Frame(
         step=episode.steps,
         action=None if last is None else last.action.name,
@@ -159,7 +154,6 @@ def frame_of(
         delivered=[(px, py) for px, py, delivered in episode.parcels if delivered],
         target=episode.target,
         distance=episode.distance_to_target,
-        telemetry=obs["telemetry"].tolist(),
         score=episode.score,
         efficiency=episode.efficiency,
         efficiency_parts=[

@@ -114,7 +114,7 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
     @property
     def state(self) -> DroneEnvState:
         """The full state of the episode."""
-        return DroneEnvState(**dict(DroneState.of(self._episode).model_copy(update={"episode_id": self._episode_id})))
+        return DroneEnvState.of(self._episode, self._episode_id)
 
     def get_metadata(self) -> EnvironmentMetadata:
         """Return name, description and version."""

@@ -35,14 +35,8 @@ CACHED_SOLVERS = 16 << 20
 GROWTH = 32 << 20
 """Bytes by which a process may grow over its jobs; then a new one replaces it."""
 
-NEXT, LAST, AGAIN = range(3)
-"""What a process does after a job: take the next one, end, or end because the job needs a new process."""
 Registered = tuple[dict[str, TaskConfig], dict[str, RewardProfile]]
 """The tasks and reward profiles of the server."""
-
-
-class FullError(BaseException):
-    """Memory ran out in a process that has run other jobs. The job runs again in a new process."""
 
 
 class JobContext:
@@ -80,9 +74,9 @@ class JobContext:
         return solver
 
     def require_new(self) -> None:
-        """Call this when memory has run out: if this process has run other jobs, a new one repeats the job."""
+        """Call this when memory has run out. If this process has run other jobs, a new one repeats the job."""
         if not self.is_new:
-            raise FullError
+            sys.exit()
 
 
 _contexts: list[JobContext] = []
@@ -96,7 +90,7 @@ def job_context() -> JobContext:
 def serve(
     connection: Connection, others: Connection, settings: Settings, environment: dict[str, str], registered: Registered
 ) -> None:
-    """Run jobs until the server closes the connection.
+    """Run jobs until the server closes the connection, or this process has grown too much. The server starts another.
 
     Args:
         connection: Receives functions and arguments, sends results and errors.
@@ -120,7 +114,7 @@ def serve(
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))
     limits = Limits(settings)
-    while True:
+    while not limits.outgrown:
         try:
             function, arguments = connection.recv()
         except (EOFError, OSError):
@@ -132,16 +126,14 @@ def serve(
                 result = function(*arguments)
         except DroneEnvError as raised:
             error = raised
-        except (FullError, MemoryError):
-            if not context.is_new:
-                connection.send((None, None, AGAIN))
-                return
+        except MemoryError:
+            context.require_new()
             error = TooLargeError(limits.too_much)
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
         context.is_new = False
-        connection.send((result, error, LAST if limits.outgrown else NEXT))
+        connection.send((result, error))
 
 
 class Limits:

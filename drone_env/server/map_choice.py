@@ -1,6 +1,7 @@
 """The map of a reset, and OpenEnv's task API: each task has three splits, and map i of a split is its i-th seed."""
 
 import secrets
+from datetime import date, datetime, timezone
 
 from typing_extensions import TypedDict
 
@@ -14,6 +15,20 @@ from drone_env.server.schemas import ResetOptions
 DEFAULT_TASK = "easy_delivery"
 PREVIEW = 1000
 """Maximum number of maps in a list; `the 1,000 test maps` are the first of the test split."""
+
+
+DAILY = ("skyline_easy", "skyline_medium", "city_small")
+"""The tasks of the map of the day, in turn."""
+
+
+def today() -> date:
+    """The date (UTC)."""
+    return datetime.now(timezone.utc).date()
+
+
+def map_of_the_day(day: date) -> tuple[str, int]:
+    """The task and the map number of a day (UTC), equal on all servers: the number is the date, such as 20261126."""
+    return DAILY[day.toordinal() % len(DAILY)], int(f"{day:%Y%m%d}")
 
 
 def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> Episode:

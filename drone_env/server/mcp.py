@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError
 from drone_env import __version__
 from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, text_of
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
-from drone_env.models import Message, flat_json
+from drone_env.models import Message
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState
@@ -142,7 +142,7 @@ async def _call(
     try:
         if method in ("initialize", "openenv/session/create"):
             if session is None:
-                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), flat_json)
+                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset())
             opened = {"session_id": named if session is None else session.episode_id}
             return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
         named = params.get("session_id", named)
@@ -153,7 +153,7 @@ async def _call(
             return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
         # That of a connection ends with it.
         if method == "openenv/session/close" and session is None:
-            await asyncio.to_thread(shared.sessions.end, str(named))
+            await asyncio.to_thread(shared.store.end_session, str(named))
             return {"session_id": named, "closed": True}
     except CapacityError as error:
         raise ToolError("execution_error", str(error), SERVER_ERROR) from None

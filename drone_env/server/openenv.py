@@ -53,75 +53,6 @@ class RefusedError(Exception):
         self.frame = _frame("error", to_json(data).decode())
 
 
-class Connection:
-    """The frames of a connection.
-
-    Args:
-        shared: The parts of the server.
-        session: Its session.
-        mcp: Whether the frames are requests of MCP.
-    """
-
-    def __init__(self, shared: AppState, session: OpenEnvSession, mcp: bool = False) -> None:
-        self._shared = shared
-        self._session = session
-        self._mcp = mcp
-
-    async def answer(self, received: bytes | None) -> str | None:
-        """Return the response to a frame; None if the client closes the session.
-
-        Args:
-            received: The frame; None for a binary one.
-
-        Raises:
-            RefusedError: if the frame is invalid or cannot be executed.
-        """
-        try:
-            frame = parse_json(received)
-        except InvalidValueError as error:
-            if self._mcp:
-                problem = {"code": PARSE_ERROR, "message": str(error)}
-                return to_json({"jsonrpc": "2.0", "id": None, "error": problem}).decode()
-            raise RefusedError("INVALID_JSON", str(error)) from None
-        if self._mcp:
-            return to_json(await rpc(self._shared, frame, self._session)).decode()
-        if not isinstance(frame, dict):
-            raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
-        frame = cast(dict[str, Any], frame)
-        kind, data = frame.get("type"), frame.get("data", {})
-        # An action may be a word or a number instead of an object.
-        if frame.keys() - {"type", "data"} or not (kind == "step" or isinstance(data, dict)):
-            raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
-        session = self._session
-        try:
-            if kind == "step":
-                return await self._step(data)
-            if kind == "reset":
-                episode = await session.reset(OpenEnvReset.model_validate(data))
-                return _frame("observation", await session.observation(episode, None))
-            if kind == "state":
-                state = DroneState.of(await session.look()).model_copy(update={"episode_id": session.episode_id})
-                return _frame("state", state.model_dump_json())
-        except ValidationError as error:
-            errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
-            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
-        except DroneEnvError as error:
-            named = isinstance(error, UnknownNameError)
-            raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None
-        if kind == "close":
-            return None
-        if kind == "mcp":
-            return _frame("mcp", to_json(await rpc(self._shared, data, session)).decode())
-        raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
-
-    async def _step(self, data: Any) -> str:
-        if isinstance(data, dict) and cast(dict[str, Any], data).get("type") in ("list_tools", "call_tool"):
-            result = await step_as_tool(self._session, cast(dict[str, Any], data))
-            return _frame("observation", to_json(result).decode())
-        episode, reward, flown = await self._session.fly(RouteAction.model_validate(data).direction)
-        return _frame("observation", await self._session.observation(episode, reward, flown=flown))
-
-
 class OpenEnvSocket:
     """The WebSocket endpoint, an ASGI application. It closes idle sockets.
 
@@ -156,8 +87,8 @@ class OpenEnvSocket:
             finally:
                 self.touched.pop(socket, None)
 
-    async def _open(self, socket: WebSocket) -> Connection:
-        """Return the connection: to a session of its own, or to the stored one that the URL names."""
+    async def _open(self, socket: WebSocket) -> OpenEnvSession:
+        """Return the session of a connection: its own, or the stored one that the URL names."""
         stored, path = socket.query_params.get("session_id"), socket.scope.get("path_params")
         task, prompt = DEFAULT_TASK, None
         try:
@@ -171,15 +102,16 @@ class OpenEnvSocket:
         except (DroneEnvError, ValidationError) as error:
             message = text_of(error) if isinstance(error, ValidationError) else str(error)
             raise RefusedError("SESSION_ERROR", message) from None
-        return Connection(self.shared, session, socket.scope.get("path") == "/mcp")
+        return session
 
-    async def _serve(self, socket: WebSocket, connection: Connection) -> None:
+    async def _serve(self, socket: WebSocket, session: OpenEnvSession) -> None:
+        answer_to = self._mcp_answer if socket.scope.get("path") == "/mcp" else self._answer
         async for data in received(socket, LARGEST_FRAME):
             if socket not in self.touched:
                 return  # closed because it was idle
             self.touched[socket] = self._clock()
             try:
-                answer = await connection.answer(data)
+                answer = await answer_to(session, data)
             except RefusedError as refusal:
                 answer = refusal.frame
             if answer is None:
@@ -189,6 +121,56 @@ class OpenEnvSocket:
                 return
             await socket.send_text(answer)
             self.touched[socket] = self._clock()
+
+    async def _mcp_answer(self, session: OpenEnvSession, data: bytes | None) -> str:
+        """Return the response to a request of MCP."""
+        try:
+            return to_json(await rpc(self.shared, parse_json(data), session)).decode()
+        except InvalidValueError as error:
+            problem = {"code": PARSE_ERROR, "message": str(error)}
+            return to_json({"jsonrpc": "2.0", "id": None, "error": problem}).decode()
+
+    async def _answer(self, session: OpenEnvSession, received: bytes | None) -> str | None:
+        """Return the response to a frame; None if the client closes the session.
+
+        Raises:
+            RefusedError: if the frame is invalid or cannot be executed.
+        """
+        try:
+            frame = parse_json(received)
+        except InvalidValueError as error:
+            raise RefusedError("INVALID_JSON", str(error)) from None
+        if not isinstance(frame, dict):
+            raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
+        frame = cast(dict[str, Any], frame)
+        kind, data = frame.get("type"), frame.get("data", {})
+        # An action may be a word or a number instead of an object.
+        if frame.keys() - {"type", "data"} or not (kind == "step" or isinstance(data, dict)):
+            raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
+        fields = cast(dict[str, Any], data) if isinstance(data, dict) else {}
+        try:
+            if kind == "step" and fields.get("type") in ("list_tools", "call_tool"):
+                return _frame("observation", to_json(await step_as_tool(session, fields)).decode())
+            if kind == "step":
+                episode, reward, flown = await session.fly(RouteAction.model_validate(data).direction)
+                return _frame("observation", await session.observation(episode, reward, flown=flown))
+            if kind == "reset":
+                episode = await session.reset(OpenEnvReset.model_validate(data))
+                return _frame("observation", await session.observation(episode, None))
+            if kind == "state":
+                state = DroneState.of(await session.look(), session.episode_id)
+                return _frame("state", state.model_dump_json())
+        except ValidationError as error:
+            errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
+            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
+        except DroneEnvError as error:
+            named = isinstance(error, UnknownNameError)
+            raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None
+        if kind == "close":
+            return None
+        if kind == "mcp":
+            return _frame("mcp", to_json(await rpc(self.shared, data, session)).decode())
+        raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
     async def close_idle(self) -> None:
         """Close idle sockets."""

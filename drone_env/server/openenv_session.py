@@ -3,7 +3,7 @@
 import asyncio
 import uuid
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from drone_env.core.episode import NOT_STARTED, Episode
 from drone_env.errors import EpisodeError
@@ -15,8 +15,6 @@ from drone_env.server.map_choice import DEFAULT_TASK, start_episode
 from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import AppState
-
-Result = TypeVar("Result")
 
 
 def full_text(prompt: Prompt, episode: Episode) -> str:
@@ -86,7 +84,7 @@ class OpenEnvSession:
             episode = start_episode(options, last, self._task)
             self._session = Session("", *flight_of(episode), agent, episode=episode)
         else:
-            episode, _ = await self._use(
+            episode = await self._use(
                 lambda session: session.begin(start_episode(options, session.seed, self._task), agent)
             )
         self.episode_id = str(uuid.uuid4()) if options.episode_id is None else options.episode_id
@@ -105,8 +103,7 @@ class OpenEnvSession:
             if not session.finished:
                 self._last = fly_route(route, session.fly(), lambda action: advance(session, action))
 
-        episode, _ = await self._use(fly)
-        return episode, *self._last
+        return await self._use(fly), *self._last
 
     async def look(self) -> Episode:
         """Return the episode.
@@ -114,7 +111,7 @@ class OpenEnvSession:
         Raises:
             EpisodeError: before the first reset.
         """
-        return (await self._use(lambda _: None))[0]
+        return await self._use(lambda _: None)
 
     async def observation(self, episode: Episode, reward: float | None, **metadata: int) -> str:
         """Return an observation as JSON in OpenEnv's format, with the text that the reset named."""
@@ -132,19 +129,19 @@ class OpenEnvSession:
             self._feedback += f"\n{flown_text(episode, flown)}"
         return openenv_fields(episode, self._prompt, metadata, self._feedback)
 
-    async def _use(self, change: Callable[[Session], Result]) -> tuple[Episode, Result]:
-        """Call a function with the session, and store what ended."""
+    async def _use(self, change: Callable[[Session], object]) -> Episode:
+        """Call a function with the session, store what ended, and return the episode."""
         loop, shared = asyncio.get_running_loop(), self._shared
         if self._stored is not None:
             return await loop.run_in_executor(shared.steps, self._use_stored, self._stored, change)
         if self._session is None:
             raise EpisodeError(NOT_STARTED)
-        result = change(self._session)
+        change(self._session)
         if self._session.finished:
             await loop.run_in_executor(shared.steps, shared.store.keep, self._session)
-        return self._session.fly(), result
+        return self._session.fly()
 
-    def _use_stored(self, stored: str, change: Callable[[Session], Result]) -> tuple[Episode, Result]:
+    def _use_stored(self, stored: str, change: Callable[[Session], object]) -> Episode:
         with self._shared.sessions.changing(stored) as session:
-            result = change(session)
-            return session.fly().copy(), result
+            change(session)
+            return session.fly()

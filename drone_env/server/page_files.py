@@ -1,4 +1,7 @@
-"""The static files of the page. URLs under `/static/v-EDITION/` contain a content hash, so browsers cache them."""
+"""The static files of the page. URLs under `/static/v-EDITION/` contain a content hash, so browsers cache them.
+
+`make bundle` joins the modules in `static/js` into one file for Fly and one for each other view, in `static/bundle`.
+"""
 
 import os
 import re
@@ -14,6 +17,8 @@ PAGE = Path(__file__).with_name("static")
 ART = Path(__file__).parents[1] / "envs" / "art"
 """Sprites of Gymnasium's renderer and of the page."""
 FILES = [(folder, path) for folder in (PAGE, ART) for path in sorted(folder.rglob("*.*"))]
+MODULES = sorted((PAGE / "js").glob("*.js"))
+BUNDLE = PAGE / "bundle" / "main.js"
 PATHS = {f"/static/{path.relative_to(folder).as_posix()}" for folder, path in FILES}
 VERSIONED = re.compile("v-[0-9a-f]{16}/")
 FOREVER = "max-age=31536000, immutable"
@@ -21,14 +26,31 @@ FOREVER = "max-age=31536000, immutable"
 
 def edition() -> str:
     """Return 16 hexadecimal digits of the content hash of all files."""
-    return _digest(tuple((path.stat().st_mtime_ns, path.stat().st_size) for _, path in FILES))
+    return _digest(tuple(path for _, path in FILES))
 
 
-@lru_cache(maxsize=1)
-def _digest(_changed: tuple[tuple[int, int], ...]) -> str:
+def modules_digest() -> str:
+    """Return 16 hexadecimal digits of the content hash of the modules, which the bundle's first line repeats."""
+    return _digest(tuple(MODULES))
+
+
+def script() -> str:
+    """Return the path of the page's script: the bundle, or the module if one has changed since `make bundle`."""
+    with BUNDLE.open(encoding="utf-8") as file:
+        current = file.readline().split() == ["//", modules_digest()]
+    return f"static/{'bundle' if current else 'js'}/main.js"
+
+
+def _digest(paths: tuple[Path, ...]) -> str:
+    status = [path.stat() for path in paths]
+    return _digest_once(paths, tuple((one.st_mtime_ns, one.st_size) for one in status))
+
+
+@lru_cache(maxsize=2)
+def _digest_once(paths: tuple[Path, ...], _changed: tuple[tuple[int, int], ...]) -> str:
     """Compute the hash. Cached until a file changes."""
     digest = sha256()
-    for _, path in FILES:
+    for path in paths:
         content = path.read_bytes()
         digest.update(f"{path.name} {len(content)} ".encode() + content)
     return digest.hexdigest()[:16]
@@ -57,3 +79,7 @@ class PageFiles(StaticFiles):
         if f"/v-{edition()}/" in scope["path"]:
             response.headers["Cache-Control"] = FOREVER
         return response
+
+
+if __name__ == "__main__":
+    print(modules_digest())

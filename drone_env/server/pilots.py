@@ -3,6 +3,7 @@
 import logging
 import re
 import threading
+import unicodedata
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -73,17 +74,20 @@ def _summary(make: object) -> str:
 
 
 HELP = {(True, False): "with values", (False, True): "with undo", (True, True): "with values and undo"}
+# Without spaces and parentheses, a name cannot imitate another part of a provenance.
+NAME = r"[\w-]{1,20}"
 PROVENANCE = re.compile(
-    f"(?P<pilot>.+?)( (?P<help>{'|'.join(HELP.values())}))?( from step (?P<forked_at>[1-9][0-9]*) of (?P<of>.+))?"
+    rf"({HUMAN} \((?P<name>{NAME})\)|(?P<pilot>.+?))( (?P<help>{'|'.join(HELP.values())}))?"
+    r"( from step (?P<forked_at>[1-9][0-9]*) of (?P<of>.+))?"
 )
 
 
 class Provenance(NamedTuple):
     """The pilots of a flight, as the `agent` of its session and record: `human with undo from step 20 of pathqnet`.
 
-    The format is a pilot; then ` with values`, ` with undo` or ` with values and undo` if a person used them; then, for
-    a fork, ` from step N of ` and the provenance of the first N steps. Flights of different provenance are counted
-    separately.
+    The format is a pilot, or `human (NAME)`; then ` with values`, ` with undo` or ` with values and undo` if a person
+    used them; then, for a fork, ` from step N of ` and the provenance of the first N steps. Flights of different
+    provenance are counted separately.
     """
 
     pilot: str
@@ -96,6 +100,8 @@ class Provenance(NamedTuple):
     """The number of steps that others flew, 1 or more; None without a fork."""
     of: str | None = None
     """The provenance of these steps; None without a fork."""
+    name: str | None = None
+    """The name that a person chose; None without one."""
 
     @classmethod
     @lru_cache(maxsize=1024)
@@ -106,7 +112,7 @@ class Provenance(NamedTuple):
             return cls(agent)
         values, undo = next((used for used, words in HELP.items() if words == match["help"]), (False, False))
         step = None if match["of"] is None else int(match["forked_at"])
-        return cls(match["pilot"], values, undo, step, match["of"])
+        return cls(match["pilot"] or HUMAN, values, undo, step, match["of"], match["name"])
 
     @classmethod
     def of_fork(cls, pilot: str, step: int, of: str) -> Self:
@@ -130,8 +136,23 @@ class Provenance(NamedTuple):
         return cls(pilot, forked_at=step, of=str(before))
 
     def __str__(self) -> str:
+        pilot = self.pilot if self.name is None else f"{self.pilot} ({self.name})"
         fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
-        return " ".join(part for part in (self.pilot, HELP.get((self.values, self.undo)), fork) if part is not None)
+        return " ".join(part for part in (pilot, HELP.get((self.values, self.undo)), fork) if part is not None)
+
+
+def check_name(name: str) -> str:
+    """Return the name that a person chose.
+
+    Raises:
+        ValueError: if it is not 1 to 20 letters, digits, `_` or `-`, or it is the name of a pilot.
+    """
+    if not re.fullmatch(NAME, name):
+        raise ValueError(f"a person's name has 1 to 20 letters, digits, '_' or '-', got {name[:40]!r}")
+    pilots = {known.casefold() for id_, pilot in all_pilots().items() for known in (id_, pilot.name)}
+    if unicodedata.normalize("NFKC", name).casefold() in pilots | {"optimum"}:
+        raise ValueError(f"{name!r} is the name of a pilot: choose another")
+    return name
 
 
 def display_name(agent: str) -> str:
@@ -140,18 +161,6 @@ def display_name(agent: str) -> str:
     pilot, pilots = provenance.pilot, all_pilots()
     name = "A person" if pilot == HUMAN else pilots[pilot].name if pilot in pilots else pilot
     return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
-
-
-def _known(pilot: str) -> Pilot:
-    """Return a pilot by its id.
-
-    Raises:
-        UnknownNameError: if there is no such pilot.
-    """
-    pilots = all_pilots()
-    if pilot not in pilots:
-        raise UnknownNameError("pilot", pilot, pilots)
-    return pilots[pilot]
 
 
 @lru_cache
@@ -191,10 +200,6 @@ class Networks:
         found = None if shown is None else self._at(shown, task)
         return found if isinstance(found, PathQNetAgent) else None
 
-    def map_network(self, task: TaskConfig) -> str | None:
-        """Return the pilot that computes the actions for a whole map, or None."""
-        return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
-
     def flies(self, pilot: str, task: TaskConfig) -> bool:
         """Return whether a pilot can fly a task."""
         if pilot not in OURS:
@@ -209,7 +214,10 @@ class Networks:
             UnsupportedTaskError: if there is no network for the task.
             CheckpointError: if the network file cannot be used.
         """
-        if _known(pilot).network:
+        pilots = all_pilots()
+        if pilot not in pilots:
+            raise UnknownNameError("pilot", pilot, pilots)
+        if pilots[pilot].network:
             self.network(pilot, task)
         elif pilot not in OURS:
             make_agent(pilot, task)
@@ -218,11 +226,11 @@ class Networks:
         """Return an agent of a pilot, None for a person. PathQNet agents have no state and are shared; others are new.
 
         Raises:
-            UnknownNameError, UnsupportedTaskError, CheckpointError: as `require`.
+            UnsupportedTaskError, CheckpointError: as `require`.
             TooLargeError: if the maps of the task are too large for the pilot.
             OSError: if the file can no longer be read.
         """
-        kind = _known(pilot).network
+        kind = all_pilots()[pilot].network
         if not kind:
             return None if pilot == HUMAN else make_agent(pilot, task)
         found = self.network(pilot, task)

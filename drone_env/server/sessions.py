@@ -1,19 +1,20 @@
 """HTTP sessions: which one a request flies, their rows in the store, and a cache of their episodes in memory.
 
-Another process may have stepped a session, so each use first applies the actions of the row to the cached episode.
+Another process may have stepped a session, so each use first flies the actions of the row on from a copy of the cached
+episode. Cached sessions are never changed, so that threads may read them without a lock.
 """
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from fastapi import Request, Response
 from typing_extensions import Self
 
 from drone_env.core.episode import Episode
-from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
+from drone_env.errors import CapacityError, EpisodeError, NoSessionError
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError
@@ -28,13 +29,6 @@ NEW = "new"
 LONGEST_ID = 200
 ANONYMOUS = "anonymous"
 """Default name of an agent."""
-Result = TypeVar("Result")
-Show = Callable[[Episode, float | None], Result]
-"""Makes the response from an episode and the reward of its last step, such as `flat_json` and `openenv_json`."""
-
-
-class OtherStepError(EpisodeError):
-    """The step count of the session differs from the caller's."""
 
 
 class Caller(NamedTuple):
@@ -67,14 +61,6 @@ class Caller(NamedTuple):
         return session
 
 
-class _Cached:
-    """A session as this process used it last, and the lock of its user."""
-
-    def __init__(self) -> None:
-        self.lock = threading.RLock()
-        self.session: Session | None = None
-
-
 class Sessions:
     """The HTTP sessions of a store. Thread-safe.
 
@@ -88,23 +74,20 @@ class Sessions:
         self.store = store
         self.capacity = capacity
         self.idle_seconds = idle_seconds
-        self._cache: OrderedDict[str, _Cached] = OrderedDict()
+        self._cache: OrderedDict[str, Session] = OrderedDict()
         self._lock = threading.Lock()
 
-    def reset(
-        self, session: str | None, options: ResetOptions, show: Show[Result], address: str | None = None
-    ) -> tuple[str, Result]:
+    def reset(self, session: str | None, options: ResetOptions, address: str | None = None) -> tuple[str, Episode]:
         """Start an episode in the session, or in a new one if there is none.
 
         Args:
             session: The session id of the request, or None.
             options: The body of the request.
-            show: Makes the response.
             address: The address of a caller without an id, who shares the session of the address. A shared session
                 without steps is not reused, because the caller who opened it may still use its id.
 
         Returns:
-            The session id, and the result of `show`.
+            The session id, and the episode at its start.
 
         Raises:
             UnknownNameError: if there is no such task, profile or split.
@@ -115,8 +98,8 @@ class Sessions:
             session = self.store.unnamed_session(address)
         if session is not None:
             # If the session is gone, open a new one.
-            with suppress(NoSessionError, SessionGoneError):
-                return session, self._begin(session, options, show, address, flown=address is not None)
+            with suppress(NoSessionError):
+                return session, self._begin(session, options, address, flown=address is not None)
         episode = start_episode(options, None)
         arguments = episode, options.agent or ANONYMOUS, self.capacity, address
         try:
@@ -125,125 +108,83 @@ class Sessions:
             if self.expire():
                 opened = self.store.open_session(*arguments)
             elif session is not None and address is not None:
-                return session, self._begin(session, options, show, address)
+                return session, self._begin(session, options, address)
             else:
                 raise
-        return opened, show(episode, None)
+        return opened, episode
 
-    def _begin(
-        self, session: str, options: ResetOptions, show: Show[Result], address: str | None, flown: bool = False
-    ) -> Result:
-        with self._locked(session):
-            with self.changing(session, address) as row:
-                if flown and not row.actions:
-                    raise NoSessionError("this session has no steps yet")
-                episode = start_episode(options, row.seed)
-                row.begin(episode, options.agent)
-            return show(episode, None)
+    def _begin(self, session: str, options: ResetOptions, address: str | None, flown: bool = False) -> Episode:
+        with self.changing(session, address) as row:
+            if flown and not row.actions:
+                raise NoSessionError("this session has no steps yet")
+            episode = start_episode(options, row.seed)
+            row.begin(episode, options.agent)
+            return episode
 
     def advance(
-        self,
-        session: str,
-        action: int,
-        show: Show[Result],
-        after: int | None = None,
-        address: str | None = None,
-    ) -> Result:
+        self, session: str, action: int, after: int | None = None, address: str | None = None
+    ) -> tuple[Episode, float]:
         """Fly one action, and store the step, and the episode if it ends.
 
         Args:
             session: The session id.
             action: The action.
-            show: Makes the response, after the transaction.
             after: The caller's step count. A repeated request with the same count is flown once and returns the same
                 result. None flies the action in any case.
             address: The address of a caller without an id.
 
         Returns:
-            The result of `show`.
+            The episode, and the reward.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
-            OtherStepError: if its step count differs from `after`, and the last action is not this one.
+            NoSessionError: if there is no such session.
+            EpisodeError: if its step count differs from `after`, and the last action is not this one.
         """
-        with self._locked(session):
-            with self.changing(session, address) as row:
-                flown = len(row.actions)
-                if after is None or after == flown:
-                    reward = advance(row, action)
-                elif after == flown - 1 and row.actions[-1] == action:
-                    # Replay the row: a step after the end may have changed the episode in memory.
-                    row.episode = None
-                    reward = row.fly().reward_last
-                else:
-                    raise OtherStepError(
-                        f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
-                    )
-            return show(row.fly(), reward)
+        with self.changing(session, address) as row:
+            flown = len(row.actions)
+            if after is None or after == flown:
+                reward = advance(row, action)
+            elif after == flown - 1 and row.actions[-1] == action:
+                # Replay the row: a step after the end may have changed the episode in memory.
+                row.episode = None
+                reward = row.fly().reward_last
+            else:
+                detail = f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
+                raise EpisodeError(detail)
+            return row.fly(), reward
 
     @contextmanager
     def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
-        """Context manager of a session to change; stored at the end of the block.
+        """Context manager of a session to change; stored at the end of the block, and not changed from then on.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
+            NoSessionError: if there is no such session.
         """
-        with self._locked(session) as cached:
-            previous, cached.session = cached.session, None  # drop the changed episode if the transaction fails
-            with self.store.session(session, address) as row:
-                row.go_on_from(previous)
-                yield row
-            cached.session = row
-
-    @contextmanager
-    def reading(self, session: str) -> Generator[Session, None, None]:
-        """Context manager of a session to read; its episode is in memory.
-
-        Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
-        """
-        with self._locked(session) as cached:
-            row = self.store.read_session(session)
-            row.go_on_from(cached.session)
-            row.fly()
-            cached.session = row
+        with self.store.session(session, address) as row:
+            row.go_on_from(self._cache.get(session))
             yield row
+        self._keep(row)
 
-    def end(self, session: str) -> None:
-        """End a session.
+    def read(self, session: str) -> Session:
+        """Return a session to read; its episode is in memory.
 
         Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired already.
+            NoSessionError: if there is no such session.
         """
-        self._forget(session)
-        self.store.end_session(session)
+        row = self.store.read_session(session)
+        row.go_on_from(self._cache.get(session))
+        row.fly()
+        self._keep(row)
+        return row
 
-    def expire(self) -> list[str]:
-        """End idle sessions, and return their ids."""
-        gone = self.store.expire_sessions(self.idle_seconds)
-        for session in gone:
-            self._forget(session)
-        return gone
+    def expire(self) -> int:
+        """End idle sessions, and return their number."""
+        return self.store.expire_sessions(self.idle_seconds)
 
-    @contextmanager
-    def _locked(self, session: str) -> Generator[_Cached, None, None]:
-        """Lock a session in this process. It leaves the cache if it is gone."""
+    def _keep(self, row: Session) -> None:
+        """Cache a session instead of the one that was used least recently."""
         with self._lock:
-            cached = self._cache.setdefault(session, _Cached())
-            self._cache.move_to_end(session)
+            self._cache[row.id] = row
+            self._cache.move_to_end(row.id)
             while len(self._cache) > self.capacity:
                 self._cache.popitem(last=False)
-        try:
-            with cached.lock:
-                yield cached
-        except (NoSessionError, SessionGoneError):
-            self._forget(session)
-            raise
-
-    def _forget(self, session: str) -> None:
-        with self._lock:
-            self._cache.pop(session, None)

@@ -24,7 +24,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import Scores, solve_maps
 from drone_env.server.exceptions import FAILED, RequestError
-from drone_env.server.jobs import AGAIN, NEXT, serve, too_long, too_much
+from drone_env.server.jobs import serve, too_long, too_much
 from drone_env.server.map_choice import DEFAULT_TASK, is_registered
 from drone_env.server.settings import Settings
 
@@ -172,8 +172,7 @@ class Workers:
     def _run(self, job: Job, process: "_Process | None") -> "tuple[Any, DroneEnvError | None, _Process | None]":
         """Run a job in a process that has run others, or in a new one.
 
-        If an old process dies or runs out of memory, a new one repeats the job: responses must not depend on earlier
-        requests.
+        If an old process has ended or ends, a new one repeats the job: responses must not depend on earlier requests.
 
         Returns:
             The result, the error, and the process, which is None if it has ended.
@@ -186,7 +185,7 @@ class Workers:
                 if job.dropped and (self._closed or not job.quick):
                     job.process.kill()
             process.connection.send((job.function, job.arguments))
-            result, error, then = process.connection.recv()
+            result, error = process.connection.recv()
         except (EOFError, OSError):
             error = self._error_of(process, job)
             is_final = is_new or job.dropped or isinstance(error, TooLargeError)
@@ -194,10 +193,7 @@ class Workers:
         except Exception:  # for example arguments that cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
             return None, RequestError(500, "internal", FAILED), process
-        if then == NEXT:
-            return result, error, process
-        process.end()
-        return self._run(job, None) if then == AGAIN else (result, error, None)
+        return result, error, process
 
     def _next(self, reserved: bool) -> Job | None:
         """Wait for the next job; None when the pool is closed."""
@@ -225,7 +221,8 @@ class Workers:
             return RequestError(503, "dropped", "nobody waits for this job any more")
         if sys.platform != "win32" and status == -signal.SIGXCPU:
             return TooLargeError(too_long(self._settings.job_seconds))
-        log.warning("a worker ended with status %s while it ran %s", status, job.function.__qualname__)
+        if status:
+            log.warning("a worker ended with status %s while it ran %s", status, job.function.__qualname__)
         if sys.platform != "win32" and status == -signal.SIGABRT:  # LLVM aborts if an allocation fails
             return TooLargeError(too_much(self._settings.job_megabytes))
         return RequestError(500, "internal", FAILED)

@@ -4,7 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import Iterator
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from fastapi import FastAPI
 from pydantic import TypeAdapter
@@ -21,11 +21,10 @@ ITEMS = ("1", "12345", "[]", "{}", "[[]]", '""', "1e9", "NaN", '"\\ud800"')
 """Items of long lists. 12345 is wrong in most, and so long that no list has more items than the schemas allow."""
 
 
-class Hostile(NamedTuple):
-    """A body or frame."""
-
-    name: str
-    content: bytes
+Hostile = tuple[str, bytes]
+"""The name of a body or frame, and its content."""
+Cost = tuple[float, str]
+"""CPU seconds of the event loop for a body or frame, and its name."""
 
 
 def of_routes(description: Schema) -> Iterator[tuple[str, list[Hostile]]]:
@@ -42,7 +41,7 @@ def of_sockets() -> dict[str, list[Hostile]]:
     live = TypeAdapter(Command).json_schema()
     known: dict[str, Schema] = {"reset": OpenEnvReset.model_json_schema(), "step": RouteAction.model_json_schema()}
     ws = [
-        Hostile(f"{kind} {name}", content)
+        (f"{kind} {name}", content)
         for kind in ALLOWED_TYPES.split(", ")
         if kind != "close"
         for schema in [known.get(kind, {"type": "object"})]
@@ -64,12 +63,12 @@ def of_sockets() -> dict[str, list[Hostile]]:
 
 def _texts(schema: Schema, root: Schema, limit: int) -> Iterator[Hostile]:
     """Texts of nearly `limit` bytes: some that fit no schema, and for each part of one, the worst in its place."""
-    yield Hostile("nested lists", b"[" * (limit // 2) + b"]" * (limit // 2))
-    yield Hostile("nested objects", b'{"a":' * (limit // 5))
-    yield Hostile("twice the same key", b"{" + b",".join([b'"a":[]'] * (limit // 8)) + b"}")
-    yield Hostile("digits", b"1" * limit)
+    yield ("nested lists", b"[" * (limit // 2) + b"]" * (limit // 2))
+    yield ("nested objects", b'{"a":' * (limit // 5))
+    yield ("twice the same key", b"{" + b",".join([b'"a":[]'] * (limit // 8)) + b"}")
+    yield ("digits", b"1" * limit)
     for name, text in _values(limit):
-        yield Hostile(name, text.encode())
+        yield (name, text.encode())
     for variant in _variants(schema, root):
         base = _example(variant, root)
         if not isinstance(base, dict):
@@ -77,11 +76,11 @@ def _texts(schema: Schema, root: Schema, limit: int) -> Iterator[Hostile]:
         size = limit - 2048 - len(json.dumps(base))
         for where, items in _places(variant, root):
             for name, text in _values(size):
-                yield Hostile(f"{'.'.join(where)}: {name}", _put(base, where, text).encode())
+                yield (f"{'.'.join(where)}: {name}", _put(base, where, text).encode())
             if items is not None:
                 item = json.dumps(_example(items, root))
                 text = "[" + ",".join([item] * (size // (len(item) + 1))) + "]"
-                yield Hostile(f"{'.'.join(where)}: list of what belongs there", _put(base, where, text).encode())
+                yield (f"{'.'.join(where)}: list of what belongs there", _put(base, where, text).encode())
 
 
 def _values(size: int) -> Iterator[tuple[str, str]]:
@@ -153,19 +152,12 @@ def _example(schema: Schema, root: Schema) -> Any:
     return {"integer": 1, "number": 1.0, "boolean": True}.get(str(kind), "x")
 
 
-class Cost(NamedTuple):
-    """What one body or frame cost the event loop."""
-
-    seconds: float
-    name: str
-
-
 async def costs_of_routes(app: FastAPI) -> dict[str, list[Cost]]:
     """The CPU time of the event loop for each body, by route; the application runs."""
     description = app.openapi()
     costs: dict[str, list[Cost]] = {}
     for path, bodies in of_routes(description):
-        costs[path] = [await _body_cost(app, path, body) for body in bodies]
+        costs[path] = [await _body_cost(app, path, *body) for body in bodies]
     return costs
 
 
@@ -174,20 +166,20 @@ async def costs_of_sockets(app: FastAPI) -> dict[str, list[Cost]]:
     return {path: await _frame_costs(app, path, frames) for path, frames in of_sockets().items()}
 
 
-async def _body_cost(app: FastAPI, path: str, body: Hostile) -> Cost:
-    messages = iter([{"type": "http.request", "body": body.content, "more_body": False}])
+async def _body_cost(app: FastAPI, path: str, name: str, content: bytes) -> Cost:
+    messages = iter([{"type": "http.request", "body": content, "more_body": False}])
 
     async def receive() -> Message:
         return next(messages, {"type": "http.disconnect"})
 
     async def send(message: Message) -> None:
         if message.get("status", 0) >= 500 and message["status"] != 503:
-            raise AssertionError(f"{message['status']} for {path}, {body.name}")
+            raise AssertionError(f"{message['status']} for {path}, {name}")
 
     headers = [(b"host", b"localhost"), (b"content-type", b"application/json"), (b"transfer-encoding", b"chunked")]
     began = time.thread_time()
     await app(_scope("http", path) | {"method": "POST", "headers": headers}, receive, send)
-    return Cost(time.thread_time() - began, body.name)
+    return time.thread_time() - began, name
 
 
 async def _frame_costs(app: FastAPI, path: str, frames: list[Hostile]) -> list[Cost]:
@@ -199,13 +191,13 @@ async def _frame_costs(app: FastAPI, path: str, frames: list[Hostile]) -> list[C
         nonlocal given, began
         if given:
             await asyncio.sleep(0)  # what the answer has left to other tasks of the connection
-            costs.append(Cost(time.thread_time() - began, "opening" if given == 1 else frames[given - 2].name))
+            costs.append((time.thread_time() - began, "opening" if given == 1 else frames[given - 2][0]))
         given += 1
         if given == 1:
             return {"type": "websocket.connect"}
         if given > len(frames) + 1:
             return {"type": "websocket.disconnect", "code": 1000}
-        text = frames[given - 2].content.decode()
+        text = frames[given - 2][1].decode()
         began = time.thread_time()
         return {"type": "websocket.receive", "text": text}
 

@@ -21,25 +21,21 @@ class Page:
         self.socket = socket
         self.ended: list[int] = []
         """The flights that were told to have ended, while they flew by themselves."""
+        self.skipped: list[Message] = []
+        """The messages that `until` read over."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
 
     def until(self, kind: str) -> Message:
-        """The next message of a kind; others are read over, but for errors."""
+        """The next message of a kind. Others are read over, but for errors; before an error nothing may have moved."""
         while True:
             message = json.loads(self.socket.receive_text())
             if message["type"] == kind:
                 return message
             assert message["type"] != "error", message
-
-    def error(self) -> Message:
-        """The next message, an error; only `playing` and `values` may precede it."""
-        while True:
-            message = json.loads(self.socket.receive_text())
-            if message["type"] == "error":
-                return message
-            assert message["type"] in ("playing", "values"), message
+            self.skipped.append(message)
+            assert kind != "error" or message["type"] in ("playing", "values"), message
 
     def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
         self.send("start", task=task, seed=seed, pilots=pilots, **fields)

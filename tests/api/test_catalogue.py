@@ -17,7 +17,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
-from drone_env.models import DroneObservation
+from drone_env.models import NAMES, DroneObservation
 from drone_env.server.logs import KEPT, LONGEST_PATH, POINTS, RequestLog, TrainLog
 from drone_env.server.routes.flight import Prediction, arrays_of
 from drone_env.server.routes.history import LINES
@@ -68,6 +68,11 @@ class TestLogs:
         assert [entry.number for entry in log.since(KEPT + 48)] == [KEPT + 49, KEPT + 50]
 
 
+def tasks_of(client: TestClient) -> dict[str, list[str]]:
+    """The tasks that each pilot can fly."""
+    return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
+
+
 class TestPredictions:
     @pytest.fixture
     def settings(self, tmp_path: Path) -> dict[str, Any]:
@@ -112,18 +117,15 @@ class TestPredictions:
             prediction = client.post("/predict", headers=session).json()
             return prediction["model"]["file"], prediction["model"]["digest"], list(prediction["q_values"].values())
 
-        def pilots() -> dict[str, list[str]]:
-            return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
-
         shipped = told()
         assert shipped[0] == "easy_delivery_v1.safetensors"
-        assert "trained" not in pilots()
+        assert "trained" not in tasks_of(client)
         for times in (-1, -2):
             file = put_trained(get_task("easy"), settings["data"], times)
             digest = PathQNetAgent(get_task("easy"), file).config["network"]
             assert told() == ("easy.safetensors", digest, pytest.approx([times * value for value in shipped[2]]))
-        assert pilots()["trained"] == ["easy_delivery"]
-        assert pilots()["pathqnet"] == ["easy_delivery", "skyline_easy"]
+        assert tasks_of(client)["trained"] == ["easy_delivery"]
+        assert tasks_of(client)["pathqnet"] == ["easy_delivery", "skyline_easy"]
         file.unlink()
         assert told() == shipped
 
@@ -137,28 +139,25 @@ class TestPredictions:
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
         assert "easy.safetensors is not an exported network" in answer.json()["detail"]
-        assert "trained" not in [pilot["id"] for pilot in client.get("/pilots").json()["pilots"]]
+        assert "trained" not in tasks_of(client)
 
     def test_a_tour_network_flies_every_task_and_one_of_a_single_task_goes_before(
         self, client: TestClient, settings: dict[str, Any]
     ) -> None:
-        def pilots() -> dict[str, list[str]]:
-            return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
-
         def flown_by(task: str) -> object:
             return client.app.state.shared.networks.agent("trained-tournet", get_task(task)).config["network"]  # type: ignore[attr-defined]
 
-        assert pilots()["tournet"] == []
+        assert tasks_of(client)["tournet"] == []
         put_tour(settings["weights"] / "tournet_v1.safetensors")
-        assert pilots()["tournet"] == list(TASKS)
+        assert tasks_of(client)["tournet"] == list(TASKS)
         alone = put_tour(settings["data"] / "tournet_hard.safetensors", 1)
-        assert pilots()["trained-tournet"] == ["hard_delivery"]
+        assert tasks_of(client)["trained-tournet"] == ["hard_delivery"]
         every = put_tour(settings["data"] / "tournet.safetensors", 2)
-        assert pilots()["trained-tournet"] == list(TASKS)
+        assert tasks_of(client)["trained-tournet"] == list(TASKS)
         digests = [load_tour_network(file).digest for file in (alone, every)]
         assert [flown_by("hard"), flown_by("easy")] == digests
         every.write_bytes((settings["weights"] / "easy_delivery_v1.safetensors").read_bytes())
-        assert pilots()["trained-tournet"] == ["hard_delivery"]
+        assert tasks_of(client)["trained-tournet"] == ["hard_delivery"]
         with pytest.raises(CheckpointError, match=r"tournet\.safetensors holds a network of 'pathqnet', not"):
             flown_by("easy")
 
@@ -201,14 +200,14 @@ def test_openenvs_routes(client: TestClient) -> None:
     assert client.get("/other/splits").status_code == 404
 
 
-def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient) -> None:
+def test_what_tasks_tell_of_rewards_and_drain_is_what_steps_pay(shared_client: TestClient) -> None:
     paid: set[tuple[str, int]] = set()
     for told in shared_client.get("/tasks").json()["tasks"]:
         assert told["rewards"]["aligned"] == told["rewards"]["score"] == {}
         for profile in ("tiered", "composite"):
             episode, chance = Episode(told["id"], profile, 7), np.random.default_rng(7)
             while not episode.ended:
-                before, target = episode.position, episode.target
+                before, target, units = episode.position, episode.target, episode.battery_units
                 reward = episode.step(int(chance.integers(5)))
                 pays = told["rewards"][profile][episode.event.name.lower()]
                 assert target is not None
@@ -216,6 +215,8 @@ def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient)
                 far = abs(x - target[0]) + abs(y - target[1])
                 closer = abs(was_x - target[0]) + abs(was_y - target[1]) - far
                 assert reward == pays[closer + 1 if len(pays) == 3 else 0]
+                if NAMES[episode.under] != "pad":
+                    assert episode.battery_units == max(0, units - told["drain"][NAMES[episode.under]])
                 paid.add((episode.event.name, len(pays)))
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
 

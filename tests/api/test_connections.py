@@ -1,85 +1,27 @@
-"""Limits of connections: number, time, size, frames; the listening socket; the bounded log."""
+"""Limits of connections: number, time, size; the listening socket; the bounded log."""
 
 import asyncio
 import logging
 import re
-import select
 import socket
 import sys
-import threading
 import time
-from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 import pytest
-import uvicorn
 from starlette.requests import ClientDisconnect, Request
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
-from uvicorn.protocols.utils import ClientDisconnected
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from drone_env.server import protocols
 from drone_env.server.process import LINE_SECONDS, LINES, OTHER_FILES, BoundedLog, listen, most_connections
-from drone_env.server.protocols import Http, WebSockets
-
-WHOLE = b"GET / HTTP/1.1\r\nHost: h\r\n\r\n"
+from drone_env.server.protocols import Http
+from tests.api.raw import WHOLE, answer, everything, running, taken_of
 
 
 class Hurried(Http):
     request_seconds = 2.0
-
-
-async def answer(scope: Scope, receive: Receive, send: Send) -> None:
-    if scope["type"] == "http":
-        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
-        await send({"type": "http.response.body", "body": b"ok"})
-
-
-@contextmanager
-def running(
-    app: ASGIApp, connections: int = 100, http: type[Http] = Http, **more: Any
-) -> Generator[Callable[[], socket.socket]]:
-    """Run a server in a thread; yields a function that opens a connection to it."""
-    listening = listen("127.0.0.1", 0)
-    config = uvicorn.Config(
-        app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1, **more
-    )
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, args=([listening],))
-    thread.start()
-    with ExitStack() as opened:
-
-        def connect() -> socket.socket:
-            sock = opened.enter_context(socket.socket())
-            # A small buffer, so that little data is in flight.
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
-            sock.settimeout(30)
-            sock.connect(listening.getsockname())
-            return sock
-
-        try:
-            yield connect
-        finally:
-            opened.close()
-            server.should_exit = True
-            thread.join(60)
-    assert not thread.is_alive()
-
-
-def everything(sock: socket.socket) -> bytes:
-    """Read until the server closes the connection."""
-    return b"".join(iter(lambda: sock.recv(65_536), b""))
-
-
-def taken_of(sock: socket.socket, data: bytes, most: int) -> int:
-    """Return how many bytes the server accepts until it accepts none for a second."""
-    sock.setblocking(False)
-    taken = 0
-    while taken < most and select.select([], [sock], [], 1)[1]:
-        taken += sock.send(data)
-    return taken
 
 
 def test_half_requests_are_ended_and_whole_ones_have_time_to_be_answered() -> None:
@@ -175,24 +117,6 @@ def test_requests_in_one_piece_are_parsed_and_answered_one_after_another(
     assert most[0] <= 3
 
 
-@pytest.mark.parametrize(
-    "request_", [b"GET / HTTP/1.1\r\nLong: ", b"GET /", CHUNKED + b"0\r\nLong: ", CHUNKED + b"1;x="], ids=repr
-)
-def test_what_is_no_body_has_an_end(request_: bytes) -> None:
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        await Request(scope, receive).is_disconnected()
-        await Request(scope, receive).body()
-
-    with running(app) as connect:
-        sock = connect()
-        sock.sendall(request_)
-        with suppress(ConnectionError):  # the server may close it meanwhile
-            for _ in range(2 * protocols.HEAD_BYTES // 1024):
-                sock.sendall(b"x" * 1024)
-        with suppress(ConnectionError):
-            assert everything(sock).startswith(b"HTTP/1.1 431 ")
-
-
 ONES = b"1\r\nx\r\n"
 BOUNDED = {
     "the most headers": (WHOLE[:-2] + b"a: b\r\n" * (protocols.HEADERS - 1) + b"\r\n", 200),
@@ -201,6 +125,10 @@ BOUNDED = {
     "a byte more": (WHOLE[:-2] + b"a: " + b"b" * (protocols.HEAD_BYTES - len(WHOLE) - 4) + b"\r\n\r\n", 431),
     "the most chunks": (CHUNKED + ONES * protocols.CHUNKS + b"0\r\n\r\n", 200),
     "a chunk more": (CHUNKED + ONES * (protocols.CHUNKS + 1) + b"0\r\n\r\n", 400),
+    "an endless header": (WHOLE[:-2] + b"a: " + b"b" * protocols.HEAD_BYTES, 431),
+    "an endless path": (b"GET /" + b"x" * protocols.HEAD_BYTES, 431),
+    "an endless trailer": (CHUNKED + b"0\r\nLong: " + b"x" * protocols.HEAD_BYTES, 431),
+    "an endless extension": (CHUNKED + b"1;x=" + b"x" * protocols.HEAD_BYTES, 431),
     "long lists of subprotocols": (WHOLE[:-2] + b"Sec-WebSocket-Protocol: " + b"a," * 3000 + b"\r\n\r\n", 431),
 }
 """Requests and the status of the response."""
@@ -295,99 +223,6 @@ def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog
                 break
             assert time.monotonic() < deadline
         assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
-
-
-UPGRADE = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-KEY = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-PING, TEXT, MORE = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
-
-
-async def echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Send each message back."""
-    await send({"type": "websocket.accept"})
-    await receive()
-    while (message := await receive())["type"] == "websocket.receive":
-        await send({"type": "websocket.send", "text": message["text"]})
-
-
-def open_socket(sock: socket.socket) -> socket.socket:
-    sock.sendall(WHOLE[:-2] + UPGRADE + KEY + b"\r\n")
-    head = b""
-    while not head.endswith(b"\r\n\r\n"):
-        head += sock.recv(1)
-    assert head.startswith(b"HTTP/1.1 101 ")
-    return sock
-
-
-@pytest.mark.parametrize(
-    ("frames", "code"),
-    [
-        (PING * 2 * protocols.CONTROL_FRAMES, 1008),
-        (TEXT + MORE * protocols.FRAGMENTS, 1008),
-        (b"\x81\x81" + bytes(4) + b"\xff", 1007),
-        (b"\x81\xff" + bytes(4) + b"\xff" * 8, 1009),
-    ],
-    ids=["pings", "fragments", "not UTF-8", "too large"],
-)
-def test_a_socket_that_is_abused_is_closed_without_a_line_in_the_log(
-    frames: bytes, code: int, caplog: pytest.LogCaptureFixture
-) -> None:
-    with running(echo) as connect:
-        sock = open_socket(connect())
-        sock.sendall(frames)
-        sent = b""
-        while not re.search(rb"\x88.\x03" + bytes([code - 0x300]), sent):
-            sent += (piece := sock.recv(65_536))
-            assert piece, sent
-    assert not caplog.messages
-
-
-def test_a_socket_takes_one_frame_in_turn_and_messages_arrive_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    parsed: list[bytes] = []
-    parse = WebSocketsSansIOProtocol.data_received
-    monkeypatch.setattr(
-        WebSocketsSansIOProtocol, "data_received", lambda self, data: (parsed.append(data), parse(self, data))
-    )
-    large = b"\x81\xfe\x03\xe8" + bytes(4) + b"y" * 1000
-    frames = [PING, TEXT, PING, *[MORE] * 20, b"\x80" + MORE[1:], large, b"\x81" + TEXT[1:]] * 4
-    expected = ([b"x" * 22, b"y" * 1000, b"x"]) * 4
-    data = b"".join(frames)
-    with running(echo) as connect:
-        for piece in (1, 7, len(data)):
-            sock = open_socket(connect())
-            parsed.clear()
-            for start in range(0, len(data), piece):
-                sock.sendall(data[start : start + piece])
-            told = b""
-            while told.count(b"x") + told.count(b"y") < sum(map(len, expected)):
-                told += sock.recv(65_536)
-            assert re.findall(rb"[xy]+", told) == expected
-            assert parsed == frames
-
-
-def test_a_socket_that_never_answers_a_ping_is_closed_and_the_application_stops(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    ended: list[BaseException] = []
-    closed = threading.Event()
-    close = WebSockets.keepalive_timeout
-    monkeypatch.setattr(WebSockets, "keepalive_timeout", lambda self: (close(self), closed.set()))
-
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        await send({"type": "websocket.accept"})
-        try:
-            while True:
-                await send({"type": "websocket.send", "text": "x" * 10_000})
-        except OSError as error:
-            ended.append(error)
-
-    with running(app, ws_ping_interval=0.1, ws_ping_timeout=0.1) as connect:
-        sock = open_socket(connect())
-        assert closed.wait(60)
-        # This wakes the application, which waits to send more.
-        assert everything(sock).endswith(b"keepalive ping timeout")
-    assert [type(error) for error in ended] == [ClientDisconnected]
-    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
 def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.MonkeyPatch) -> None:

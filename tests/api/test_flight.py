@@ -40,19 +40,17 @@ def test_every_task_is_flown_as_the_rules_say(shared_client: TestClient, task: s
     assert grade == {"task": task, "score": episode.score, "done": False}
 
 
-def test_openenvs_form_of_a_step_is_answered_in_openenvs_form(client: TestClient, session: Header) -> None:
+def test_openenvs_forms_are_answered_in_openenvs_form(client: TestClient) -> None:
+    opened = client.post("/reset", json={"episode_id": "mine", "seed": 7}).json()
+    ResetResult.model_validate(opened)
+    assert (opened["reward"], opened["done"], opened["observation"]["step_count"]) == (None, False, 0)
+    session = {"X-Session-Id": opened["session_id"]}
     flat = client.post("/step", json={"direction": "UP"}, headers=session).json()
     body = {"action": {"direction": "WAIT", "metadata": {"why": "because"}}, "timeout_s": 30, "request_id": "r"}
     answer = client.post("/step", json=body, headers=session).json()
     StepResult.model_validate(answer)
     assert answer["observation"].keys() == (flat.keys() | {"metadata"}) - {"done"}
     assert (answer["reward"], answer["done"]) == (answer["observation"]["reward_last"], False)
-
-
-def test_openenvs_form_of_a_reset_is_answered_in_openenvs_form(client: TestClient) -> None:
-    answer = client.post("/reset", json={"episode_id": "mine", "seed": 7}).json()
-    ResetResult.model_validate(answer)
-    assert (answer["reward"], answer["done"], answer["observation"]["step_count"]) == (None, False, 0)
 
 
 @pytest.mark.parametrize(

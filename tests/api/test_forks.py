@@ -67,7 +67,7 @@ def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: Te
         assert len(page.start(pilot, task="hard", fork=brought)[0]["frames"]) == 21
         wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
         page.send("start", task="hard", seed=7, pilots=[pilot], fork={**brought, "actions": [*expected[:14], wrong]})
-        assert "step 15 of the fork" in page.error()["detail"]
+        assert "step 15 of the fork" in page.until("error")["detail"]
 
 
 def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: TestClient) -> None:
@@ -101,7 +101,7 @@ def test_a_fork_that_cannot_be_is_refused_and_opens_nothing(
         page.until("values")
         opened = client.app.state.shared.store.count_sessions()  # type: ignore[attr-defined]
         page.send("start", **{"task": "easy", "seed": 7, "pilots": ["random", "human"], **change})
-        assert says in page.error()["detail"]
+        assert says in page.until("error")["detail"]
         assert client.app.state.shared.store.count_sessions() == opened  # type: ignore[attr-defined]
 
 
@@ -143,7 +143,7 @@ def test_a_person_takes_steps_back_and_the_record_says_so(client: TestClient) ->
             assert page.until("undone") == {"type": "undone", "flight": 0, "step": step, "by": by}
             assert client.get("/state", headers=header).json()["step_count"] == step
         page.send("undo", flight=0)
-        assert page.error()["code"] == "wrong_moment"
+        assert page.until("error")["code"] == "wrong_moment"
         page.send("fly", direction="DOWN")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 3
         for _ in range(57):

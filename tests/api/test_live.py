@@ -102,6 +102,7 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
             page.send("fly", flight=1, direction="WAIT")
             frame = page.until("frames")["frames"][0]["frame"]
             assert frame["done"] or (frame["value"], frame["regret"]) == (None, None)
+        assert not [message for message in page.skipped if message["type"] == "values" and message["flight"] == 1]
         values = page.until("values")
         analysis = analyse_actions(Episode("easy", seed=7), [Action.WAIT] * frame["step"], "human")
         assert values["flight"] == 1
@@ -123,7 +124,7 @@ def test_a_session_that_another_page_has_flown_is_gone_for_this_one(client: Test
         second.send(**fly)
         second.until("frames")
         first.send(**command)
-        assert first.error()["code"] == "session_gone"
+        assert first.until("error")["code"] == "session_gone"
         second.send(**fly)
         assert second.until("frames")["frames"][0]["frame"]["step"] == 3
 

@@ -13,7 +13,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import optimal
-from drone_env.planning.cell_states import battery_range, charging_pads
+from drone_env.planning.states import battery_range, charging_pads
 from drone_env.results.analysis import analyse_flight
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
@@ -58,11 +58,14 @@ def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
             assert answer["regret"] == analysis.optimum - analysis.values[step]
             assert answer["best_actions"] == told["moves"][step]["best_actions"]
             assert answer["q_values"] == dict(zip(DIRECTIONS, solver.q_values(flight).tolist(), strict=True))
-            alone = ask(shared_client, task, 7, flown.actions[:step], range_only=True)
+            alone = ask(shared_client, task, 7, flown.actions[:step], only="range")
             assert (alone["range"], alone["pads"]) == (answer["range"], answer["pads"])
             assert (alone["optimum"], alone["cells"], alone["q_values"]) == (None, None, None)
+            moves = ask(shared_client, task, 7, flown.actions[:step], only="moves")
+            assert moves == {**answer, "network": None, "cells": None, "range": None, "pads": None}
             x, y = answer["position"]
             assert answer["cells"]["values"][y][x] == answer["value"]
+            assert answer["cells"]["q_values"][y][x] == list(answer["q_values"].values())
             assert answer["cells"]["best_actions"][y][x] == answer["best_actions"]
         flight.step(Action[action])
     ended = ask(shared_client, task, 7, flown.actions)

@@ -12,8 +12,7 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TASKS
-from drone_env.models import observation_fields, openenv_json
+from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
@@ -21,7 +20,7 @@ from drone_env.server.openenv import LARGEST_FRAME
 from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
-from tests.cluster.sessions import openenv_result, socket_result
+from tests.cluster.sessions import socket_result
 
 
 def ask(socket: WebSocketTestSession, frame: Any) -> Any:
@@ -204,25 +203,3 @@ def test_a_route_that_goes_on_after_the_end_is_flown_to_the_end(shared_client: T
         again = ask(socket, route)["data"]
         assert (again["done"], again["reward"], again["metadata"]["flown"]) == (True, 0, 0)
         assert "the episode has ended" in again["observation"]["message"]
-
-
-@pytest.mark.parametrize("task", ["easy", "hard", "skyline_hard"])
-def test_the_sum_of_the_rewards_is_the_score(shared_client: TestClient, task: str) -> None:
-    best = solve(task, 7)
-    with shared_client.websocket_connect("/ws") as socket:
-        for actions, score in (([4] * 160, 0.01), (best.actions, best.score)):
-            ask(socket, {"type": "reset", "data": {"task_name": task, "seed": 7}})
-            answers = [ask(socket, {"type": "step", "data": int(action)})["data"] for action in actions]
-            assert sum(answer["reward"] for answer in answers) == answers[-1]["observation"]["score"] == score
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_the_fast_json_of_an_observation_is_that_of_its_fields(task: str) -> None:
-    episode = Episode(task)
-    for seed in range(3):
-        episode.reset(seed)
-        for action in (0, 2, 4, 1, 3, 3, 0):
-            reward = episode.step(action)
-            expected = openenv_result(observation_fields(episode), reward)
-            assert openenv_json(episode, reward) == to_json(expected).decode()
-    assert json.loads(openenv_json(episode, None))["reward"] is None

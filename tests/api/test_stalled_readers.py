@@ -1,12 +1,8 @@
 """Clients that stop reading block no other client, and use bounded memory."""
 
 import asyncio
-import base64
 import json
 import re
-import select
-import socket
-from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -15,21 +11,11 @@ from starlette.testclient import TestClient
 
 from drone_env.server.logs import KEPT, RequestLog
 from drone_env.server.routes.history import FOLLOWERS
+from tests.api.raw import WHOLE, connected, open_socket, taken_of
 from tests.api.serving import Server
 
 MOST = 64 << 20
 """Bytes that nobody who is answered would be able to leave with the server: kernels keep some MB."""
-
-
-def connected(server: Server) -> socket.socket:
-    address = urlsplit(server.url)
-    sock = socket.socket()
-    # What is on its way to the one who does not read is then little.
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-    sock.settimeout(60)
-    sock.connect((address.hostname, address.port))
-    return sock
 
 
 def frame(text: str) -> bytes:
@@ -38,36 +24,14 @@ def frame(text: str) -> bytes:
     return b"\x81\xff" + len(data).to_bytes(8, "big") + bytes(4) + data
 
 
-def open_page(server: Server) -> socket.socket:
-    """A page on `/live` whose frames nobody reads."""
-    sock = connected(server)
-    key = base64.b64encode(bytes(16)).decode()
-    sock.sendall(
-        f"GET /live HTTP/1.1\r\nHost: {urlsplit(server.url).netloc}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
-    assert sock.recv(12) == b"HTTP/1.1 101"
-    return sock
-
-
-def pushed(sock: socket.socket, data: bytes) -> int:
-    """How many bytes the server takes of the same thing again and again before it takes no more."""
-    sock.setblocking(False)
-    many = data * (1 + (1 << 20) // len(data))
-    taken = 0
-    # A busy machine may be slow to take more: then the others below are served while it is.
-    while taken < MOST and select.select([], [sock], [], 1)[1]:
-        taken += sock.send(many[taken % len(data) :])
-    return taken
-
-
 def test_pages_that_do_not_read_hold_up_nobody_and_are_read_from_no_more(server: Server) -> None:
     attach = frame(json.dumps({"type": "attach", "sessions": ["nobody"]}))
-    host = urlsplit(server.url).netloc
-    with open_page(server) as page, connected(server) as listener:
-        listener.sendall(f"GET /terminal_logs HTTP/1.1\r\nHost: {host}\r\nAccept: text/event-stream\r\n\r\n".encode())
+    address = ("127.0.0.1", int(server.url.rpartition(":")[2]))
+    with connected(address) as sock, connected(address) as listener:
+        page = open_socket(sock, b"/live")
+        listener.sendall(WHOLE.replace(b"/", b"/terminal_logs", 1)[:-2] + b"Accept: text/event-stream\r\n\r\n")
         page.sendall(frame(json.dumps({"type": "subscribe", "topics": ["requests", "episodes"]})))
-        assert pushed(page, attach) < MOST
+        assert taken_of(page, attach, MOST) < MOST
         with httpx.Client(base_url=server.url, timeout=60) as http:
             for _ in range(2 * KEPT):
                 assert http.get("/nowhere/" + "x" * 190).status_code == 404

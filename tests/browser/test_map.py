@@ -28,8 +28,9 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
     held: list[Route] = []
 
     def note(request: Request) -> None:
-        if request.url.endswith("/values"):
-            asked.append(len(json.loads(request.post_data or "")["actions"]))
+        flight = json.loads(request.post_data or "{}") if request.url.endswith("/values") else {"only": "other"}
+        if flight["only"] is None:  # the table of moves asks for less
+            asked.append(len(flight["actions"]))
 
     best, cells = page.locator("#q-values tr.best"), page.locator("#boards .map-cells")
     show(page, "/?task=skyline_easy&seed=4711&pilot=greedy")
@@ -54,9 +55,7 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         bare = pictures(page)
         for name, (key, place) in LAYERS.items():
             box(page, name).check()
-            if place == CELLS:
-                expect(best.first).to_be_visible()
-            assert changed(page, bare) == [place]
+            until(page, lambda place=place: changed(page, bare) == [place])
             page.keyboard.press(key)
             expect(box(page, name)).not_to_be_checked()
             assert changed(page, bare) == []
@@ -129,17 +128,18 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     show(page, "/?task=skyline_easy&seed=7&pilot=tournet")
     expect(thoughts).to_be_hidden()
     expect(columns).to_have_text(["Move", "Still possible", "Loss"])
-    expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
     expect(ranges).to_be_visible()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1024, 768), (390, 844), (360, 740)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(1440, 900), (1024, 768), (390, 844), (360, 740), (844, 390), (720, 450)]
+)
 def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page], width: int, height: int) -> None:
     page = beside()
     page.set_viewport_size({"width": width, "height": height})
     page.goto("/?task=skyline_easy&seed=7&pilot=human")
     expect_step(page, 0, 60)
-    for shown in ("#battery", "#boards .map-air", "#undo"):
+    for shown in ("#battery", "#boards .map-air", "#undo", "[data-view=api]"):
         expect(page.locator(shown)).to_be_in_viewport(ratio=1)
     size = page.locator("#boards .map-air").bounding_box()
     assert size

@@ -80,6 +80,20 @@ def test_a_person_flies_by_touch_over_a_map_that_is_crisp(phone: Page) -> None:
         expect_step(phone, step, 60, action)
 
 
+def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: Page) -> None:
+    phone.set_viewport_size({"width": 844, "height": 390})
+    show(phone, "/?task=easy&seed=18&pilot=human&lesson=1")
+    expect_step(phone, 0, 60)
+    for part in ("#boards .map-air", "#battery", ".pad", "#undo"):
+        expect(phone.locator(part)).to_be_in_viewport(ratio=1)
+    flight = phone.get_by_text("Easy · map 18 · You")
+    flight.click()
+    expect(phone.locator(".plan-choices")).to_be_in_viewport(ratio=1)
+    expect_no_wider(phone)
+    flight.click()
+    phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
+
+
 def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) -> None:
     def place() -> tuple[float, float, float]:
         """Left, top and width of the city."""
@@ -112,3 +126,14 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     for _ in range(4):
         phone.get_by_role("button", name="Zoom out").tap()
     assert place() == whole
+
+
+def test_a_city_fills_its_place_above_its_attribution(phone: Page) -> None:
+    show(phone, "/?task=city_small&seed=142&pilot=human")
+    expect_step(phone, 0, 160)
+    city = phone.locator("#boards .map-air").bounding_box()
+    credit = phone.get_by_role("link", name="© OpenStreetMap contributors").bounding_box()
+    assert city
+    assert credit
+    assert min(city["width"], city["height"]) > 300
+    assert credit["y"] >= city["y"] + city["height"]

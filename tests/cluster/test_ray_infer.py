@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.llm.report import report as figures_of
 from drone_env.llm.verify import verified_run
-from tests.llm.conftest import TOKEN, Endpoint, Infer, json_lines, whole_lines
+from tests.llm.conftest import TOKEN, Endpoint, Infer, whole_lines
 
 from .conftest import node_killed_when
 
@@ -60,7 +60,7 @@ def test_nodes_share_one_budget_and_fly_as_one_though_one_is_killed(
     before_the_end: list[dict[str, Any]] = []
 
     def in_the_middle() -> bool:
-        before_the_end[:] = json_lines(together.log)
+        before_the_end[:] = together.log
         return len(whole_lines(calls)) >= 12
 
     with node_killed_when(cluster, in_the_middle):

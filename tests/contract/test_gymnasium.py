@@ -14,6 +14,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.rendering import draw_picture
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, WithOptimum
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
@@ -51,6 +52,19 @@ STANDARD, SKYLINE = IDS[0], IDS[3]
 )
 def test_gymnasium_check_env_passes_without_a_warning(env_id: str, render_mode: str | None) -> None:
     check_env(make(env_id, render_mode=render_mode).unwrapped)
+
+
+def test_gymnasium_shows_it_in_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # no real screen
+    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    import pygame
+
+    with pytest.warns(UserWarning, match="HumanRendering wrapper is being applied"):
+        env = make(render_mode="human")
+    env.reset(seed=7)
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)
+    assert np.array_equal(shown, draw_picture(env.unwrapped.episode))
+    env.close()
 
 
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
@@ -143,7 +157,7 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
 
 
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
-    with pytest.raises(InvalidValueError, match=r"ansi, rgb_array, human$"):
+    with pytest.raises(InvalidValueError, match=r"ansi, rgb_array$"):
         DroneDeliveryEnv(render_mode="png")
     with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
         gymnasium.make("drone_env:DroneDelivery-Easy-v1", task="hard")

@@ -61,17 +61,6 @@ def test_the_official_client_flies_synchronously(server: Server) -> None:
         assert GRADERS[task](state.model_dump()) == result.observation.score
 
 
-@pytest.mark.feature("E10")
-def test_a_client_that_knows_nothing_of_us_flies_as_well(server: Server) -> None:
-    with official.GenericEnvClient(server.url).sync() as env:
-        env.reset(split="hard_delivery/test", index=3)
-        result = env.step({"direction": "UP", "metadata": {"thought": "up"}})
-        assert result.observation["step_count"] == 1
-        with pytest.raises(RuntimeError, match="VALIDATION_ERROR"):
-            env.step({"direction": "SIDEWAYS"})
-        assert env.step({"direction": "UP"}).observation["step_count"] == 2
-
-
 MESSAGES: list[dict[str, Any]] = [
     {"type": "reset", "data": {"seed": 7, "episode_id": "one", "task_name": "hard"}},
     {"type": "state"},

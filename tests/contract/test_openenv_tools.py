@@ -14,6 +14,8 @@ from drone_env.planning.optimal import solve
 from tests.api.serving import Server, serving
 from tests.contract import official
 
+TOOLS = ["reset", "fly", "look"]
+
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
@@ -28,7 +30,7 @@ def best_route(task: str, seed: int) -> str:
 
 def test_the_tool_client_flies_a_map(server: Server) -> None:
     with official.MCPToolClient(server.url).sync() as env:
-        assert [tool.name for tool in env.list_tools()] == ["reset", "fly", "look"]
+        assert [tool.name for tool in env.list_tools()] == TOOLS
         assert env.reset(task_name="hard", seed=7).metadata == {"reward_profile": "score"}
         seen = env.call_tool("look")
         assert "Score at the end: 0.8 * delivered / 5" in seen["text"]
@@ -43,16 +45,23 @@ def test_the_tool_client_flies_a_map(server: Server) -> None:
             env.call_tool("fly", route="SIDEWAYS")
 
 
-def test_the_generic_client_flies_by_routes_and_by_tools(server: Server) -> None:
+def test_a_client_that_knows_nothing_of_us_flies_in_each_form(server: Server) -> None:
+    # The loop of verifiers' taskset fills the one field that the schema requires.
+    (field,) = server.client.get("/schema").json()["action"]["required"]
+    best, actions = solve("easy", 7).score, solve("easy", 7).actions
+    tool = {"type": "call_tool", "tool_name": "fly", "arguments": {"route": best_route("easy", 7)}, "metadata": {}}
+    numbers = [{"action_id": int(action), "game_name": "catch", "game_params": {}} for action in actions]
     with official.GenericEnvClient(server.url).sync() as env:
-        env.reset(task_name="hard", seed=7, prompt="minimal")
-        result = env.step({"route": best_route("hard", 7)})
-        assert (result.reward, result.done, result.metadata["flown"]) == (solve("hard", 7).score, True, 46)
-        env.reset(task_name="easy", seed=7)
-        tools = env.step({"type": "list_tools"}).observation["tools"]
-        assert [tool["name"] for tool in tools] == ["reset", "fly", "look"]
-        call = {"type": "call_tool", "tool_name": "fly", "arguments": {"route": best_route("easy", 7)}, "metadata": {}}
-        assert env.step(call).reward == solve("easy", 7).score
+        for steps in ([{"route": best_route("easy", 7)}], [{field: best_route("easy", 7)}], [tool], numbers):
+            env.reset(task_name="easy", seed=7, prompt="minimal")
+            for step in steps:
+                result = env.step(step)
+            assert (result.reward, result.done) == (best, True)
+        env.reset(split="hard_delivery/test", index=3)
+        assert [tool["name"] for tool in env.step({"type": "list_tools"}).observation["tools"]] == TOOLS
+        with pytest.raises(RuntimeError, match="VALIDATION_ERROR"):
+            env.step({"direction": "SIDEWAYS"})
+        assert env.step({"direction": "UP", "metadata": {"thought": "up"}}).observation["step_count"] == 1
 
 
 def test_a_client_of_mcp_flies_a_map(server: Server) -> None:
@@ -93,21 +102,3 @@ def test_a_client_of_text_flies_where_the_url_names_task_and_prompt(server: Serv
             data = json.loads(socket.recv())["data"]
         assert data["code"] == "SESSION_ERROR"
         assert re.search("none|prompt", data["message"])
-
-
-def test_a_client_of_numbers_flies(server: Server) -> None:
-    with official.GenericEnvClient(server.url).sync() as env:
-        env.reset(task_name="easy", seed=7)
-        for action in solve("easy", 7).actions:
-            result = env.step({"action_id": int(action), "game_name": "catch", "game_params": {}})
-        assert (result.reward, result.done) == (solve("easy", 7).score, True)
-
-
-def test_an_answer_that_is_no_json_fills_the_one_field_that_the_schema_requires(server: Server) -> None:
-    # The loop of verifiers' taskset.
-    schema = server.client.get("/schema").json()["action"]
-    (field,) = schema["required"]
-    with official.GenericEnvClient(server.url).sync() as env:
-        env.reset(task_name="easy", seed=7, prompt="coordinates")
-        result = env.step({field: best_route("easy", 7)})
-    assert (result.reward, result.done) == (solve("easy", 7).score, True)

@@ -9,9 +9,7 @@ from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN, PPO
 
 from drone_env import evaluate, make_agent
-from drone_env.agents.sb3_policy import open_actions
 from drone_env.cli import main
-from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode, choices
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
@@ -76,16 +74,6 @@ def test_a_masked_policy_is_told_what_would_bump(tmp_path: Path) -> None:
         for action in choices(episode, agent.act):
             assert episode.action_mask()[int(action)]
             episode.step(action)
-
-
-@pytest.mark.parametrize("task", ["hard", "skyline_hard"])
-def test_what_would_bump_is_read_from_observations(task: str) -> None:
-    batch = Batch(get_task(task), 32)
-    batch.reset(np.arange(32))
-    for step in range(40):
-        found = open_actions(get_task(task), batch.grids, batch.telemetry)
-        assert np.array_equal(found, batch.action_masks.astype(np.bool_))
-        batch.step((np.arange(32) * 3 + step) % 5)
 
 
 def test_a_wrapper_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 import yaml
 
@@ -24,6 +23,7 @@ from tests.docs.pages import PAGES, ROOT, Block, blocks
 
 # The scripted endpoint is that of the tests of language models.
 from tests.llm.conftest import scripted_server  # noqa: F401
+from tests.llm.scripted_server import script
 from tests.tools import reserved_port
 
 if sys.version_info >= (3, 11):
@@ -47,10 +47,8 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, Non
 @pytest.fixture
 def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Base URL of a language model that flies well with any prompt."""
-    address = f"{request.getfixturevalue('scripted_server')}/{tmp_path.name}"
-    script = {"log": str(tmp_path / "endpoint.jsonl"), "pilot": "able"}
-    httpx.post(f"{address}/script", json=script, timeout=60).raise_for_status()
-    return f"{address}/v1"
+    script(tmp_path.name, {"pilot": "able"})
+    return f"{request.getfixturevalue('scripted_server')}/{tmp_path.name}/v1"
 
 
 def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:

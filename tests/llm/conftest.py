@@ -1,13 +1,13 @@
-"""Scripted endpoints in a process of their own, and `drone-env infer` against them."""
+"""Scripted endpoints, and `drone-env infer` against them."""
 
+import itertools
 import json
 import os
 import re
 import subprocess
-import sys
+import tempfile
+import threading
 import time
-import urllib.error
-import urllib.request
 from collections import Counter
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from drone_env.cli import main
-from tests.tools import reserved_port
+
+from .scripted_server import Handler, Server, script
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "sk-test-0123456789"
@@ -78,22 +79,19 @@ class Infer:
         return dict(+counts)
 
 
+@dataclass
 class Endpoint:
     """One scripted endpoint, and runs against it."""
 
-    def __init__(
-        self, url: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-    ) -> None:
-        self.url = f"{url}/v1"
-        self.log = folder / f"{url.rpartition('/')[2]}.jsonl"
-        self.folder = folder
-        self._monkeypatch = monkeypatch
-        self._capfd = capfd
-        self._runs = 0
+    url: str
+    log: list[dict[str, Any]]
+    folder: Path
+    monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str]
 
     def requests(self) -> list[dict[str, Any]]:
         """The requests that came, in their order."""
-        return [line for line in json_lines(self.log) if "body" in line]
+        return [line for line in self.log if "body" in line]
 
     def arguments(self, *arguments: str, folder: Path) -> list[str]:
         where = ["--base-url", self.url, "--model", "scripted", "--out", str(folder)]
@@ -101,44 +99,23 @@ class Endpoint:
 
     def infer(self, *arguments: str, folder: Path | None = None, **more: str) -> Infer:
         """Run it in this process."""
-        folder = folder or self.folder / f"{self.log.stem}-run-{self._runs}"
-        self._runs += 1
+        folder = folder or Path(tempfile.mkdtemp(prefix="run-", dir=self.folder))
         for name, value in {"OPENAI_API_KEY": TOKEN, **more}.items():
-            self._monkeypatch.setenv(name, value)
-        self._monkeypatch.chdir(self.folder)
-        self._capfd.readouterr()
+            self.monkeypatch.setenv(name, value)
+        self.monkeypatch.chdir(self.folder)
+        self.capfd.readouterr()
         status = main(self.arguments(*arguments, folder=folder))
-        out, err = self._capfd.readouterr()
+        out, err = self.capfd.readouterr()
         return Infer(status, out, err, folder)
 
 
-def tell(url: str, script: dict[str, Any]) -> None:
-    """Give a scripted endpoint its script."""
-    urllib.request.urlopen(f"{url}/script", json.dumps(script).encode(), timeout=60).close()
-
-
 @pytest.fixture(scope="session")
-def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
-    """The address of the process that all scripted endpoints are in."""
-    log, port = tmp_path_factory.mktemp("scripted") / "errors.log", reserved_port()
-    command = [sys.executable, str(Path(__file__).with_name("scripted_server.py")), str(port)]
-
-    def answers() -> bool:
-        try:
-            tell(f"http://127.0.0.1:{port}/ready", {"log": os.devnull})
-        except urllib.error.URLError:
-            return False
-        return True
-
-    with log.open("wb") as errors:
-        process = subprocess.Popen(command, env=environment(), stderr=errors)
-        try:
-            wait_until(answers, process)
-            yield f"http://127.0.0.1:{port}"
-        finally:
-            process.kill()
-            process.wait()
-    assert log.read_text() == ""
+def scripted_server() -> Generator[str, None, None]:
+    """The address of all scripted endpoints, which are in threads of this process."""
+    with Server(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
 
 
 @pytest.fixture
@@ -146,14 +123,11 @@ def endpoint(
     scripted_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Endpoint]:
     """Opens endpoints: `endpoint(pilot="greedy", latency=0.2, faults=[[0, 3, {"status": 500}]])`."""
-    opened: list[Endpoint] = []
+    numbers = itertools.count()
 
-    def start(**script: Any) -> Endpoint:
-        name = f"{tmp_path.name}-{len(opened)}"
-        opened.append(Endpoint(f"{scripted_server}/{name}", tmp_path, monkeypatch, capfd))
-        opened[-1].log.touch()
-        tell(f"{scripted_server}/{name}", {"log": str(opened[-1].log), **script})
-        return opened[-1]
+    def start(**told: Any) -> Endpoint:
+        name = f"{tmp_path.name}-{next(numbers)}"
+        return Endpoint(f"{scripted_server}/{name}/v1", script(name, told), tmp_path, monkeypatch, capfd)
 
     return start
 

@@ -1,18 +1,19 @@
 """A scripted OpenAI-compatible server: `python scripted_server.py PORT`.
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`. Its body contains:
-- `log`: a file. Each request is a line in it before it is answered, and a second line after that.
 - `pilot`: perfect, greedy, plan, able (perfect or greedy, as the prompt allows), or a text to answer with.
 - `repair`: the same, for repair prompts.
 - `latency`: seconds.
 - `faults`: a list of [first, last, fault] by the number of the request from 0; the first match applies.
 """
 
-import asyncio
+import itertools
 import json
 import re
 import sys
-from pathlib import Path
+import time
+import traceback
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from drone_env.core.actions import Action
 from drone_env.planning.optimal import shortest_tour, tour_actions
@@ -47,54 +48,66 @@ def reply(pilot: str, prompt: str) -> str:
     return pilot
 
 
-channels: dict[str, dict] = {}
-"""The script of each endpoint, and how many requests it got (`count`)."""
+scripts: dict[str, dict] = {}
+"""The script of each endpoint, with the lines of its log (`log`) and a counter of its requests (`numbers`)."""
 
 
-def log(script: dict, line: dict) -> None:
-    with Path(script["log"]).open("a") as file:
-        file.write(json.dumps(line) + "\n")
+def script(name: str, what: dict) -> list[dict]:
+    """Open an endpoint, and return its log: one line for each request before it is answered, and one after that."""
+    scripts[name] = {**what, "log": [], "numbers": itertools.count()}
+    return scripts[name]["log"]
 
 
-async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    try:
-        while await answer(reader, writer):
-            await writer.drain()
-    except (ConnectionError, asyncio.IncompleteReadError):
-        pass
-    finally:
-        writer.close()
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    wbufsize = -1
+
+    def do_POST(self) -> None:
+        body = json.loads(self.rfile.read(int(self.headers.get("content-length", 0))) or b"{}")
+        _, name, what = self.path.split("/", 2)
+        if what == "script":
+            script(name, body)
+            self.respond({"sends": "{}"})
+            return
+        assert what == "v1/chat/completions", what
+        told = scripts[name]
+        index, call = next(told["numbers"]), self.headers.get("x-client-request-id", "")
+        fault = next((f for first, last, f in told.get("faults", []) if first <= index <= last), None)
+        headers = {name.lower(): value for name, value in self.headers.items()}
+        told["log"].append({"call": call, "headers": headers, "body": body, "port": self.client_address[1]})
+        try:
+            time.sleep(3600 if fault == "hang" else told.get("latency", 0))
+            if isinstance(fault, str):
+                self.close_connection = True
+                if fault == "cut_body":
+                    self.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 5000\r\n\r\n{")
+                return
+            done = completion(told, body)
+            self.respond(fault or (streamed(done) if body.get("stream") else {"sends": json.dumps(done)}))
+        finally:
+            told["log"].append({"over": call})
+
+    def respond(self, response: dict) -> None:
+        """Send a response of `status`, `headers`, and either `sends`, its text, or the `message` of an error."""
+        status = response.get("status", 200)
+        error = {"error": {"message": response.get("message", f"scripted {status}"), "type": "scripted"}}
+        data = (response.get("sends") or json.dumps(error)).encode()
+        self.send_response(status, "Scripted")
+        headers = {"Content-Type": "application/json", "Content-Length": len(data), **response.get("headers", {})}
+        for name, value in headers.items():
+            self.send_header(name, str(value))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, *_: object) -> None: ...
 
 
-async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
-    """Answer a request as the script says, and whether the connection stays open."""
-    start, *lines = (await reader.readuntil(b"\r\n\r\n")).decode().splitlines()
-    headers = {name.lower(): value.strip() for name, _, value in (line.partition(":") for line in lines if line)}
-    body = json.loads(await reader.readexactly(int(headers.get("content-length", 0))) or b"{}")
-    _, name, what = start.split()[1].split("/", 2)
-    if what == "script":
-        channels[name] = {**body, "count": 0}
-        send(writer, {"sends": "{}"})
-        return True
-    assert what == "v1/chat/completions", what
-    script = channels[name]
-    index, script["count"] = script["count"], script["count"] + 1
-    call = headers.get("x-client-request-id", "")
-    fault = next((f for first, last, f in script.get("faults", []) if first <= index <= last), None)
-    port = writer.get_extra_info("peername")[1]
-    log(script, {"call": call, "fault": fault, "headers": headers, "body": body, "port": port})
-    try:
-        await asyncio.sleep(3600 if fault == "hang" else script.get("latency", 0))
-        if fault == "cut_body":
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
-            await writer.drain()
-        if isinstance(fault, str):
-            return False
-        done = completion(script, body)
-        send(writer, fault or (streamed(done) if body.get("stream") else {"sends": json.dumps(done)}))
-        return True
-    finally:
-        log(script, {"over": call})
+class Server(ThreadingHTTPServer):
+    request_queue_size = 4096
+
+    def handle_error(self, *_: object) -> None:
+        if not isinstance(sys.exc_info()[1], ConnectionError):  # of a client that was killed
+            traceback.print_exc()
 
 
 def completion(script: dict, body: dict) -> dict:
@@ -122,20 +135,5 @@ def streamed(done: dict) -> dict:
     return {"sends": f"data: {chunk}\n\ndata: [DONE]\n\n", "headers": {"Content-Type": "text/event-stream"}}
 
 
-def send(writer: asyncio.StreamWriter, response: dict) -> None:
-    """Send a response of `status`, `headers`, and either `sends`, its text, or the `message` of an error."""
-    status = response.get("status", 200)
-    error = {"error": {"message": response.get("message", f"scripted {status}"), "type": "scripted"}}
-    data = (response.get("sends") or json.dumps(error)).encode()
-    headers = {"Content-Type": "application/json", "Content-Length": len(data), **response.get("headers", {})}
-    lines = [f"HTTP/1.1 {status} Scripted", *(f"{name}: {value}" for name, value in headers.items()), "", ""]
-    writer.write("\r\n".join(lines).encode() + data)
-
-
-async def main(port: str) -> None:
-    async with await asyncio.start_server(serve, "127.0.0.1", int(port), limit=1 << 26, backlog=4096) as running:
-        await running.serve_forever()
-
-
 if __name__ == "__main__":
-    asyncio.run(main(*sys.argv[1:]))
+    Server(("127.0.0.1", int(sys.argv[1])), Handler).serve_forever()

@@ -2,28 +2,27 @@
 
 import asyncio
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.files import RUNS
-from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.limiter import Clock, Options, RateLimiter
+from drone_env.llm.limiter import Options, RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
-from drone_env.llm.run_folder import RunFolder
+from drone_env.llm.run_folder import locked_run
 from drone_env.llm.runner import RunResult, run
 from drone_env.llm.transcript import Call, read_calls
 from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
 
 
-class VirtualClock(Clock):
+class VirtualClock:
     """Stands still but for waits, which are over at once and noted."""
 
     def __init__(self) -> None:
@@ -50,8 +49,8 @@ class Scripted:
     def __init__(self, pilot: str) -> None:
         self._pilot = pilot
 
-    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
-        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, messages[1]["content"])
+    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
+        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, request["messages"][1]["content"])
         return Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
 
     async def close(self) -> None: ...
@@ -95,16 +94,17 @@ class Flown:
         return [turn for flight in self.result.flights for turn in flight.turns]
 
 
-def fly(at: str | Scripted, folder: Path, options: Options | None = None, **change: Any) -> Flown:
+def fly(
+    at: str | Scripted, folder: Path, options: Options | None = None, store: Store | None = None, **change: Any
+) -> Flown:
     """Fly a run whose waits take no time: against an endpoint or a scripted model, one request at a time by default."""
     options = options or Options(concurrency=1)
     config = run_config(**change, **({"base_url": at} if isinstance(at, str) else {}))
     clock = VirtualClock()
-    sender = Endpoint(config, None, options.timeout) if isinstance(at, str) else at
-    with closing(RunFolder(folder, config, resume=False)) as opened:
-        limiter = RateLimiter(options, clock)
-        progress = Progress(config, limiter.budget, opened, None)
-        result = asyncio.run(run(config, opened, sender, limiter, progress))
+    sender = Endpoint(at, None, options.timeout) if isinstance(at, str) else at
+    limiter = RateLimiter(options, clock.now, clock.sleep)
+    with locked_run(folder, config, resume=False):
+        result = asyncio.run(run(config, folder, sender, limiter, Progress(config, limiter.budget, folder, store)))
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
 
 
@@ -113,8 +113,5 @@ def put_run(data: Path, name: str, pilot: str, seeds: range, **change: Any) -> P
     folder = data / RUNS / name
     # In a thread of its own, since the event loop of a browser's test runs in this one.
     with ThreadPoolExecutor(1) as thread, Store(data) as store:
-        flown = thread.submit(fly, Scripted(pilot), folder, seeds=seeds, **change).result()
-        with closing(RunFolder(folder, flown.result.config, resume=True)) as opened:
-            for flight in flown.result.flights:
-                opened.add_to(store, flight)
+        thread.submit(fly, Scripted(pilot), folder, store=store, seeds=seeds, **change).result()
     return folder

@@ -17,7 +17,6 @@ from drone_env.llm.answers import Answer
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 
 from .conftest import TOKEN
-from .stored_run import run_config
 
 Send = Callable[..., Answer | TryFailedError]
 
@@ -37,9 +36,9 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
         monkeypatch.setattr(endpoint.httpx, "AsyncClient", functools.partial(client, transport=transport))
 
         async def ask() -> Answer:
-            opened = Endpoint(run_config(), TOKEN, 60)
+            opened = Endpoint("http://localhost:1/v1", TOKEN, 60)
             try:
-                return await opened.send([{"role": "user", "content": "?"}], "0-1-1", 0)
+                return await opened.send({}, "0-1-1")
             finally:
                 await opened.close()
 

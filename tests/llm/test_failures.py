@@ -14,9 +14,7 @@ ALWAYS = 10**9
     ("fault", "told"),
     [
         ({"status": 401, "message": f"Incorrect API key provided: {TOKEN}"}, "returned 401: the token is missing"),
-        ({"status": 400, "message": "\x1b[2Jno temperature"}, "returned 400: \ufffd[2Jno temperature\n"),
-        ({"sends": '{"error": {"code": 402, "message": "quota"}}'}, "returned 402: quota (in a 200 response)\n"),
-        ({"status": 302, "headers": {"Location": f"/?key={TOKEN}"}}, "returned 302: it redirects to /?key=***, which"),
+        ({"status": 400, "message": "no temperature"}, "returned 400: no temperature\n"),
     ],
 )
 def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault: object, told: str) -> None:
@@ -46,16 +44,3 @@ def test_broken_connections_and_time_outs_are_tried_again(endpoint: Start, fault
     done = scripted.infer("--seeds", "14:15", "--timeout", "2" if fault == "hang" else "60")
     assert (done.status, done.turns) == (0, {"ok": 3}), done.err
     assert [len(call["failures"]) for call in done.calls] == [0, 1, 0]
-
-
-def test_failures_that_stay_make_flights_errored_and_the_run_invalid(endpoint: Start) -> None:
-    # The second flight of three fails in its first call for good.
-    scripted = endpoint(pilot="greedy", faults=[[3, ALWAYS, {"status": 500}]])
-    done = scripted.infer("--seeds", "14:17", "--concurrency", "1", "--tries", "3")
-    assert done.status == 1
-    assert [f["status"] for f in done.flights] == ["finished", "errored", "errored"]
-    assert done.turns == {"ok": 3, "api_error": 2}
-    assert len(scripted.requests()) == 3 + 2 * 3
-    assert "verdict: INVALID: 2 of 3 flights errored" in done.err
-    assert len(blocks(done.out)) == 3
-    verified(done)

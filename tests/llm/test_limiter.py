@@ -22,7 +22,7 @@ Start = Callable[..., Endpoint]
 def with_limiter(work: Callable[[RateLimiter, VirtualClock], Awaitable[Any]], **options: Any) -> Any:
     async def run() -> Any:
         clock = VirtualClock()
-        return await work(RateLimiter(Options(**options), clock), clock)
+        return await work(RateLimiter(Options(**options), clock.now, clock.sleep), clock)
 
     return asyncio.run(run())
 

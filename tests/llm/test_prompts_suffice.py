@@ -2,13 +2,12 @@
 
 import os
 import re
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient, WebSocketTestSession
 
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
@@ -20,8 +19,7 @@ from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import FOLDER, Prompt, get_prompt, prompt_ids, read_prompt
 from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.optimal import solve, solver_of
-from drone_env.server.app import create_app
-from drone_env.server.settings import Settings
+from drone_env.server.openenv_session import full_text
 
 MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
 PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
@@ -226,30 +224,6 @@ def test_who_reads_nothing_but_the_prompt_flies_the_optimum(prompt: Prompt, task
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
-@pytest.fixture(scope="module")
-def socket(tmp_path_factory: pytest.TempPathFactory) -> Generator[WebSocketTestSession, None, None]:
-    app = create_app(Settings(data=tmp_path_factory.mktemp("told") / "data"))
-    with TestClient(app) as client, client.websocket_connect("/ws") as connected:
-        yield connected
-
-
-@pytest.mark.parametrize("task", TIERS)
-def test_a_client_of_openenv_that_reads_nothing_but_the_prompt_is_paid_the_optimum(
-    socket: WebSocketTestSession, task: str
-) -> None:
-    def ask(kind: str, data: Any) -> Any:
-        socket.send_json({"type": kind, "data": data})
-        return socket.receive_json()["data"]
-
-    for seed in split_seeds("test", MAPS or (2 if task in ("easy", "skyline_easy") else 100)):
-        answer, total = ask("reset", {"task_name": task, "seed": seed, "prompt": "minimal"}), 0.0
-        while not answer["done"]:
-            flight, says = read_text(*[answer["observation"]["prompt"]] * 2).episode, list[str]()
-            solver = solver_of(flight)
-            while not flight.ended and len(says) < 8:
-                action = solver.optimal_actions(flight)[0]
-                flight.step(action)
-                says.append(action.name)
-            answer = ask("step", " ".join(says))
-            total += answer["reward"]
-        assert total == solve(task, seed).score
+def test_openenv_shows_both_texts_of_a_prompt() -> None:
+    prompt, episode = get_prompt("minimal"), Episode("hard", seed=3)
+    assert full_text(prompt, episode) == "\n\n".join(texts_of(prompt, episode))

@@ -45,35 +45,6 @@ def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
     assert verdict_of(2, ["finished"], "no such model") == ("stopped", "no such model")
 
 
-def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None:
-    folder = endpoint(pilot="WAIT").infer("--seeds", "14:15").folder
-    calls, flights = folder / "calls.jsonl", folder / "flights.jsonl"
-    whole, result = calls.read_text(), flights.read_text()
-    lines = whole.splitlines()
-    calls.write_text("\n".join([lines[0].replace('"text":"WAIT"', '"text":"LEFT"'), *lines[1:], ""]))
-    with pytest.raises(InvalidValueError, match="has another request than this run sends"):
-        verified_run(folder)
-    calls.write_text("\n".join([*lines[:-1], lines[-1].replace('"text":"WAIT"', '"text":"LEFT"'), ""]))
-    with pytest.raises(InvalidValueError, match="does not follow from the model's answers"):
-        verified_run(folder)
-    calls.write_text("\n".join([*lines[:-1], ""]))
-    with pytest.raises(InvalidValueError, match="call 0-60-1 has no answer, but the status of the flight is finished"):
-        verified_run(folder)
-    # A bad flight cannot be taken out of the mean by calling it errored.
-    flights.write_text(result.replace('"status":"finished","error":null', '"status":"errored","error":"500"'))
-    with pytest.raises(InvalidValueError, match="call 0-60-1 has neither an answer nor a failure"):
-        verified_run(folder)
-    flights.write_text(result)
-    calls.write_text(whole + lines[-1].replace('"turn":60', '"turn":61') + "\n")
-    with pytest.raises(InvalidValueError, match="1 answers belong to no flight"):
-        verified_run(folder)
-    calls.write_text(whole)
-    for name in ("run.json", "episodes.jsonl", "calls.jsonl"):
-        (folder / name).write_text((folder / name).read_text().replace('"scripted"', '"better"'))
-    with pytest.raises(InvalidValueError, match="call 0-1-1 has another request"):
-        verified_run(folder)
-
-
 def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) -> None:
     # Map 14 takes 3 steps: the second flight over it fails at its first call.
     first = endpoint(pilot="greedy").infer("--seeds", "14:16", "--concurrency", "1")
@@ -90,7 +61,8 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) 
 def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_text(endpoint: Start) -> None:
     hostile = "<script>alert(1)</script>|x![](http://h)"
     scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500, "message": hostile}]])
-    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1", "--model", hostile)
+    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "2", "--model", hostile)
+    assert (done.status, done.turns, len(scripted.requests())) == (1, {"ok": 3, "api_error": 1}, 3 + 2)
     run = verified_run(done.folder)
     figures = report(run)
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
@@ -126,22 +98,41 @@ def test_the_leaderboard_ranks_whole_runs_and_names_the_others(
         assert f": {why}; give a folder of evaluate --out or infer --out\n" in capfd.readouterr().err
 
 
-def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(tmp_path: Path) -> None:
-    folder = put_run(tmp_path, "run", "greedy", range(14, 16))
-    records, results = ((folder / name).read_text() for name in ("episodes.jsonl", "flights.jsonl"))
+def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) -> None:
+    folder = put_run(tmp_path, "run", "WAIT", range(14, 16))
+    whole = {
+        name: (folder / name).read_text() for name in ("run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl")
+    }
+    _, calls, records, results = whole.values()
     first, second = records.splitlines(keepends=True)
+    start, last = calls[: calls.rindex("\n", 0, -1) + 1], calls.splitlines(keepends=True)[-1]
+    answer, left = '"text":"WAIT"', '"text":"LEFT"'
     better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()
     forged = record_of(Episode("easy", seed=14).fly((2, 0, 0)), "scripted").to_json()
-    for changed, told in (
-        ((records, results.replace('"waits":0', '"waits":1', 1)), "flight 0 does not follow from the model's answers"),
-        ((f"{first}{better}\n", results), "flight 1: the record does not fit its flight: score"),
-        ((f"{forged}\n{second}", results), "flight 0 does not follow from the model's answers"),
-        ((first, results.splitlines(keepends=True)[0]), "flight 1 was begun but is not among the results"),
+    # A bad flight cannot be taken out of the mean by calling it errored.
+    errored = '"status":"errored","error":"500"'.join(results.rsplit('"status":"finished","error":null', 1))
+    for files, told in (
+        ({"calls": calls.replace(answer, left, 1)}, "has another request than this run sends"),
+        ({"calls": start + last.replace(answer, left)}, "flight 1 does not follow from the model's answers"),
+        ({"calls": start}, "call 1-60-1 has no answer, but the status of the flight is finished"),
+        ({"calls": start, "flights": errored}, "call 1-60-1 has neither an answer nor a failure"),
+        ({"calls": calls + last.replace('"turn":60', '"turn":61')}, "1 answers belong to no flight"),
+        (
+            {"flights": results.replace('"waits":0', '"waits":1', 1)},
+            "flight 0 does not follow from the model's answers",
+        ),
+        ({"episodes": f"{first}{better}\n"}, "flight 1: the record does not fit its flight: score"),
+        ({"episodes": f"{forged}\n{second}"}, "flight 0 does not follow from the model's answers"),
+        ({"episodes": first, "flights": results.splitlines()[0]}, "flight 1 was begun but is not among the results"),
     ):
-        for name, text in zip(("episodes.jsonl", "flights.jsonl"), changed, strict=True):
-            (folder / name).write_text(text)
+        for name, text in whole.items():
+            (folder / name).write_text(files.get(name.partition(".")[0], text))
         with pytest.raises(InvalidValueError, match=told):
             verified_run(folder)
+    for name, text in whole.items():
+        (folder / name).write_text(text.replace('"scripted"', '"better"'))
+    with pytest.raises(InvalidValueError, match="call 0-1-1 has another request"):
+        verified_run(folder)
 
 
 def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:

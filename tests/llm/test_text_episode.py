@@ -4,6 +4,7 @@ import pytest
 
 from drone_env.errors import EpisodeError
 from drone_env.llm import TextEpisode
+from drone_env.llm.answers import Answer
 from drone_env.planning.optimal import solve
 
 
@@ -30,9 +31,12 @@ def test_a_flight_by_text() -> None:
 
 def test_unusable_answers_are_waits_and_thoughts_and_routes_are_read() -> None:
     flight = TextEpisode("easy", 14)
-    for text in ("Hm.", "NORTH"):
+    for text in ("Hm." * 1000, "NORTH"):
         flight.answer(text)
     assert (flight.turns, flight.step_errors, flight.episode.actions) == (["illegal"], ["illegal"], [4])
+    # The model sees the beginning of a long answer.
+    (_, _, quoted, _) = TextEpisode("easy", 14).answer(Answer(text="Hm." * 1000, finish_reason="length"))
+    assert quoted["content"] == ("Hm." * 1000)[:2000]
     aloud = TextEpisode("easy", 14, "think")
     aloud.answer("Not every ACTION: brings it nearer.\n**ACTION: LEFT**")
     assert (aloud.turns, aloud.episode.actions) == (["ok"], [2])

@@ -18,6 +18,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env.client": ("server",),
     "drone_env.cluster": ("cluster",),
     "drone_env.cluster.senders": ("cluster", "llm"),
+    "drone_env.datasets": ("data",),
     "drone_env.llm": ("llm",),
     "drone_env.llm.inspect_task": ("inspect",),
     "drone_env.llm.trl_environment": ("trl",),

@@ -28,11 +28,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import observation, rules
-from drone_env.core.actions import N_ACTIONS
-from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards
-from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.tables import CELL, DELIVERIES_DONE, OUTCOME, PARCELS, STEPS, UNDER, interpreted, state_size
+from drone_env.core import rules
+from drone_env.core.episode import Episode
+from drone_env.core.seeds import SPLITS
+from drone_env.core.tables import CELL, PARCELS, UNDER, interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
 
 GOLDEN_FILE = Path(__file__).with_name("golden.json")
@@ -68,57 +67,49 @@ def little(array: npt.NDArray[Any]) -> bytes:
 
 
 class Reference:
-    """Episodes flown one by one by the rules in plain Python, begun anew as `Batch` does."""
+    """Episodes flown one by one in plain Python, begun anew as `Batch` does."""
 
     def __init__(self, task: TaskConfig, n: int, profile: str, same_step: bool = False) -> None:
-        self.tables = interpreted(task)
-        self.rewards_of = interpreted_rewards(task, REWARD_PROFILES[profile])
+        self.episodes = [Episode(task, profile) for _ in range(n)]
         self.same_step = same_step
-        self.grids = np.zeros((n, self.tables.cells), np.uint8)
-        self.states = np.zeros((n, state_size(self.tables)), np.uint16)
-        self.telemetry = np.zeros((n, task.telemetry_size), np.float32)
-        self.open_actions = np.zeros((n, 1), np.dtype("<i8"))
-        self.action_masks = self.open_actions.view(np.int8)[:, :N_ACTIONS]
-        self.seeds = np.zeros(n, np.int64)
-        self.rewards = np.zeros(n)
-        self.terminated = np.zeros(n, np.bool_)
+        self.rewards, self.terminated = np.zeros(n), np.zeros(n, np.bool_)
         self.finals: list[tuple[Any, ...]] = []
-        self.episodes = [
-            tuple(map(memoryview, row)) for row in zip(self.grids, self.states, self.telemetry, strict=True)
-        ]
 
     def reset(self, seeds: Sequence[int]) -> None:
-        for i, seed in enumerate(seeds):
-            self.begin(i, int(seed))
-
-    def begin(self, i: int, seed: int) -> None:
-        self.seeds[i] = seed
-        rules.reset(self.tables, *self.episodes[i][:2], seed)
-        self.observe(i)
-
-    def observe(self, i: int) -> None:
-        grid, state, telemetry = self.episodes[i]
-        observation.write_telemetry(self.tables, state, telemetry)
-        self.open_actions[i] = observation.open_actions(self.tables, grid, state)
+        for episode, seed in zip(self.episodes, seeds, strict=True):
+            episode.reset(int(seed))
 
     def step(self, actions: Sequence[int]) -> None:
         self.finals = []
-        for i, (grid, state, _) in enumerate(self.episodes):
+        for i, episode in enumerate(self.episodes):
             self.rewards[i], self.terminated[i] = 0.0, False
-            if state[OUTCOME]:
-                self.begin(i, next_seed(int(self.seeds[i])))
+            if episode.ended:
+                episode.reset()
                 continue
-            self.rewards[i] = rules.step(self.tables, self.rewards_of, grid, state, int(actions[i]))
-            self.observe(i)
-            if state[OUTCOME]:
+            self.rewards[i] = episode.step(int(actions[i]))
+            if episode.ended:
                 self.terminated[i] = True
-                numbers = rules.score(self.tables, state), state[STEPS], state[DELIVERIES_DONE], int(self.seeds[i])
-                self.finals.append((i, *numbers, self.grids[i].tobytes(), self.telemetry[i].tobytes()))
+                numbers = episode.score, episode.steps, episode.deliveries_done, episode.seed
+                obs = episode.observation()
+                self.finals.append((i, *numbers, obs["grid"].tobytes(), obs["telemetry"].tobytes()))
                 if self.same_step:
-                    self.begin(i, next_seed(int(self.seeds[i])))
+                    episode.reset()
+
+    @property
+    def seeds(self) -> npt.NDArray[np.int64]:
+        return np.array([episode.seed for episode in self.episodes], np.int64)
+
+    @property
+    def action_masks(self) -> npt.NDArray[np.int8]:
+        return np.array([episode.action_mask() for episode in self.episodes])
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
-        return {name: getattr(self, name).copy() for name in ("grids", "states", "telemetry")}
+        seen = [episode.observation() for episode in self.episodes]
+        return {
+            "grids": np.array([obs["grid"].ravel() for obs in seen]),
+            "states": np.array([np.frombuffer(episode.get_state().numbers, np.uint16) for episode in self.episodes]),
+            "telemetry": np.array([obs["telemetry"] for obs in seen]),
+        }
 
 
 def flown(make: Make, task: TaskConfig, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:

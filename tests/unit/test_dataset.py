@@ -31,13 +31,13 @@ needs_minari = pytest.mark.skipif("minari" not in FORMATS, reason="Minari asks f
 SHORT = [task.short_name for task in SMALL.values() if task.short_name not in ("skyline_hard", "city_small")]
 
 
-def made(folder: Path, config: DatasetConfig, formats: tuple[str, ...] = ("parquet",)) -> Path:
-    build_dataset(config, folder / "set", formats)
+def made(folder: Path, config: DatasetConfig) -> Path:
+    build_dataset(config, folder / "set")
     return folder / "set"
 
 
-def config_of(task: str, *maps: Any, **options: Any) -> DatasetConfig:
-    return DatasetConfig(get_task(task), *maps, **options)
+def config_of(task: str, *maps: Any, formats: Any = ("parquet",), **options: Any) -> DatasetConfig:
+    return DatasetConfig(get_task(task), *maps, formats=formats, **options)
 
 
 def rows(folder: Path) -> list[dict]:
@@ -103,10 +103,10 @@ def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
 
 
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
-    config = config_of("easy", range(4))
+    config = config_of("easy", range(4), formats=FORMATS)
     contents = []
     for name in ("first", "second"):
-        build_dataset(config, tmp_path / name, FORMATS)
+        build_dataset(config, tmp_path / name)
         contents.append({p.relative_to(tmp_path / name): p.read_bytes() for p in (tmp_path / name).rglob("*.*")})
     first, second = contents
     assert first.keys() == second.keys()
@@ -126,7 +126,7 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     assert all(field.metadata[b"description"] and not field.nullable for field in schema)
     about = json.loads(schema.metadata[b"drone_env"])
     assert about == config.as_json()
-    assert (about["format"], about["format_version"]) == (FORMAT, 1)
+    assert (about["format"], about["format_version"], "prompt" in about) == (FORMAT, 1, False)
     page = (folder / "README.md").read_text(encoding="utf-8")
     assert all(f"| `{name}` |" in page for name in schema.names)
     assert '"package_version"' in page
@@ -137,9 +137,9 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
 def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import minari
 
-    config = config_of(task, range(3), reward_profile="composite")
+    config = config_of(task, range(3), reward_profile="composite", formats=FORMATS)
     monkeypatch.setattr(build, "ROWS_PER_GROUP", 60)
-    folder = made(tmp_path, config, ("parquet", "minari"))
+    folder = made(tmp_path, config)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
     (name,) = minari.list_local_datasets()
     dataset = minari.load_dataset(name)
@@ -174,8 +174,8 @@ def json_rows(folder: Path, name: str) -> list[dict]:
 @pytest.mark.parametrize("turns", ["plan", "step", "route"])
 @pytest.mark.parametrize("task", ["medium", "skyline_easy"])
 def test_a_conversation_replays_beside_the_exact_values(task: str, turns: Any, tmp_path: Path) -> None:
-    config = config_of(task, range(3, 5), "train", ["optimal", "greedy"], epsilon=0.3, turns=turns)
-    for row in json_rows(made(tmp_path, config, ("chat",)), "chat"):
+    config = config_of(task, range(3, 5), "train", ["optimal", "greedy"], epsilon=0.3, turns=turns, formats=["chat"])
+    for row in json_rows(made(tmp_path, config), "chat"):
         episode, drone = Episode(row["task"], seed=row["seed"]), DroneEnvironment()
         solver = ExactSolver(episode)
         system, user, *rest = row["messages"]
@@ -201,8 +201,8 @@ def test_a_conversation_replays_beside_the_exact_values(task: str, turns: Any, t
 
 
 def test_pairs_are_ordered_by_regret(tmp_path: Path) -> None:
-    config = config_of("easy", range(6), "train", epsilon=0.2)
-    folder = made(tmp_path, config, ("preference", "chat"))
+    config = config_of("easy", range(6), "train", epsilon=0.2, formats=["preference", "chat"])
+    folder = made(tmp_path, config)
     flown = {(row["seed"], row["agent"]): row for row in json_rows(folder, "chat")}
     differ = {(a, b) for a in flown for b in flown if a[0] == b[0] and flown[a]["regret"] < flown[b]["regret"]}
     for row in json_rows(folder, "preference"):
@@ -227,7 +227,7 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_dataset(config_of("easy", range(5)), tmp_path / "set", FORMATS, on_map=interrupt)
+        build_dataset(config_of("easy", range(5), formats=FORMATS), tmp_path / "set", on_map=interrupt)
     assert maps == [False, False, False]
     assert list(tmp_path.iterdir()) == []
 
@@ -235,12 +235,12 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
 def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> None:
     config = config_of("easy", range(1))
     (tmp_path / "set").mkdir()
-    assert build_dataset(config, tmp_path / "set", ("parquet",)) == len(rows(tmp_path / "set"))
+    assert build_dataset(config, tmp_path / "set") == len(rows(tmp_path / "set"))
     (tmp_path / "file").touch()
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     for taken in ("set", "file"):
         with pytest.raises(InvalidValueError, match="not an empty folder"):
-            build_dataset(config, tmp_path / taken, FORMATS)
+            build_dataset(config, tmp_path / taken)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 

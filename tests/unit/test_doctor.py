@@ -66,6 +66,7 @@ def test_what_is_broken(
     broken = {name: finding["detail"] for name, finding in found.items() if finding["status"] == "broken"}
     assert (status, set(broken)) == (1, {"medium_delivery", "tournet", "data", "results", "server"})
     assert "DRONE_ENV_WORKERS" in broken["server"]
+    assert "gone.safetensors: name a file, as in tournet:FILE" in broken["tournet"]
 
 
 @pytest.mark.parametrize("url", ["https://router.huggingface.co/v1", f"http://me:{SECRET}@127.0.0.1:none/v1"])

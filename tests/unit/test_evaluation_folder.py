@@ -1,12 +1,17 @@
 """The folder that an evaluation goes on from."""
 
+import ctypes
 import json
+import signal
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from drone_env.cli import main
 from drone_env.results import folder as results_folder
+from drone_env.results.evaluate import run_episodes
+from drone_env.results.result import EpisodesKey, Results
 
 
 def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -29,6 +34,23 @@ def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pyte
     other = [*command[:4], "0:2600", *command[5:]]
     assert main(other) == 2
     assert "holds another evaluation: seeds: [0, 2500] is now [0, 2600]" in capsys.readouterr().err
+
+
+def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    press = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+
+    def fly(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
+        for key in keys:
+            press()
+            yield run_episodes(key)
+
+    monkeypatch.setattr("drone_env.commands.evaluate.local_engine", fly)
+    folder = tmp_path / "results"
+    assert main(["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]) == 130
+    assert len(list((folder / "pieces").iterdir())) == 1
+    assert f"interrupted; the same command goes on from {folder}" in capsys.readouterr().err
 
 
 def test_another_version_does_not_go_on(

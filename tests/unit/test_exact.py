@@ -17,6 +17,7 @@ from drone_env.planning import states
 from drone_env.planning.legs import LegSolver
 from drone_env.planning.optimal import best_actions, solve, solve_episode
 from drone_env.planning.solver import ExactSolver, Solver
+from drone_env.planning.tours import shortest_tour
 from tests.toy import fly, toy_episode
 
 MakeSolver: TypeAlias = Callable[[Episode], Solver]
@@ -100,6 +101,11 @@ class TestRefusals:
             make(episode)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
             solve("skyline_easy", 0)
+
+
+def test_sixteen_parcels_are_solved() -> None:
+    parcels = [(i * 7 % 17, 0) for i in range(1, 17)]
+    assert shortest_tour((0, 0), parcels, budget=16) == [(i, 0) for i in range(1, 17)]
 
 
 def test_the_largest_task_at_once() -> None:

@@ -12,11 +12,9 @@ from fastapi.testclient import TestClient
 from safetensors.numpy import save
 
 from drone_env.agents import make_agent
-from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, load_network, shipped_network
+from drone_env.agents.pathqnet import load_network, shipped_network
 from drone_env.agents.weights_file import LARGEST, METADATA, MOST_BYTES, write_weights
-from drone_env.core.actions import Action
 from drone_env.core.cells import N_CELL_KINDS
-from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, UnsupportedTaskError
@@ -54,15 +52,6 @@ def test_the_network_is_as_drawn() -> None:
     assert isinstance(PathQNet().head[1], torch.nn.LayerNorm)
 
 
-@pytest.mark.feature("L2")
-def test_five_values_of_telemetry() -> None:
-    episode = Episode("easy")
-    episode.reset(14)  # the drone at (6, 3), the parcel at (5, 1)
-    np.testing.assert_allclose(episode.observation()["telemetry"], [0.6, 0.3, 1.0, 0.5, 0.1], rtol=1e-6)
-    episode.step(Action.LEFT)
-    np.testing.assert_allclose(episode.observation()["telemetry"], [0.5, 0.3, 59 / 60, 0.5, 0.1], rtol=1e-6)
-
-
 @pytest.mark.parametrize(("height", "width", "telemetry_size"), [(10, 10, 5), (18, 18, 6), (7, 11, 5), (3, 2, 5)])
 def test_the_network_without_torch_is_the_same(height: int, width: int, telemetry_size: int, tmp_path: Path) -> None:
     torch.manual_seed(height)
@@ -76,18 +65,6 @@ def test_the_network_without_torch_is_the_same(height: int, width: int, telemetr
     found = load_network(tmp_path / "net.safetensors")(grids, telemetry)
     assert found.shape == (20, 5)
     assert np.abs(found - expected).max() < 1e-5
-
-
-def test_the_agent_flies_alone_as_in_a_batch() -> None:
-    agent = PathQNetAgent(get_task("easy"))
-    observations = [Episode("easy", seed=seed).observation() for seed in range(30)]
-    grids = np.stack([observation["grid"] for observation in observations])
-    telemetry = np.stack([observation["telemetry"] for observation in observations])
-    alone = [agent.act(observation) for observation in observations]
-    assert len(set(alone)) > 1
-    # More than it takes at a time, in another order in each part.
-    order = np.random.default_rng(0).integers(0, 30, 2 * CHUNK + 1)
-    assert agent.act_batch(grids[order], telemetry[order]).tolist() == [alone[i] for i in order]
 
 
 @pytest.mark.parametrize("name", SHIPPED)

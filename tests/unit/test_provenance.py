@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from drone_env.server.pilots import Provenance
 
 WORDS = st.sampled_from(
-    ["human", "greedy", " with values", " with undo", " and undo", " from step ", "07", "7", " of "]
+    ["human", "greedy", " with values", " with undo", " and undo", " from step ", "07", "7", " of ", " (Ada)", ")"]
 )
 
 
@@ -25,6 +25,8 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
         ("human", 0, "pathqnet", "human"),
         ("human", 0, "human from step 20 of pathqnet", "human"),
         ("human", 0, "human with values", "human with values"),
+        ("human", 4, "human (Ada) with undo from step 3 of greedy", "human (Ada) with undo from step 3 of greedy"),
+        ("greedy", 4, "human (Ada)", "greedy from step 4 of human (Ada)"),
         # A pilot may continue its own flight.
         ("human", 5, "human", "human with undo"),
         ("human", 5, "human with values", "human with values and undo"),

@@ -26,6 +26,7 @@ def test_where_nobody_says_it_an_episode_and_a_batch_pay_what_training_does() ->
 
 
 class TestTieredAndComposite:
+    @pytest.mark.feature("E7")
     @pytest.mark.parametrize(
         ("task", "closer", "away", "neither", "delivery"),
         [

@@ -23,10 +23,6 @@ def test_the_order_of_actions_events_and_cells_is_frozen() -> None:
 
 
 CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
-    # x grows rightwards, y downwards
-    "up": (["...", ".@.", "..0"], "U", {}, {"position": (1, 0)}),
-    "down": (["...", ".@.", "..0"], "D", {}, {"position": (1, 2)}),
-    "wait": (["...", ".@.", "..0"], "W", {}, {"position": (1, 1), "event": Event.WAIT}),
     "wall above": (["@.", ".0"], "U", {}, {"position": (0, 0), "event": Event.WALL, "reward_last": 0.32}),
     "wall on the right": (["0.", ".@"], "R", {}, {"position": (1, 1), "event": Event.WALL}),
     # The first event that holds
@@ -145,6 +141,7 @@ def telemetry(episode: Episode) -> list[float]:
     return episode.observation()["telemetry"].tolist()
 
 
+@pytest.mark.feature("L2")
 @pytest.mark.parametrize(
     ("drawing", "actions", "changes", "values"),
     [

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drone_env.agents.tour_encoder import FeatureEncoder
-from drone_env.agents.tour_features import LEFT, UNITS, Features
+from drone_env.agents.tour_features import LEFT, UNITS, FeatureEncoder, Features
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below

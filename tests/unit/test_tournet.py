@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from drone_env.agents import make_agent
-from drone_env.agents.tour_encoder import CHUNK, FeatureEncoder
-from drone_env.agents.tour_features import Features
+from drone_env.agents.tour_features import FeatureEncoder, Features
 from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
 from drone_env.agents.tournet import TournetAgent, best_options
 from drone_env.agents.weights_file import LARGEST, MOST_BYTES, Weights, network_of
@@ -66,11 +64,6 @@ def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:
         large = {name: (LARGEST * rng.choice(signs, shape)).astype(np.float32) for name, shape in SHAPES.items()}
         for logits in TourNetwork(Weights(large, {}, ""))(features):
             assert np.isfinite(logits).all()
-
-
-def test_the_network_of_another_agent_is_refused(network: Path) -> None:
-    with pytest.raises(CheckpointError, match="it contains a network of 'tournet', not of 'pathqnet'"):
-        make_agent(f"pathqnet:{network}", "easy")
 
 
 # What it sees
@@ -163,18 +156,6 @@ def test_a_task_with_too_much_to_see_is_refused() -> None:
 
 
 # The agent
-
-
-@pytest.mark.parametrize("name", EVERY_TASK)
-def test_the_agent_flies_alone_as_in_a_batch(name: str, network: Path) -> None:
-    agent = TournetAgent(EVERY_TASK[name], network)
-    grids, telemetry = observations(EVERY_TASK[name], 20, 40)
-    together = agent.act_batch(grids, telemetry)
-    assert len(grids) > CHUNK
-    assert len(set(together.tolist())) > 2
-    other = TournetAgent(EVERY_TASK[name], network)
-    for i in range(0, len(grids), 7):
-        assert other.act({"grid": grids[i], "telemetry": telemetry[i]}) == together[i]
 
 
 def test_the_first_of_the_highest_is_chosen() -> None:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.tour_encoder import FeatureEncoder
-from drone_env.agents.tour_features import Features
+from drone_env.agents.tour_features import FeatureEncoder, Features
 from drone_env.agents.weights_file import write_weights
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Observation

@@ -2,13 +2,14 @@
 
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 from typing_extensions import Self
 
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
 from drone_env.server.json_routes import SMALL, parse_json
+from drone_env.server.pilots import check_name
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
@@ -49,6 +50,7 @@ class Start(Message):
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
     step: int = Field(default=0, ge=0, le=MAX_UNITS)
+    name: Annotated[str, AfterValidator(check_name)] | None = Field(default=None, description="The person's name.")
     number: Number = None
 
     @model_validator(mode="after")

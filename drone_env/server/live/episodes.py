@@ -4,7 +4,6 @@ import asyncio
 import secrets
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from typing import Any, TypeVar
@@ -15,8 +14,8 @@ from starlette.concurrency import run_in_threadpool
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
-from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import DIRECTIONS, Direction, flat_json
+from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError
+from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import (
@@ -56,7 +55,7 @@ class LiveEpisode:
     """
 
     def __init__(self, row: Session, shared: AppState, caller: str) -> None:
-        self.row = _copy(row)
+        self.row = row
         self.pilot = self.provenance.pilot
         if self.pilot not in all_pilots():
             raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
@@ -207,17 +206,16 @@ class LiveEpisode:
 
     @contextmanager
     def _changing(self) -> Generator[Session, None, None]:
-        """Context manager of the session to change; then copy it.
+        """Context manager of the session to change.
 
         Raises:
-            SessionGoneError: if somebody else has changed it.
+            NoSessionError: if somebody else has changed it.
         """
         with self._sessions.changing(self.row.id) as row:
             if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
-                raise SessionGoneError("another page or client flies this session now: start a new flight")
+                raise NoSessionError("another page or client flies this session now: start a new flight")
             yield row
-            copied = _copy(row)
-        self.row = copied
+        self.row = row
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -240,11 +238,6 @@ class LiveEpisode:
     @property
     def _shown(self) -> bool:
         return shows_values(self.provenance, self.episode)
-
-
-def _copy(row: Session) -> Session:
-    """Copy a session with its episode, which other threads may fly on."""
-    return replace(row, episode=row.fly().copy())
 
 
 async def _finished(job: "asyncio.Future[Result]") -> Result:
@@ -297,12 +290,11 @@ async def attach(session: str, shared: AppState, caller: str) -> tuple[LiveEpiso
     """The episode of a session, and the JSON of its `EpisodeView`.
 
     Raises:
-        NoSessionError: if there never was such a session.
-        SessionGoneError: if it has ended or expired.
+        NoSessionError: if there is no such session.
         EpisodeError: if the agent of the session is not a pilot of the page.
         RequestError: if too many requests are waiting for a worker process.
     """
-    live = await run_in_threadpool(_attached, session, shared, caller)
+    live = await run_in_threadpool(lambda: LiveEpisode(shared.sessions.read(session), shared, caller))
     run = partial(shared.workers.run, caller=caller, task=live.start.task.id)
     frames = await run(frames_json, live.start, live.row.agent, [DIRECTIONS[action] for action in live.row.actions])
     return live, await run_in_threadpool(live.view_json, frames)
@@ -315,13 +307,8 @@ def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
         StoreError: if the store could not be written.
     """
     for live in episodes:
-        with suppress(NoSessionError, SessionGoneError):  # it may have expired
-            shared.sessions.end(live.row.id)
-
-
-def _attached(session: str, shared: AppState, caller: str) -> LiveEpisode:
-    with shared.sessions.reading(session) as row:
-        return LiveEpisode(row, shared, caller)
+        with suppress(NoSessionError):  # it may have expired
+            shared.store.end_session(live.row.id)
 
 
 def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Episode, list[str], int | None]:
@@ -333,13 +320,15 @@ def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Epi
     while seed is None or (command.seed is None and last is not None and seed == last.seed):
         seed = secrets.randbelow(MAPS)
     start = start_episode(ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile), None)
-    if fork is None:
-        return start, agents, None
-    # The last pilot flies the fork; a person's own flight may be listed before others.
-    own = fork.step == 0 and HUMAN in agents
-    forking = agents.index(HUMAN) if own else len(agents) - 1
-    agents[forking] = check_agent(str(Provenance.of_fork(agents[forking], fork.step, fork.of)))
-    return start, agents, forking
+    forking = None
+    if fork is not None:
+        # The last pilot flies the fork; a person's own flight may be listed before others.
+        own = fork.step == 0 and HUMAN in agents
+        forking = agents.index(HUMAN) if own else len(agents) - 1
+        agents[forking] = str(Provenance.of_fork(agents[forking], fork.step, fork.of))
+    flying = map(Provenance.parse, agents)
+    named = [one._replace(name=command.name) if one.pilot == HUMAN else one for one in flying]
+    return start, [check_agent(str(one)) for one in named], forking
 
 
 def _open(
@@ -351,8 +340,8 @@ def _open(
     try:
         for agent, beginning in zip(agents, beginnings, strict=True):
             options = ResetOptions(task_name=task, seed=start.seed, reward_profile=profile, agent=agent)
-            session, _ = shared.sessions.reset(None, options, flat_json)
-            live = _attached(session, shared, caller)
+            session, _ = shared.sessions.reset(None, options)
+            live = LiveEpisode(shared.sessions.read(session), shared, caller)
             opened.append(live)
             actions, frames, planned = beginning or ((), None, None)
             live.begin_with(actions, planned)

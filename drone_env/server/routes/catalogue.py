@@ -12,7 +12,7 @@ from drone_env import __version__
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.models import Count, Message
 from drone_env.server.exceptions import RequestError, error_responses
@@ -35,7 +35,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     """One task: the fields of its `TaskConfig`, except for the terrain."""
 
     name: str = Field(description="Same as `id`.")
-    drain: dict[str, int] = Field(description="Battery units per step by kind of cell below the drone; default 1.")
+    drain: dict[str, int] = Field(description="Battery units of a step by kind of cell below the drone.")
     impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
     charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
     rewards: dict[str, dict[str, list[float]]] = Field(
@@ -46,15 +46,17 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
 
     @classmethod
-    def of(cls, task: TaskConfig, published: bool) -> Self:
+    def of(cls, task: TaskConfig) -> Self:
         """Describe a task."""
         return cls(
             **{name: getattr(task, name) for name in _PLAIN},
             name=task.id,
-            drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
+            drain={
+                CELL_KINDS[cell].name: units for cell, units in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()
+            },
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
-            published=published,
+            published=task.id in PUBLISHED,
             attribution=task.attribution,
         )
 
@@ -118,12 +120,6 @@ class KindInfo(Message):
     effect: str
 
 
-class KindList(Message):
-    """All kinds of cells."""
-
-    kinds: list[KindInfo]
-
-
 class PilotInfo(Message):
     """One pilot of the page."""
 
@@ -153,7 +149,7 @@ class Health(Message):
 async def tasks() -> TaskList:
     """All tasks with all their numbers, and the reward profiles."""
     return TaskList(
-        tasks=[TaskInfo.of(task, task.id in PUBLISHED) for task in TASKS.values()],
+        tasks=[TaskInfo.of(task) for task in TASKS.values()],
         reward_profiles=[ProfileInfo.of(profile) for profile in REWARD_PROFILES.values()],
     )
 
@@ -167,7 +163,7 @@ def one_task(shared: AppStateDep, task_name: str) -> OneTask:
 def describe(task: TaskConfig, shared: AppState) -> OneTask:
     """A task and its pilots."""
     flying = [name for name in all_pilots() if shared.networks.flies(name, task)]
-    return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
+    return OneTask(task=TaskInfo.of(task), pilots=flying)
 
 
 @router.get("/graders")
@@ -178,9 +174,9 @@ async def graders() -> GraderList:
 
 
 @router.get("/kinds")
-async def kinds() -> KindList:
-    """The kinds of cells."""
-    return KindList(kinds=[KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()])
+async def kinds() -> dict[str, list[KindInfo]]:
+    """The kinds of cells as `kinds`."""
+    return {"kinds": [KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()]}
 
 
 @router.get("/pilots")

@@ -5,17 +5,16 @@ from collections.abc import Callable, Coroutine
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Body, Header, Request, Response
+from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
-from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
-from drone_env.core.episode import Episode, Observation
-from drone_env.core.observation import telemetry_of
+from drone_env.core.episode import Observation
+from drone_env.core.rules import telemetry_of
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, make_grader
@@ -35,6 +34,7 @@ from drone_env.models import (
     flat_json,
     openenv_json,
 )
+from drone_env.results.sessions import Session
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import LARGE_BODY, JsonRequest, JsonRoute
 from drone_env.server.routes.replay import best_flight
@@ -159,6 +159,14 @@ class Prediction(Message):
     model: ModelInfo
 
 
+def read_session(shared: AppStateDep, caller: CallerDep, answer: Response) -> Session:
+    """The caller's session."""
+    return shared.sessions.read(caller.session(shared.sessions, answer))
+
+
+SessionDep = Annotated[Session, Depends(read_session)]
+
+
 @router.post(
     "/reset",
     response_model=FlatReset | ResetResult,
@@ -178,8 +186,8 @@ def reset(
     `episode_id`, as from OpenEnv's clients, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
-    show = flat_json if options.episode_id is None else openenv_json
-    session, first = shared.sessions.reset(caller.named, options, show, caller.address)
+    session, episode = shared.sessions.reset(caller.named, options, caller.address)
+    first = flat_json(episode) if options.episode_id is None else openenv_json(episode, None)
     # Not validated again, for speed; tests compare it with the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
     response.headers[HEADER] = session
@@ -192,47 +200,38 @@ def reset(
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
 def end_session(shared: AppStateDep, caller: CallerDep, response: Response) -> None:
     """End the session and free its place. An unfinished episode is dropped."""
-    shared.sessions.end(caller.session(shared.sessions, response))
+    shared.store.end_session(caller.session(shared.sessions, response))
     response.delete_cookie(COOKIE)
 
 
 @router.get("/state", responses=SESSION_ERRORS)
-def state(shared: AppStateDep, caller: CallerDep, answer: Response) -> DroneState:
+def state(session: SessionDep) -> DroneState:
     """The full state of the session's episode."""
-    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
-        return DroneState.of(session.fly()).model_copy(update={"episode_id": session.episode_id})
+    return DroneState.of(session.fly(), session.episode_id)
 
 
 @router.get("/grade/{task_name}", responses=SESSION_ERRORS | error_responses(404))
-def grade(shared: AppStateDep, caller: CallerDep, answer: Response, task_name: str) -> Grade:
+def grade(session: SessionDep, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
-    task = get_task(task_name)
-    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
-        episode = session.fly()
-        if episode.task.id != task.id:
-            raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
-        score = GRADERS.get(task.id, make_grader(task.id))(DroneState.of(episode))
-        return Grade(task=task.id, score=score, done=episode.ended)
+    task, episode = get_task(task_name), session.fly()
+    if episode.task.id != task.id:
+        raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
+    score = GRADERS.get(task.id, make_grader(task.id))(DroneState.of(episode))
+    return Grade(task=task.id, score=score, done=episode.ended)
 
 
 @router.get("/path_history", responses=SESSION_ERRORS)
-def path_history(shared: AppStateDep, caller: CallerDep, answer: Response) -> PathHistory:
+def path_history(session: SessionDep) -> PathHistory:
     """The flight of the session's episode so far."""
-    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
-        flown = DroneState.of(session.fly())
+    flown = DroneState.of(session.fly())
     path = flown.path_history
     return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-async def solution(request: Request, shared: AppStateDep, caller: CallerDep, answer: Response) -> SolutionAnswer:
+async def solution(request: Request, shared: AppStateDep, session: SessionDep) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
-
-    def flown() -> Episode:
-        with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
-            return session.fly().copy()
-
-    episode = await run_in_threadpool(flown)
+    episode = session.fly()
     if not episode.ended:
         raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
     best, path = await shared.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
@@ -256,12 +255,10 @@ def predict(shared: AppStateDep, caller: CallerDep, answer: Response, body: Pred
         if body.done:
             raise RequestError(422, "ended", "the episode of this observation has ended: there is no next action")
         return _predicted(shared, *arrays_of(body))
-    with shared.sessions.reading(caller.session(shared.sessions, answer)) as session:
-        episode = session.fly()
-        if episode.ended:
-            raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
-        task, observation = episode.task, episode.observation()
-    return _predicted(shared, task, observation)
+    episode = read_session(shared, caller, answer).fly()
+    if episode.ended:
+        raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
+    return _predicted(shared, episode.task, episode.observation())
 
 
 def _predicted(shared: AppState, task: TaskConfig, observation: Observation) -> Prediction:
@@ -340,8 +337,9 @@ class StepRoute(JsonRoute):
 
 
 def _advance(shared: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
-    session, show = caller.session(shared.sessions), flat_json if body.action is None else openenv_json
-    stepped = shared.sessions.advance(session, body.chosen, show, after, caller.address)
+    session = caller.session(shared.sessions)
+    episode, reward = shared.sessions.advance(session, body.chosen, after, caller.address)
+    stepped = flat_json(episode) if body.action is None else openenv_json(episode, reward)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session

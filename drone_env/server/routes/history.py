@@ -1,19 +1,22 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
+from datetime import date, datetime, time, timezone
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import JSONResponse
 from pydantic import Field
+from pydantic_core import to_json
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
-from drone_env.models import MAX_SEED, Message
+from drone_env.models import MAX_SEED, Count, Message, Score, Seed
 from drone_env.results.finished import Analysis, EpisodeSummary
 from drone_env.results.record import EpisodeRecord
+from drone_env.server import map_choice
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
+from drone_env.server.pilots import HUMAN, Provenance
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["history"])
@@ -21,6 +24,7 @@ SUMMARIES = 5
 ROLLING = 20
 LINES = 50
 FOLLOWERS = 32
+LISTED = 10
 
 
 class AnalysisAnswer(Analysis):
@@ -48,17 +52,29 @@ class History(EpisodeSummaries):
     rolling_success: list[float] = Field(description="Success rate over 20 episodes up to each episode.")
 
 
+class FlightByHand(Message):
+    """A flight of a person without values, undo and forks."""
+
+    id: str = Field(description="Id of the stored flight.")
+    name: str | None = Field(description="The name that the person chose; null for all without one.")
+    score: Score
+    steps: Count
+
+
+class MapOfTheDay(Message):
+    """The map of the day, and its list."""
+
+    date: date
+    task: str = Field(description="Short name of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    best: list[FlightByHand] = Field(description="At most 10 flights by hand of this day, the best of each name.")
+
+
 class LogLines(Message):
     """The end of a log file."""
 
     file: str = Field(description="Name of the file.")
     lines: list[str] = Field(description="Its last lines, oldest first; empty if there is no file.")
-
-
-class Requests(Message):
-    """The last requests to this process, oldest first."""
-
-    requests: Annotated[list[LoggedRequest], Field(description="At most 200.")]
 
 
 @router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
@@ -72,6 +88,19 @@ def analyse(shared: AppStateDep, task_name: str) -> AnalysisAnswer:
 def memory_logs(shared: AppStateDep) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
     return EpisodeSummaries(episodes=shared.store.listed(SUMMARIES))
+
+
+@router.get("/today", responses=error_responses(503))
+def today(shared: AppStateDep) -> MapOfTheDay:
+    """The map of the day (UTC), equal on all servers, and the best flights by hand that ended on this day."""
+    day = map_choice.today()
+    task, seed = map_choice.map_of_the_day(day)
+    since = datetime.combine(day, time(), timezone.utc).timestamp()
+    flights = [
+        FlightByHand(id=row.id, name=Provenance.parse(row.agent).name, score=row.score, steps=row.steps)
+        for row in shared.store.best(task, seed, HUMAN, since, LISTED)
+    ]
+    return MapOfTheDay(date=day, task=task, seed=seed, best=flights)
 
 
 @router.get("/episodes", responses=error_responses(404, 422, 503))
@@ -115,14 +144,14 @@ def logs(shared: AppStateDep) -> LogLines:
 
 @router.get(
     "/terminal_logs",
-    response_model=Requests,
+    response_model=dict[str, list[LoggedRequest]],
     responses=error_responses(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
 async def terminal_logs(request: Request, shared: AppStateDep) -> Response:
-    """The requests to this process: as JSON, or live with `Accept: text/event-stream`."""
+    """The last 200 requests to this process as `requests`, or live with `Accept: text/event-stream`."""
     if "text/event-stream" in request.headers.get("accept", ""):
         return _LiveRequests(shared.requests)
-    return JSONResponse(Requests(requests=shared.requests.since(0)).model_dump())
+    return Response(to_json({"requests": shared.requests.since(0)}), media_type="application/json")
 
 
 class _LiveRequests(EventSourceResponse):

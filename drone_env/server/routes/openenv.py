@@ -21,26 +21,6 @@ BODY_ERRORS = error_responses(400, 413, 415, 422)
 api = TaskApi()
 
 
-class Metadata(Message):
-    """Name and description of the environment."""
-
-    name: str
-    description: str
-    version: str
-    readme_content: str | None = None
-    author: str | None = None
-    documentation_url: str | None = None
-
-
-class Schemas(Message):
-    """JSON Schemas of the messages of `/ws`."""
-
-    action: dict[str, Any]
-    observation: dict[str, Any]
-    reset_observation: dict[str, Any]
-    state: dict[str, Any]
-
-
 class SplitRequest(Message):
     """A split by its name."""
 
@@ -60,46 +40,17 @@ class RangeRequest(SplitRequest):
     stop: int | None = Field(default=None, description="Index after the last map.")
 
 
-class TaskSpecs(Message):
-    """Maps of a split."""
-
-    tasks: list[TaskSpec]
-
-
-class NamedTaskSpecs(TaskSpecs):
-    """Maps of a split, and the name of the environment."""
-
-    env_name: str = ENV_NAME
-
-
-class TaskCount(Message):
-    """The number of maps of a split."""
-
-    num_tasks: int
-
-
-class OneTask(Message):
-    """One map."""
-
-    task: TaskSpec
-
-
 @router.get("/metadata")
-async def metadata() -> Metadata:
-    """Name and description of the environment."""
-    return Metadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
+async def metadata() -> dict[str, str]:
+    """Name, description and version of the environment."""
+    return {"name": ENV_NAME, "description": DESCRIPTION, "version": __version__}
 
 
 @router.get("/schema")
-async def schema() -> Schemas:
-    """JSON Schemas of the messages of `/ws`."""
-    observation = WireObservation.model_json_schema()
-    return Schemas(
-        action=RouteAction.model_json_schema(),
-        observation=observation,
-        reset_observation=observation,
-        state=DroneState.model_json_schema(),
-    )
+async def schema() -> dict[str, dict[str, Any]]:
+    """JSON Schemas of the messages of `/ws`: `action`, `observation` and `state`."""
+    messages = {"action": RouteAction, "observation": WireObservation, "state": DroneState}
+    return {name: message.model_json_schema() for name, message in messages.items()}
 
 
 @router.post("/mcp", response_model=dict[str, Any], responses=error_responses(400, 413, 415, 422))
@@ -131,30 +82,30 @@ async def splits() -> list[SplitInfo]:
 
 
 @named.post("/tasks", responses=BODY_ERRORS)
-def split_tasks(body: SplitRequest) -> NamedTaskSpecs:
-    """The first 1,000 maps of a split."""
-    return NamedTaskSpecs(tasks=api.list_tasks(body.split))
+def split_tasks(body: SplitRequest) -> dict[str, str | list[TaskSpec]]:
+    """The first 1,000 maps of a split as `tasks`, and `env_name`."""
+    return {"tasks": api.list_tasks(body.split), "env_name": ENV_NAME}
 
 
 @named.post("/num_tasks", responses=BODY_ERRORS)
-async def num_tasks(body: SplitRequest) -> TaskCount:
-    """The number of maps of a split."""
-    return TaskCount(num_tasks=api.num_tasks(body.split))
+async def num_tasks(body: SplitRequest) -> dict[str, int]:
+    """The number of maps of a split as `num_tasks`."""
+    return {"num_tasks": api.num_tasks(body.split)}
 
 
 @named.post("/task", responses=BODY_ERRORS)
-async def split_task(body: TaskRequest) -> OneTask:
-    """One map of a split."""
+async def split_task(body: TaskRequest) -> dict[str, TaskSpec]:
+    """One map of a split as `task`."""
     try:
-        return OneTask(task=api.get_task(body.split, body.index))
+        return {"task": api.get_task(body.split, body.index)}
     except IndexError as error:
         raise RequestError(400, "index", str(error)) from None
 
 
 @named.post("/task_range", responses=BODY_ERRORS)
-def task_range(body: RangeRequest) -> TaskSpecs:
-    """Maps start to stop (exclusive) of a split, at most 1,000."""
-    return TaskSpecs(tasks=api.get_task_range(body.split, body.start, body.stop))
+def task_range(body: RangeRequest) -> dict[str, list[TaskSpec]]:
+    """Maps start to stop (exclusive) of a split as `tasks`, at most 1,000."""
+    return {"tasks": api.get_task_range(body.split, body.start, body.stop)}
 
 
 router.include_router(named)

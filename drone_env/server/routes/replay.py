@@ -1,7 +1,8 @@
 """The routes for flights: replay frame by frame, analysis move by move, and the values of a flight after a step."""
 
+from contextlib import suppress
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Body, Request, Response
@@ -15,15 +16,16 @@ from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
-from drone_env.errors import TooLargeError
+from drone_env.errors import CheckpointError, TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score, Seed
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.results.analysis import Label, analyse_flight
 from drone_env.results.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
 from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
+from drone_env.server.frames import EpisodeView, FlightHeader, frame_of, plan
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.pilots import WHOLE_MAPS
 from drone_env.server.state import AppStateDep
 
 if TYPE_CHECKING:
@@ -66,6 +68,8 @@ class AnalysedFlight(Message):
         description="The last step after which all parcels could still be delivered; null if there is none, or if all "
         "were delivered."
     )
+    network: str | None = Field(description="Id of the pilot by whose network the map was flown; null without one.")
+    network_score: Score | None = Field(description="Its score.")
     optimal_steps: Count = Field(description="Steps of a best flight.")
     optimal_actions: list[Direction] = Field(description="Its actions.")
     optimal_path: list[Position] = Field(description="[x, y] of the drone from the start.")
@@ -100,8 +104,11 @@ def _annotated(record: EpisodeRecord) -> str:
     analysis = analyse_flight(record, lambda start: job_context().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
     why = why_failed(replay(record))
+    network, network_score = network_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
         why=why,
+        network=network,
+        network_score=network_score,
         rescue_step=analysis.rescue_step if why else None,
         **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts")},
         optimal_score=analysis.optimum,
@@ -116,7 +123,7 @@ def _annotated(record: EpisodeRecord) -> str:
 def why_failed(flown: Episode) -> str:
     """Why an ended flight failed, in one sentence; empty if it delivered all parcels: a job of a worker process."""
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.cell_states import charging_pads
+    from drone_env.planning.states import charging_pads
 
     task, pads = flown.task, charging_pads(flown)
     if flown.outcome is Outcome.OUT_OF_STEPS:
@@ -137,6 +144,21 @@ def why_failed(flown: Episode) -> str:
         return f"{costs.capitalize()}."
     end = f"a pad was {away} {'cell' if away == 1 else 'cells'} away" if away else "the pad came one unit too late"
     return f"{costs.capitalize()}; {end}."
+
+
+def _preferred(task: TaskConfig) -> str | None:
+    """The pilot of the preferred network that flies a task, None without one."""
+    return next((pilot for pilot in WHOLE_MAPS if job_context().networks.flies(pilot, task)), None)
+
+
+def network_flight(task: TaskConfig, seed: int) -> tuple[str, Score] | tuple[None, None]:
+    """The pilot of the preferred network and its score over a map, if there is one: a job of a worker process."""
+    pilot, episode = _preferred(task), Episode(task, seed=seed)
+    with suppress(CheckpointError, TooLargeError):
+        if pilot is not None:
+            plan(episode, pilot, (), 0)
+            return pilot, episode.score
+    return None, None
 
 
 def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
@@ -164,7 +186,11 @@ class FlightSoFar(Message):
         default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
 
-    range_only: bool = Field(default=False, description="Whether to compute only the range of the battery and `pads`.")
+    only: Literal["range", "moves"] | None = Field(
+        default=None,
+        description="`range`: compute only the range of the battery and `pads`; `moves`: only `q_values` and "
+        "`best_actions`; null: everything.",
+    )
 
     def episode(self) -> Episode:
         """The episode after these actions.
@@ -199,6 +225,9 @@ class CellValues(Message):
     """
 
     values: Rows[Score] | None = Field(description="The best score still possible; null if the map is not solved.")
+    q_values: Rows[list[Score]] | None = Field(
+        description="The best score after UP, DOWN, LEFT, RIGHT and WAIT; null where the flight has ended."
+    )
     best_actions: Rows[list[Direction]] | None = Field(description="All actions without regret.")
     network_actions: Rows[Direction] | None = Field(description="The network's action; null without a network.")
     disagree: Rows[bool] | None = Field(description="Whether the network's action has regret.")
@@ -214,7 +243,7 @@ class PadRange(Message):
 class ValuesAnswer(Message):
     """The values of a flight after a step. The fields from `q_values` on are null after the end.
 
-    With `range_only`, only `range` and `pads` of the values are computed, and all others are null.
+    With `only`, the other fields are null.
     """
 
     task: str = Field(description="Id of the task.")
@@ -251,7 +280,7 @@ def values_json(flight: FlightSoFar) -> str:
     episode = flight.episode()
     solver = unsolved = optimum = value = None
     try:
-        solver = None if flight.range_only else job_context().solver_of(episode.task, episode.seed)
+        solver = None if flight.only == "range" else job_context().solver_of(episode.task, episode.seed)
     except TooLargeError as error:
         unsolved = str(error)
     if solver is not None:
@@ -269,28 +298,32 @@ def values_json(flight: FlightSoFar) -> str:
         optimum=optimum,
         value=value,
         regret=None if optimum is None or value is None else optimum - value,
-        **({} if episode.ended else _ranges(episode)),
-        **({} if episode.ended or flight.range_only else _in_flight(episode, solver)),
+        **({} if episode.ended or flight.only == "moves" else _ranges(episode)),
+        **({} if episode.ended or solver is None else _moves(episode, solver)),
+        **({} if episode.ended or flight.only else _cells(episode, solver)),
     )
     return answer.model_dump_json()
 
 
-def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
+def _moves(episode: Episode, solver: "Solver") -> dict[str, Any]:
+    q_values = dict(zip(DIRECTIONS, solver.q_values(episode).tolist(), strict=True))
+    best = max(q_values.values())
+    return {"q_values": q_values, "best_actions": [name for name, value in q_values.items() if value == best]}
+
+
+def _cells(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
     task, networks = episode.task, job_context().networks
-    pilot, agent, network = networks.map_network(task), None, None
+    pilot, agent, network = _preferred(task), None, None
     if pilot is not None:
         agent = networks.agent(pilot, task)
         assert isinstance(agent, BatchAgent)
         network = CellNetwork(pilot=pilot, file=networks.file(pilot, task).name, digest=str(agent.config["network"]))
-    cells, q_values = _cell_values(episode, solver, agent)
-    x, y = episode.position
-    best_actions = None if cells.best_actions is None else cells.best_actions[y][x]
-    return {"q_values": q_values, "best_actions": best_actions, "network": network, "cells": cells}
+    return {"network": network, "cells": _cell_values(episode, solver, agent)}
 
 
 def _ranges(episode: Episode) -> dict[str, Any]:
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.cell_states import battery_range, charging_pads
+    from drone_env.planning.states import battery_range, charging_pads
 
     task = episode.task
 
@@ -309,15 +342,12 @@ def _ranges(episode: Episode) -> dict[str, Any]:
     }
 
 
-def _cell_values(
-    episode: Episode, solver: "Solver | None", agent: BatchAgent | None
-) -> tuple[CellValues, dict[Direction, float] | None]:
-    """The values at each cell, and the best score still possible after each action at the drone's."""
-    from drone_env.planning.cell_states import states_in_chunks
+def _cell_values(episode: Episode, solver: "Solver | None", agent: BatchAgent | None) -> CellValues:
+    from drone_env.planning.states import states_in_chunks
 
-    task, q_here = episode.task, None
+    task = episode.task
     shape = (task.height, task.width)
-    values, best_actions, network_actions, disagree = np.full((4, task.height * task.width), None, object)
+    values, valued, best_actions, network_actions, disagree = np.full((5, task.height * task.width), None, object)
     for places in states_in_chunks(episode):
         is_flying, best = places.flying, None
         flying, over, grids = places.cells[is_flying], places.cells[~is_flying], places.grids[is_flying]
@@ -326,24 +356,23 @@ def _cell_values(
             best = q_values == q_values.max(axis=1, keepdims=True)
             values[flying] = q_values.max(axis=1)
             values[over] = [score(interpreted(task), view(state)) for state in places.states[~is_flying]]
-            for cell, chosen in zip(flying, best.tolist(), strict=True):
+            for cell, row, chosen in zip(flying, q_values.tolist(), best.tolist(), strict=True):
+                valued[cell] = row
                 best_actions[cell] = [name for name, is_best in zip(DIRECTIONS, chosen, strict=True) if is_best]
             for cell in over:
                 best_actions[cell] = []
-            for here in q_values[flying == episode.cell].tolist():
-                q_here = dict(zip(DIRECTIONS, here, strict=True))
         if agent is not None:
             actions = agent.act_batch(grids.reshape(-1, *shape), places.telemetry[is_flying])
             network_actions[flying] = np.array(DIRECTIONS, object)[actions]
             if best is not None:
                 disagree[flying] = ~best[np.arange(len(flying)), actions]
-    cells = CellValues(
+    return CellValues(
         values=values.reshape(shape).tolist() if solver else None,
+        q_values=valued.reshape(shape).tolist() if solver else None,
         best_actions=best_actions.reshape(shape).tolist() if solver else None,
         network_actions=network_actions.reshape(shape).tolist() if agent else None,
         disagree=disagree.reshape(shape).tolist() if solver and agent else None,
     )
-    return cells, q_here
 
 
 @router.post("/values", response_model=ValuesAnswer, responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)

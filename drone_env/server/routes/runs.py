@@ -145,7 +145,7 @@ def _boards(task: str, stored: set[str]) -> str:
 
 
 def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
-    report, results, is_agent = entry.report, entry.results, _is_agent(entry)
+    report, results, is_agent = entry.report, entry.results.by_map(), _is_agent(entry)
     # The newest flight over each map that the store has.
     ids = {} if is_agent else {seed: id_ for id_, seed in job_context().runs.flights(entry.path) if id_ in stored}
     rows = results.rows()

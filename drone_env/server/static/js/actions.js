@@ -1,8 +1,8 @@
 // The actions of Fly, for buttons and keys.
-import { ask } from "./dom.js";
+import { ask, leaveFocus } from "./dom.js";
 import { SPEEDS } from "./stage.js";
 
-/** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+/** @param {Context} context @param {Fleet} fleet */
 export function actionsOf(context, fleet) {
   const { stage } = context;
   const { clock } = stage;
@@ -54,7 +54,7 @@ export function actionsOf(context, fleet) {
       const { track } = stage;
       if (!track || fleet.atHand || track.frameAt(clock.cursor).done) return;
       // The next key is for the drone, not for the pressed button.
-      document.activeElement.blur();
+      leaveFocus();
       givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
     },
     faster(by) {

@@ -7,7 +7,7 @@ const KEPT = 200;
 const TOKEN = "Authorization: Bearer TOKEN";
 const TOPICS = ["requests", "training"];
 
-/** Example clients. @param {string} url Of the server. */
+/** Example clients. @param {string} url Of the server. @returns {[string, string][]} Names and programs. */
 const snippets = (url) => [
   [
     "HTTP, by curl",
@@ -29,6 +29,7 @@ with DroneDeliveryClient("${url}").sync() as env:
   ],
 ];
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { api, live } = context;
   const url = address(".").href.replace(/\/$/, "");

@@ -11,8 +11,8 @@
 
   // A click on a link before the modules run only changes the address, which they then show: a load would start again.
   document.addEventListener("click", (event) => {
-    const link = event.target.closest("a[data-view], a[href^='?']");
-    if (!link || document.body.dataset.view || event.ctrlKey || event.metaKey || event.shiftKey) return;
+    const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
+    if (!(link instanceof HTMLAnchorElement) || document.body.dataset.view || event.ctrlKey || event.metaKey || event.shiftKey) return;
     event.preventDefault();
     history.pushState(null, "", link.href);
     const note = Object.assign(document.createElement("div"), { id: "loading", className: "toast", textContent: "Loading …" });

@@ -4,7 +4,6 @@ import { drawFigure } from "./figures.js";
 import { drawGrid, drawLabels, variety } from "./layer_city.js";
 
 const TONES = 3;
-export const BLOCKS = new Set(["building", "tree", "obstacle"]);
 /** Whether a map is drawn with blocks. */
 export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
 

@@ -10,7 +10,7 @@ const PLACES = ["ground", "cells", "air"];
 export class Board {
   /**
    * @param {HTMLElement} root Contains the canvases and sets their size.
-   * @param {import("./context.js").Context} context
+   * @param {Context} context
    */
   constructor(root, context) {
     this.context = context;

@@ -5,6 +5,7 @@ import { el, icon } from "./dom.js";
 /** The minimum size of a cell in CSS pixels when the visitor starts to fly. */
 const BY_HAND = 22;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountBoards(root, context) {
   const { stage, camera } = context;
   const field = el("div.map-field");
@@ -49,15 +50,14 @@ export function mountBoards(root, context) {
 }
 
 /** Zooms in until the cells are large enough for a visitor who flies. @returns {boolean} Whether it zoomed. */
-function nearEnough({ stage, pilots, camera }, scale) {
-  const byHand = ({ live, done, pilot }) => live && !done && pilots.some((one) => one.id === pilot && !one.automatic);
+function nearEnough({ stage, byHand, camera }, scale) {
   if (!stage.tracks.some(byHand)) return false;
   let moved = false;
   while (camera.whole * camera.zoom < BY_HAND * scale && camera.nearer(1)) moved = true;
   return moved;
 }
 
-/** A drag moves a map that is larger than its window. */
+/** A drag moves a map that is larger than its window. @param {Context} context */
 function listenToDrags(grid, context) {
   const { camera, stage } = context;
   let before = null;

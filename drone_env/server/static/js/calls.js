@@ -1,6 +1,7 @@
 // The prompt and the answer of a language model at the present step.
 import { el, setText } from "./dom.js";
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountCalls(root, context) {
   const { stage } = context;
   const model = el("h2.eyebrow");

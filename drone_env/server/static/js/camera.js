@@ -10,14 +10,6 @@ const WIDEST = 4096;
 /** The share of the window in which the drone moves without moving the map. */
 const CALM = 0.3;
 
-/**
- * @typedef {Object} Layout The position of the grid in the window, in device pixels.
- * @property {number} cell Side of a cell, whole.
- * @property {number} left @property {number} top Corner of cell [0, 0].
- * @property {number} scale Device pixels per CSS pixel.
- * @property {boolean} labels Whether the numbers of columns and rows fit.
- */
-
 export class Camera {
   constructor() {
     this.reset();
@@ -52,7 +44,7 @@ export class Camera {
     this.following = false;
   }
 
-  /** @param {import("./stage.js").World} world @param {{width: number, height: number, scale: number}} size Device pixels. @param {number[]} at [x, y] of the drone. @returns {Layout} */
+  /** @param {World} world @param {{width: number, height: number, scale: number}} size Device pixels. @param {number[]} at [x, y] of the drone. @returns {Layout} */
   layout(world, size, at) {
     const whole = fitted(world, size);
     this.whole = whole.cell;

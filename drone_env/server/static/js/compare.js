@@ -1,5 +1,5 @@
 // Compare: leaderboard, pairs, runs over the same maps, training curves and newest flights.
-import { el } from "./dom.js";
+import { el, keepFocus } from "./dom.js";
 import { Flights } from "./flights.js";
 import { title, who } from "./format.js";
 import { leaderboard, mapsOf, paired, runsOf, unflown } from "./rankings.js";
@@ -10,6 +10,7 @@ const TOPICS = ["episodes", "training"];
 const PAUSE = 300;
 const MOST = 2;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
@@ -154,13 +155,11 @@ class Compare {
     const two = pilots.length === 2;
     const maps = !two && answer ? mapsOf(context, who(context, pilots[0]), answer.maps) : null;
     const flown = pilots.filter((pilot) => !missing.includes(pilot));
-    // The keyboard focus stays on its button.
-    const { key } = document.activeElement.dataset;
-    this.rows.replaceChildren(leaderboard(context, board, flown, maps, (chosen) => this.go(chosen)));
+    const table = leaderboard(context, board, flown, maps, (chosen) => this.go(chosen));
+    keepFocus(this.rows, () => this.rows.replaceChildren(table));
     const pair = two && answer ? paired(context, task, answer, pilots, board.rows) : [];
     this.chosen.replaceChildren(...(missing.length ? unflown(context, task, missing, pilots) : pair));
     this.chosen.hidden = !this.chosen.childElementCount;
-    if (key) this.rows.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
   }
 
   /** Shows an error of the newest request. */

@@ -5,25 +5,6 @@ import { Camera } from "./camera.js";
 import { LAYERS } from "./layers.js";
 import { Stage } from "./stage.js";
 
-/**
- * @typedef {Object} Context
- * @property {import("./router.js").Router} router The address of the page.
- * @property {ReturnType<import("./api.js").createApi>} api HTTP calls.
- * @property {import("./live.js").Live} live The socket.
- * @property {Object[]} tasks From `GET /tasks`. @property {Map<string, Object[]>} families The tasks by family.
- * @property {Object[]} pilots From `GET /pilots`. @property {number} most The maximum number of pilots of a flight.
- * @property {Object[]} kinds From `GET /kinds`.
- * @property {Stage} stage The map, the flights and the moment of Fly.
- * @property {(track: import("./track.js").Track) => boolean} byHand Whether a visitor flies it.
- * @property {Camera} camera @property {(id: string) => boolean} shows Whether a layer is shown.
- * @property {string} view "fly", "compare", "learn", "api" or "draw".
- * @property {(name: string|null) => Promise} meet Loads the task of a drawn map, which `/tasks` does not list.
- * @property {(event: string, f: Function) => () => void} on
- * @property {(event: string, ...args: any[]) => void} emit
- *
- * Events, sent after a change: "view" (name), "theme" (name), "layers", "camera", "task" (new task).
- */
-
 /** @returns {Context} */
 export function createContext(parts) {
   const families = new Map();
@@ -35,6 +16,7 @@ export function createContext(parts) {
     camera: new Camera(),
     view: "fly",
     byHand: () => false,
+    secret: () => false,
     shows(id) {
       const { name, on } = LAYERS.find((layer) => layer.id === id);
       return chosen.get(id) ?? (!name || (on?.(context) ?? false));
@@ -48,7 +30,7 @@ export function createContext(parts) {
   return context;
 }
 
-/** Adds a task of `GET /tasks/{task_name}`. @param {import("./context.js").Context} context */
+/** Adds a task of `GET /tasks/{task_name}`. @param {Context} context */
 export function add(context, { task, pilots }) {
   const { families } = context;
   if (context.tasks.some(({ id }) => id === task.id)) return;

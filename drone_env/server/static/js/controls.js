@@ -7,6 +7,7 @@ import { mountTimeline } from "./timeline.js";
 const PLAY = ["!M7 4.500v15l13-7.500z"];
 const PAUSE = ["!M7 5h3.500v14H7z", "!M13.500 5H17v14h-3.500z"];
 
+/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountControls(root, context, fleet, acts) {
   const { stage } = context;
   const { clock } = stage;

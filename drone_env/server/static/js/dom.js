@@ -1,16 +1,18 @@
 // DOM helpers. Text is always set as text, never as HTML.
 
 /**
- * @param {string} tag Element name, with optional classes: `div.gauge.wide`; `svg:path` for an SVG element.
- * @param {...(Object|Node|string|null)} contents Properties, then children. `text` sets textContent, `press` adds a click
+ * @template {string} Tag
+ * @param {Tag} tag Element name, with optional classes: `div.gauge.wide`; `svg:path` for an SVG element.
+ * @param {...any} contents Properties, then children. `text` sets textContent, `press` adds a click
  *   listener, `on` adds listeners, `style` sets styles and custom properties, `data` sets data attributes; null and
  *   undefined are skipped; all other properties are attributes.
- * @returns {HTMLElement} A button has the type "button" by default.
+ * @returns {Made<Tag>} A button has the type "button" by default.
  */
 export function el(tag, ...contents) {
   const given = contents[0]?.constructor === Object ? contents.shift() : {};
   const [name, ...classes] = tag.split(".");
   const props = name === "button" ? { type: "button", ...given } : given;
+  /** @type {any} */
   const node = name.startsWith("svg:")
     ? document.createElementNS("http://www.w3.org/2000/svg", name.slice(4))
     : document.createElement(name);
@@ -35,15 +37,17 @@ export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd",
 /**
  * A table with a caption for screen readers.
  *
- * @param {[string, boolean?][]} columns Names, and whether a column contains numbers. @param {...HTMLElement} bodies
+ * @param {any[][]} columns Names, and whether a column contains numbers. @param {...HTMLElement} bodies
  */
 export function table(tag, props, caption, columns, ...bodies) {
-  const head = ([text, number]) => (text ? el(number ? "th.num" : "th", { scope: "col", text }) : el("td"));
   return el(
     tag,
     props,
     el("caption.visually-hidden", { text: caption }),
-    el("thead", el("tr", ...columns.map(head))),
+    el(
+      "thead",
+      el("tr", ...columns.map(([text, number]) => (text ? el(number ? "th.num" : "th", { scope: "col", text }) : el("td")))),
+    ),
     ...bodies,
   );
 }
@@ -94,6 +98,17 @@ export function ask(question, yes, no) {
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
   });
+}
+
+/** The next key is for the drone, not for the focused element. */
+export const leaveFocus = () => document.activeElement instanceof HTMLElement && document.activeElement.blur();
+
+/** Draws again; the focus stays on the element with the same `data-key`. */
+export function keepFocus(root, draw) {
+  const key = document.activeElement instanceof HTMLElement && document.activeElement.dataset.key;
+  draw();
+  const same = key && root.querySelector(`[data-key="${CSS.escape(key)}"]`);
+  if (same) same.focus();
 }
 
 /** A short message at the top of the page, also for screen readers. */

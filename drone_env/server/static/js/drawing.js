@@ -8,7 +8,7 @@ const same = (a, b) => a[0] === b[0] && a[1] === b[1];
  * Events: "stroke" a stroke goes on, "end" a stroke has changed the map, "map" the whole map is replaced. A cell is [x, y].
  */
 export class Drawing extends Emitter {
-  /** @param {{id: number, name: string}[]} kinds */
+  /** @param {Answer<"KindInfo">[]} kinds */
   constructor(kinds) {
     super();
     this.kinds = kinds;
@@ -30,6 +30,7 @@ export class Drawing extends Emitter {
     return this.kinds.find((kind) => kind.name === name).id;
   }
 
+  /** @param {number[]} cell */
   inside([x, y]) {
     return this.map.cells[y]?.[x] !== undefined;
   }

@@ -4,9 +4,11 @@ import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { announce, copyText, download, el, icon, setText, toast } from "./dom.js";
+import { copyText, download, el, icon, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
-import { cellName, points } from "./format.js";
+import { mountInput } from "./editor_input.js";
+import { Worth } from "./editor_worth.js";
+import { cellName } from "./format.js";
 import { drawSign } from "./legend.js";
 import { linkOf } from "./router.js";
 import { Stage } from "./stage.js";
@@ -14,18 +16,14 @@ import { Track } from "./track.js";
 
 const SIDES = [2, 128];
 const EMPTY = 12;
-/** Milliseconds until the next request to a busy server. */
-const AGAIN = 2000;
-/** Milliseconds until the page stops showing the optimum of the map before. */
-const LATE = 400;
 const SHOWN = new Set(["city", "best", "parcels", "drones"]);
 const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
 const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
-const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
 const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";
 
 /** Drawings of this tab, by their origin: Back and Reload restore them. */
 const drawings = new Map();
+/** @param {Partial<Address>} address */
 const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`;
 
 function keep(key, map) {
@@ -40,6 +38,7 @@ async function openMap(file, { api, router }) {
   router.go(address);
 }
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { api, router, kinds } = context;
   const own = Object.assign(new Emitter(), context, {
@@ -49,12 +48,10 @@ export function mount(root, context) {
     shows: (id) => SHOWN.has(id),
   });
   context.on("theme", () => own.emit("theme"));
-  const { stage, camera } = own;
+  const { stage } = own;
   const drawing = new Drawing(kinds);
+  const worth = new Worth(context, drawing);
   let key = null;
-  /** The answer of `POST /maps/worth`, with the parcels of that map; null until it arrives. */
-  let worth = null;
-  let cursor = null;
 
   // Elements.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
@@ -66,9 +63,6 @@ export function mount(root, context) {
   const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
   const input = el("input.visually-hidden", { type: "file", id: "map-file", accept: ".toml", on: { change: choose } });
   const opening = el("div.field", input, el("label.button.small", { for: "map-file", text: "Open a file…" }));
-  const score = el("strong.hero-number", { id: "map-optimum", text: "–" });
-  const note = el("span.hero-note", { id: "map-note" });
-  const problem = el("p.problem", { role: "alert", hidden: true });
   const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
   const credit = el("p.note");
   const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
@@ -86,8 +80,8 @@ export function mount(root, context) {
     el(
       "aside.draw-side",
       { "aria-label": "The map" },
-      el("div.score-main", { role: "status" }, el("span.eyebrow", { text: "Optimum" }), score, note),
-      problem,
+      worth.root,
+      worth.problem,
       acts,
       numbers,
       opening,
@@ -97,11 +91,14 @@ export function mount(root, context) {
   );
   root.classList.add("draw");
   const board = mountBoards(middle, own);
+  /** @type {HTMLElement} */
   const grid = middle.querySelector(".boards");
-  grid.id = "drawing";
-  Object.assign(grid, { tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });
-  const mark = el("i.draw-cursor", { hidden: true });
-  grid.append(mark);
+  Object.assign(grid, { id: "drawing", tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });
+  const paints = [...tools.querySelectorAll("input")];
+  const point = mountInput(grid, own, drawing, (i) => {
+    paints[i]?.click();
+    return i in paints;
+  });
 
   function choice(name) {
     const kind = kinds.find((one) => one.name === name);
@@ -145,7 +142,7 @@ export function mount(root, context) {
     draw();
     stage.show(stage.world, stage.tracks);
     changed();
-    if (cursor) point(drawing.inside(cursor) ? cursor : null);
+    point();
   }
 
   function draw() {
@@ -153,9 +150,13 @@ export function mount(root, context) {
     const [height, width] = [map.cells.length, map.cells[0].length];
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
-    const track = new Track({ opening: { pilot: "", by: "", forked_at: null }, frames }, { name: "", colour: "--accent" });
-    const task = { short_name: "drawing", attribution: map.attribution };
-    stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
+    // Only what the board reads.
+    /** @type {any} */
+    const start = { opening: { pilot: "", by: "", forked_at: null }, frames };
+    const track = new Track(start, { name: "", colour: "--accent" });
+    /** @type {any} */
+    const world = { task: { short_name: "drawing", attribution: map.attribution }, seed: 0, width, height };
+    stage.world = { ...world, cells: map.cells, parcels: map.parcels };
     stage.tracks = [track];
     board.reload();
     setText(credit, map.attribution);
@@ -164,10 +165,18 @@ export function mount(root, context) {
 
   /** Draws the optimal path. */
   function drawBest() {
-    stage.track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
-    board.refresh();
+    if (stage.track) {
+      /** @type {any} */
+      const best = worth.answer?.optimum ? { optimal_path: worth.answer.optimum.path, moves: [] } : null;
+      stage.track.annotation = best;
+      board.refresh();
+    }
     fill();
   }
+  worth.on("answer", (wrong) => {
+    for (const button of acts.querySelectorAll("button")) button.disabled = wrong !== null;
+    drawBest();
+  });
 
   /** Writes the numbers into the fields, except the focused one. */
   function fill() {
@@ -176,7 +185,7 @@ export function mount(root, context) {
     for (const { id, input } of [...sides, ...fields]) {
       input.disabled = map === null;
       if (document.activeElement !== input) input.value = numbers?.[id] ?? "";
-      input.placeholder = worth?.numbers[id] ?? "";
+      input.placeholder = worth.answer?.numbers[id] ?? "";
     }
   }
 
@@ -184,53 +193,7 @@ export function mount(root, context) {
     draw();
     // Stored once per stroke: storage is slow.
     if (!drawing.stroke) keep(key, drawing.map);
-    ask();
-  }
-
-  // One request at a time, then one for the newest map.
-  let asking = false;
-  let newest = null;
-  async function ask() {
-    newest = drawing.map;
-    score.classList.add("waiting");
-    if (asking) return;
-    asking = true;
-    while (newest) {
-      const late = setTimeout(() => showWorth(null, null), LATE);
-      const sent = newest;
-      const parcels = sent.parcels.length;
-      newest = null;
-      let answer = null;
-      let wrong = null;
-      try {
-        answer = await api.post("maps/worth", sent);
-      } catch (error) {
-        if (!(error instanceof ApiError)) throw error;
-        wrong = error.message;
-        if (error.status === 503) setTimeout(() => sent === drawing.map && ask(), AGAIN);
-      }
-      clearTimeout(late);
-      // The visitor may have opened another map.
-      if (sent === drawing.map) showWorth(answer && { ...answer, parcels }, wrong);
-    }
-    asking = false;
-    score.classList.remove("waiting");
-  }
-
-  /** Shows what the map is worth; null while the server computes, and for an invalid map. */
-  function showWorth(found, wrong) {
-    worth = found;
-    tell(wrong);
-    drawBest();
-  }
-
-  function tell(wrong) {
-    const { optimum, bounds, parcels } = worth ?? {};
-    setText(score, optimum ? points(optimum.score) : "–");
-    setText(note, worth ? inWords(optimum, bounds, parcels) : wrong === null ? "Computing …" : "");
-    problem.hidden = wrong === null;
-    setText(problem, wrong ?? "");
-    for (const button of acts.children) button.disabled = wrong !== null;
+    worth.ask();
   }
 
   // Actions.
@@ -266,88 +229,10 @@ export function mount(root, context) {
     input.value = "";
   }
 
-  // Pointers and keys.
-  const layout = () => {
-    const { width, height } = grid.querySelector(".map").getBoundingClientRect();
-    const scale = window.devicePixelRatio || 1;
-    return camera.layout(stage.world, { width: width * scale, height: height * scale, scale }, drawing.map.start);
-  };
-  const cellBelow = ({ clientX, clientY }) => {
-    const box = grid.querySelector(".map").getBoundingClientRect();
-    const { cell, left, top, scale } = layout();
-    return [clientX - box.left, clientY - box.top].map((p, i) => Math.floor((p * scale - [left, top][i]) / cell));
-  };
-  grid.addEventListener("pointerdown", (event) => {
-    point(null);
-    if (event.button !== 0 || !event.isPrimary || !drawing.map || !drawing.inside(cellBelow(event))) return;
-    drawing.begin(cellBelow(event));
-    // The stroke goes on if the pointer leaves the map and comes back elsewhere.
-    if (drawing.stroke) grid.setPointerCapture(event.pointerId);
-  });
-  grid.addEventListener(
-    "pointermove",
-    (event) => {
-      if (!drawing.stroke) return;
-      event.stopImmediatePropagation();
-      if (event.isPrimary) drawing.goOn(cellBelow(event));
-    },
-    { capture: true },
-  );
-  for (const type of ["pointerup", "pointercancel"]) grid.addEventListener(type, () => drawing.end());
-
-  /** Centres a zoomed map on a cell. */
-  function follow([x, y]) {
-    if (camera.zoom === 1) return;
-    camera.centre = [x + 0.5, y + 0.5];
-    camera.following = false;
-    own.emit("camera");
-  }
-
-  /** Shows the cursor at a cell, for the keyboard. */
-  function point(cell) {
-    cursor = cell;
-    mark.hidden = cell === null;
-    if (!cell) return;
-    const { cell: side, left, top, scale } = layout();
-    const place = { left: left + cell[0] * side, top: top + cell[1] * side, width: side, height: side };
-    for (const [name, pixels] of Object.entries(place)) mark.style[name] = `${pixels / scale}px`;
-    const held = Boolean(drawing.stroke?.held);
-    mark.classList.toggle("holds", held);
-    announce(`Column ${cell[0]}, row ${cell[1]}: ${cellName(drawing.nameAt(cell))}${held ? ", held" : ""}`);
-  }
-  grid.addEventListener("keydown", (event) => {
-    const way = ARROWS[event.key];
-    if (event.ctrlKey || event.metaKey || event.altKey || !drawing.map) return;
-    if (way) {
-      const next = cursor ? [cursor[0] + way[0], cursor[1] + way[1]] : drawing.map.start;
-      if (drawing.inside(next)) {
-        drawing.goOn(next);
-        const to = drawing.stroke?.held ?? next;
-        follow(to);
-        point(to);
-        drawing.comeTo(to);
-      }
-    } else if ((event.key === " " || event.key === "Enter") && cursor) {
-      // A held item moves along until the next press.
-      if (drawing.stroke) drawing.end();
-      else drawing.begin(cursor);
-      if (!drawing.stroke?.held) drawing.end();
-      point(cursor);
-    } else if ("+=-".includes(event.key)) {
-      if (camera.nearer(event.key === "-" ? -1 : 1)) own.emit("camera");
-      if (cursor) follow(cursor);
-    } else if (PALETTE[event.key - 1]) tools.querySelectorAll("input")[event.key - 1].click();
-    else return;
-    event.preventDefault();
-  });
-  grid.addEventListener("blur", () => {
-    drawing.end();
-    mark.hidden = true;
-  });
-  own.on("camera", () => cursor && point(cursor));
+  const isNumber = (target) => target instanceof HTMLInputElement && target.type === "number";
   document.addEventListener("keydown", (event) => {
     const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
-    if (!undoes || context.view !== "draw" || event.target.matches("input[type=number]")) return;
+    if (!undoes || context.view !== "draw" || isNumber(event.target)) return;
     event.preventDefault();
     drawing.undo();
   });
@@ -357,7 +242,7 @@ export function mount(root, context) {
     if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
     // On a new map there is nothing to move.
-    tools.querySelector(`[value=${address.task ? "move" : "building"}]`).click();
+    paints[PALETTE.indexOf(address.task ? "move" : "building")].click();
     const wanted = keyOf(address);
     const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
     await load(wanted, left ?? (() => origin(address)));
@@ -383,33 +268,20 @@ export function mount(root, context) {
       if (wanted !== keyOf(router.address)) return;
       become(wanted, null);
       stage.show(null, []);
-      tell(error.message);
-      fill();
+      worth.show(null, error.message);
     }
   }
 
   /** Replaces the drawing, or clears it. */
   function become(wanted, found) {
     key = wanted;
-    worth = null;
+    worth.answer = null;
     drawing.become(found);
     point(null);
     turns();
   }
 
   router.on("address", look);
-  context.live.on("state", ({ state }) => state === "open" && !problem.hidden && (drawing.map ? ask() : look()));
+  context.live.on("state", ({ state }) => state === "open" && !worth.problem.hidden && (drawing.map ? worth.ask() : look()));
   look();
-}
-
-/** The optimum in words. */
-function inWords(optimum, bounds, parcels) {
-  if (!optimum) {
-    if (!bounds) return "This map is too large for the exact solver.";
-    const [least, most] = bounds.map((bound) => points(bound));
-    return `This map is too large for the exact solver: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
-  }
-  const steps = optimum.steps === 1 ? "step" : "steps";
-  if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
-  return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
 }

@@ -1,8 +1,10 @@
 // The live flights of this page: requests to the server, and its messages.
 import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
+import { NEXT } from "./fleet_states.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
+import { nameOf } from "./today.js";
 import { Track } from "./track.js";
 
 /** Actions as links write them. */
@@ -10,42 +12,61 @@ const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
 export const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
- * `setup` describes the flights as an `Address` of router.js. `phase` is the request that waits for an answer:
+ * `setup` describes the flights as an `Address` of router.js.
  *
- *   idle       start() -> starting;  the connection opens, unfinished flights -> attaching;  session_gone -> starting
- *   starting   the connection opens: `start` is sent (again);  flights, error or rest() -> idle
- *   attaching  flights or error -> idle;  session_gone -> starting
- *
- * Events: "setup" other flights are chosen, "playing" flights start, pause or change speed, "refused" (text), "begun" the
+ * Events: "setup" other flights are chosen, "playing" the state or the speed changes, "refused" (text), "begun" the
  * server has opened the flights, "ended" (track) a flight has ended and is stored.
  */
 export class Fleet extends Emitter {
-  /** @param {import("./context.js").Context} context */
+  /** @param {Context} context */
   constructor(context) {
     super();
     this.context = context;
     this.stage = context.stage;
-    /** @type {Partial<import("./router.js").Address>} */
+    /** @type {Partial<Address>} */
     this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
     /** The flights that the server runs for this page. @type {Track[]} */
     this.tracks = [];
-    this.playing = false;
-    /** @type {"idle"|"starting"|"attaching"} */
-    this.phase = "idle";
+    /** @type {FleetState} */
+    this.state = "idle";
+    /** The number of the newest request. */
     this.number = 0;
-    this.how = { play: false, beside: [], flown: null, moves: [] };
+    /** Finished flights that are shown beside them. @type {Track[]} */
+    this.beside = [];
+    /** Ids of the pilots of the newest start. @type {string[]} */
+    this.flown = [];
+    /** The visitor's moves until it is answered. @type {string[]} */
+    this.moves = [];
     const { live } = context;
-    live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
+    live.on("state", ({ state }) => (state === "open" ? this.resume() : this.turn("lost")));
     live.on("flights", (message) => this.begin(message));
     live.on("frames", ({ frames }) => this.move(frames));
     live.on("values", (message) => this.value(message));
     live.on("undone", (message) => this.undone(message));
     live.on("helped", (message) => this.helped(message));
-    live.on("playing", ({ playing }) => this.setPlaying(playing));
+    live.on("playing", ({ playing }) => this.turn(playing ? "plays" : "pauses"));
     live.on("ended", ({ flight, episode }) => this.ended(this.tracks[flight], episode));
     live.on("error", (message) => this.refused(message));
     // A closed page releases its sessions for other visitors.
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
+  }
+
+  /** Goes to the next state. @param {FleetCause} cause */
+  turn(cause) {
+    const next = NEXT[this.state][cause];
+    if (!next) return;
+    this.state = next;
+    this.stage.flying = this.playing;
+    this.stage.tell("cursor");
+    this.emit("playing");
+  }
+
+  get playing() {
+    return this.state === "playing";
+  }
+
+  get starting() {
+    return this.state === "starting" || this.state === "launching";
   }
 
   get over() {
@@ -87,7 +108,7 @@ export class Fleet extends Emitter {
 
   /** Whether keys fly: in the flight that is shown, or in one that is starting. */
   get byHand() {
-    return this.phase === "starting" ? this.how.flown.includes(this.person.id) : this.mine !== null;
+    return this.starting ? this.flown.includes(this.person.id) : this.mine !== null;
   }
 
   /** The part of the address from which a fork or the visitor's flight continues: its moves, and their pilot. */
@@ -95,7 +116,7 @@ export class Fleet extends Emitter {
     if (!this.shown) return {};
     const track = this.forked ?? this.mine;
     if (!track) return { actions: null, of: null };
-    const { by, pilot, steps } = track;
+    const { unnamed: by, pilot, steps } = track;
     const actions = lettersOf(track.actionsTo(steps));
     if (this.forked) return { actions };
     return { actions, of: steps || by !== pilot ? by : null };
@@ -137,7 +158,7 @@ export class Fleet extends Emitter {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
-  /** An address whose missing parts come from the present flights. @param {import("./router.js").Address} address */
+  /** An address whose missing parts come from the present flights. @param {Partial<Address>} address */
   complete(address) {
     const { lesson, ...rest } = { ...NOTHING, ...address };
     const { task, pilots } = rest;
@@ -154,10 +175,12 @@ export class Fleet extends Emitter {
   /**
    * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
    *
+   * @param {Partial<Address>} change
    * @param {{play?: boolean, beside?: Track[], flown?: string[], moves?: string[]}} how Whether to play at once, finished flights
    *   to show beside them, the pilots of the setup that still fly, and the visitor's first moves.
    */
-  start(change = {}, { play = false, beside = [], flown = null, moves = [] } = {}) {
+  start(change = {}, how = {}) {
+    const { play = false, beside = [], flown = null, moves = [] } = how;
     const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
@@ -165,9 +188,13 @@ export class Fleet extends Emitter {
       this.emit("setup");
       return;
     }
+    // If the server rejects the start, the present flights stay, paused.
+    if (this.tracks.length) live.send({ type: "pause" });
     this.setup = { ...this.setup, ...nothing, ...change };
-    this.how = { play, beside, flown: flown ?? this.setup.pilots, moves: [...moves] };
-    this.phase = "starting";
+    this.beside = beside;
+    this.flown = flown ?? this.setup.pilots;
+    this.moves = [...moves];
+    this.turn(play ? "launch" : "start");
     this.emit("setup");
     if (live.state === "open") this.send();
   }
@@ -175,7 +202,7 @@ export class Fleet extends Emitter {
   /** Sends the present setup to the server. */
   send() {
     const { task, seed, profile, fork, actions, of, step } = this.setup;
-    const request = { task, seed, reward_profile: profile, pilots: this.how.flown };
+    const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
       request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
@@ -221,15 +248,14 @@ export class Fleet extends Emitter {
   }
 
   pause() {
-    // It also stays paused after a reconnect.
-    this.how.play = false;
+    this.turn("pause");
     if (this.playing) this.context.live.send({ type: "pause" });
   }
 
   /** Pauses the flights because the stage shows something else. */
   rest() {
     this.pause();
-    if (this.phase === "starting") this.phase = "idle";
+    this.turn("rest");
   }
 
   step() {
@@ -245,8 +271,8 @@ export class Fleet extends Emitter {
   /** Flies one move of the visitor; paused pilots take one step each. */
   fly(direction) {
     if (!this.byHand) return;
-    if (this.phase === "starting") {
-      this.how.moves.push(direction);
+    if (this.starting) {
+      this.moves.push(direction);
       return;
     }
     const flight = this.human;
@@ -266,43 +292,35 @@ export class Fleet extends Emitter {
   }
 
   resume() {
-    if (this.phase === "starting") {
-      this.send();
-      return;
-    }
+    if (this.starting) this.send();
     // Finished flights need no session.
-    if (!this.tracks.length || this.over) return;
-    this.phase = "attaching";
+    if (this.starting || !this.tracks.length || this.over) return;
+    this.turn("attach");
     const sessions = this.tracks.map(({ opening }) => opening.session);
     this.context.live.send({ type: "attach", number: ++this.number, sessions });
   }
 
-  lost() {
-    if (this.playing) this.how.play = true;
-    this.setPlaying(false);
-  }
-
-  begin({ flights, number, playing }) {
+  begin({ flights, number }) {
     // The answer to `end`: the page is closing.
     if (!flights.length) return;
-    const attached = this.phase === "attaching";
-    const wasShown = this.shown || this.phase === "starting";
+    const { state, starting } = this;
+    const wasShown = this.shown || starting;
     this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
-    // An answer to an older request does not change the setup.
-    const newest = number === this.number;
     const { fork, step } = this.setup;
     if (fork !== null) this.tracks.at(-1).forkedAt = fork;
-    for (const track of this.how.beside) track.live = false;
+    for (const track of this.beside) track.live = false;
+    // An answer to an older request does not change the setup.
+    const newest = number === this.number;
     if (newest) {
-      this.phase = "idle";
       const { seed, short_name } = flights[0].opening;
-      const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.how.flown.length);
+      const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.flown.length);
       const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
       this.setup = { ...this.setup, seed, task: short_name, pilots };
+      this.turn("flights");
     }
-    this.setPlaying(playing);
     const { clock, selected } = this.stage;
     // After a lost connection, the page shows what it showed before.
+    const attached = state === "attaching" || state === "returning";
     if (wasShown && attached) this.show(clock.following ? null : clock.cursor, selected);
     else if (wasShown) this.show(step);
     this.emit("setup");
@@ -310,15 +328,14 @@ export class Fleet extends Emitter {
     if (!newest) return;
     // A fork always shows values.
     if (this.setup.fork !== null) this.help();
-    const { play, moves } = this.how;
-    Object.assign(this.how, { play: false, moves: [] });
-    if (play && !playing) this.play();
+    const moves = this.moves.splice(0);
+    if (state === "launching" || state === "returning") this.play();
     for (const direction of moves) this.fly(direction);
   }
 
   /** Puts these flights on the stage, at their newest step by default. */
   show(step = null, selected = null) {
-    const tracks = [...this.how.beside, ...this.tracks];
+    const tracks = [...this.beside, ...this.tracks];
     const front = this.forked ?? this.tracks[this.human] ?? tracks[0];
     this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
       step: step ?? Math.max(...this.tracks.map((track) => track.steps)),
@@ -357,12 +374,6 @@ export class Fleet extends Emitter {
     this.stage.changed(track);
   }
 
-  setPlaying(playing) {
-    this.playing = this.stage.flying = playing;
-    this.stage.tell("cursor");
-    this.emit("playing");
-  }
-
   ended(track, episode) {
     if (!track) return;
     track.episode = episode;
@@ -372,15 +383,16 @@ export class Fleet extends Emitter {
   }
 
   refused({ code, detail }) {
-    const { phase } = this;
-    this.phase = "idle";
-    if (phase !== "starting" && code === "session_gone") {
+    const { state, starting, beside, flown, moves } = this;
+    if (!starting && code === "session_gone") {
       toast("The server has ended this flight. It starts again.");
-      this.start({ ...this.setup, ...this.linkParts }, { ...this.how, play: this.how.play || this.playing });
+      const play = state === "playing" || state === "returning";
+      this.start({ ...this.setup, ...this.linkParts }, { play, beside, flown, moves });
       return;
     }
+    this.turn("refused");
     // A key may arrive after the end of the flight: ignored.
-    if (phase === "idle" && code === "wrong_moment") return;
+    if ((state === "idle" || state === "playing") && code === "wrong_moment") return;
     this.emit("refused", detail);
   }
 }

@@ -1,12 +1,12 @@
 // The newest flights of a task, by all pilots or one.
-import { el } from "./dom.js";
-import { fixed, flightName, moment, outcome, points, shortened } from "./format.js";
+import { el, keepFocus } from "./dom.js";
+import { flightName, moment, outcome, points, shortened } from "./format.js";
 import { grid, named } from "./rankings.js";
 
 const PAGE = 50;
 
 export class Flights {
-  /** @param {import("./context.js").Context} context */
+  /** @param {Context} context */
   constructor(context) {
     this.context = context;
     this.task = null;
@@ -29,7 +29,7 @@ export class Flights {
     );
   }
 
-  /** Shows the newest flights of a task. @param {Object} task @param {Object[]} rows The pilots of its leaderboard. */
+  /** Shows the newest flights of a task. @param {Answer<"TaskInfo">} task @param {Answer<"LeaderboardEntry">[]} rows The pilots of its leaderboard. */
   show(task, rows) {
     if (this.task !== task) [this.task, this.pages, this.agent.value] = [task, [null], ""];
     const chosen = this.agent.value;
@@ -76,13 +76,10 @@ export class Flights {
       ["Outcome", (e) => outcome(e)],
       ["Parcels", (e) => `${e.deliveries} / ${e.deliveries_total}`, true],
       ["Steps", (e) => String(e.steps), true],
-      ["Reward", (e) => fixed(e.reward_total), true],
       ["Finished", (e) => el("time", { datetime: e.finished_at, text: moment(e.finished_at) })],
       ["", open],
     ];
-    const { key } = document.activeElement.dataset;
-    this.list.replaceChildren(grid("Flights, newest first", columns, episodes));
+    keepFocus(this.list, () => this.list.replaceChildren(grid("Flights, newest first", columns, episodes)));
     this.list.hidden = !episodes.length;
-    if (key) this.list.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
   }
 }

@@ -10,7 +10,7 @@ import { mountHint } from "./hint.js";
 import { mountGauges, mountInstruments } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
 import { mountCellNote } from "./layer_costs.js";
-import { mountLegend } from "./legend.js";
+import { mountCredit } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
 import { explain, mountFiles, mountRecord, Past } from "./past.js";
@@ -19,20 +19,19 @@ import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
+import { mountByHand } from "./today.js";
 
 /**
  * Fills its element, as every `mountX(root, context, ...)` of this page does.
  *
- * @param {HTMLElement} root An empty element. @param {import("./context.js").Context} context
+ * @param {HTMLElement} root An empty element. @param {Context} context
  */
 export function mountFly(root, context) {
   const { router, stage } = context;
   const fleet = new Fleet(context);
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
-  /** Whether values are hidden: a visitor flies and has not turned them on. */
   context.secret = (track) => context.byHand(track) && !track.showsValues;
-  /** Whether a visitor flies. */
   context.byHand = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic;
 
   const plan = el("section.plan", { "aria-label": "Flight plan" });
@@ -57,11 +56,12 @@ export function mountFly(root, context) {
   const problem = below("problems", mountProblem, fleet);
   const board = below("boards-panel", mountBoards);
   mountCellNote(middle.querySelector(".map"), context, board.names);
-  mountLegend(choices, context);
+  mountCredit(context);
   below("hint", mountHint, fleet);
   panel("strip", mountStrip, fleet, acts);
   panel("human", mountHuman, fleet);
   panel("controls-panel", mountControls, fleet, acts);
+  panel("by-hand-panel", mountByHand, fleet, acts);
   panel("standings-panel", mountStandings);
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);
@@ -167,14 +167,14 @@ export function mountFly(root, context) {
   function isShown() {
     const { address } = router;
     if (context.view !== "fly") return false;
-    if (fleet.shown) return fleet.phase !== "starting" && says(fleet.complete(address), fleet.setup);
+    if (fleet.shown) return !fleet.starting && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
   stage.on("change", () => isShown() && router.moment(moment()));
 }
 
-/** An error above the map; if nothing is flown, with a button that starts a flight. */
+/** An error above the map; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 function mountProblem(root, context, fleet) {
   const text = el("p.problem", { role: "alert", hidden: true });
   root.append(text);

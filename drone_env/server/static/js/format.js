@@ -75,7 +75,7 @@ const LONGEST = 40;
 /** A name in a place that cannot grow. */
 export const shortened = (name) => (name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name);
 
-/** A flight in words: `Hard, map 7, Greedy`. */
+/** A flight in words: `Hard, map 7, Greedy`. @param {Context} context */
 export function flightName(context, { task, seed, agent }) {
   const known = context.tasks.find(({ id }) => id === task);
   return `${title(known?.short_name ?? String(task))}, map ${seed}, ${who(context, agent)}`;

@@ -5,6 +5,7 @@ import { setText } from "./dom.js";
 const WAIT = matchMedia("(pointer: coarse)").matches ? "■" : "Space";
 const RACE = "Press Start (Enter) to start the race. Or just fly: then the others move when you move.";
 
+/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountHint(root, { stage }, fleet) {
   const draw = () => setText(root, stage.world ? (atRace(fleet) ? RACE : rule(stage.world.task)) : "");
   stage.on("change", draw);

@@ -1,8 +1,8 @@
 // The instruments of the selected flight.
 import { el, setText } from "./dom.js";
-import { cellName, fixed, isLost, outcome, percent, points, signed } from "./format.js";
+import { cellName, fixed, isLost, percent, points, signed } from "./format.js";
 
-/** What counts in flight, beside the choices above the map: battery, parcels and steps. */
+/** What counts in flight, beside the choices above the map: battery, parcels and steps. @param {HTMLElement} root @param {Context} context */
 export function mountGauges(root, { stage }) {
   const battery = gauge("Battery", "battery");
   const steps = gauge("Steps", "steps");
@@ -24,19 +24,17 @@ export function mountGauges(root, { stage }) {
   });
 }
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountInstruments(root, context) {
   const { stage } = context;
   const name = el("span.eyebrow");
   const score = el("strong.hero-number", { id: "score" });
   const optimum = el("span.hero-of", { id: "optimum" });
-  const scoreNote = el("span.hero-note", { id: "score-note" });
   const lost = row("Lost", "lost", "Optimum of this map minus the score still possible");
-  const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
   const head = el(
     "div.score",
-    el("div.score-main", name, el("p.hero", score, " ", optimum), scoreNote),
+    el("div.score-main", name, el("p.hero", score, " ", optimum)),
     el("dl.score-side", ...lost.nodes),
-    reach,
   );
   const reward = row("Reward", "reward");
   const total = row("Total", "reward-total", "Sum of the rewards");
@@ -60,13 +58,8 @@ export function mountInstruments(root, context) {
     setText(score, points(frame.done ? frame.score : frame.value));
     const best = optimumOf(track);
     setText(optimum, best === null ? "" : `of ${points(best)}${frame.done ? " possible" : ""}`);
-    setText(scoreNote, frame.done ? outcome(frame) : "");
-    scoreNote.dataset.outcome = frame.outcome;
     setText(lost.value, points(frame.regret));
     lost.value.dataset.some = String(isLost(frame.regret));
-    reach.style.setProperty("--value", String(frame.value ?? 0));
-    reach.style.setProperty("--lost", String(frame.regret ?? 0));
-    reach.hidden = frame.value === null;
     setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
@@ -80,9 +73,7 @@ export function mountInstruments(root, context) {
 }
 
 /** The optimum of the map, or null. */
-function optimumOf({ annotation, frames: [{ value }] }) {
-  return annotation?.optimal_score ?? value;
-}
+const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
 
 function row(name, id, hint = null) {
   const value = el("dd", { id, text: "–" });

@@ -14,6 +14,7 @@ const FLY = {
   " ": "WAIT",
 };
 
+/** @param {Context} context @param {Fleet} fleet */
 export function mountKeys(context, fleet, acts, help) {
   const { camera, stage } = context;
   const see = (by) => camera.nearer(by) && context.emit("camera");
@@ -101,7 +102,7 @@ const ARROW = {
 const WORDS = { UP: "Up", DOWN: "Down", LEFT: "Left", RIGHT: "Right", WAIT: "Wait" };
 const SWIPE = 24;
 
-/** The pad, for touch and mouse. */
+/** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountHuman(root, context, fleet) {
   const buttons = Object.entries(ARROW).map(([direction, drawing]) => {
     const press = () => fleet.fly(direction);

@@ -1,7 +1,7 @@
 // What cells cost in battery units: beside the drone of a visitor who flies, and of the cell under the pointer.
 import { colourOf, font } from "./base.js";
 import { el } from "./dom.js";
-import { cellName } from "./format.js";
+import { ARROWS, cellName, isLost, points } from "./format.js";
 import { STEP } from "./layer_flights.js";
 
 const LEAST_CELL = 20;
@@ -10,7 +10,7 @@ const LEAST_CELL = 20;
 function cellAt({ task, cells }, names, frame, [x, y]) {
   const kind = frame.delivered.some(([px, py]) => px === x && py === y) ? "delivered" : names[cells[y][x]];
   const charge = kind === "pad" ? task.charge_rate : 0;
-  return { kind, closed: task.impassable.includes(kind), units: task.drain[kind] ?? 1, charge };
+  return { kind, closed: task.impassable.includes(kind), units: task.drain[kind], charge };
 }
 
 /** The cost of each neighbouring cell while the visitor flies: its units, a charge as `+4`, or a cross. */
@@ -41,7 +41,7 @@ export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
   }
 }
 
-/** A note at the cell under the pointer or the finger: what it is, and what it costs. */
+/** A note at the cell under the pointer or the finger: what it is, and what it costs. @param {Context} context */
 export function mountCellNote(field, context, names) {
   const note = el("p.cell-note", { "aria-hidden": "true", hidden: true });
   field.append(note);
@@ -58,7 +58,9 @@ export function mountCellNote(field, context, names) {
     const y = Math.floor(((clientY - box.top) * scale - top) / cell);
     note.hidden = world.cells[y]?.[x] === undefined;
     if (note.hidden) return;
-    note.textContent = inWords(cellAt(world, names, track.frameAt(clock.cursor), [x, y]));
+    const values = context.shows("values") && context.stage.answer?.cells?.q_values?.[y][x];
+    const cost = inWords(cellAt(world, names, track.frameAt(clock.cursor), [x, y]));
+    note.replaceChildren(el("span", cost), ...(values ? movesIn(values) : []));
     const right = x > world.width / 2;
     note.style.setProperty("left", `${(left + (x + (right ? 0 : 1)) * cell) / scale}px`);
     note.style.setProperty("top", `${(top + (y + 0.5) * cell) / scale}px`);
@@ -68,6 +70,14 @@ export function mountCellNote(field, context, names) {
   field.addEventListener("click", show);
   field.addEventListener("pointerleave", ({ pointerType }) => pointerType === "mouse" && hide());
   context.stage.on("cursor", hide);
+}
+
+/** The value of each action at a cell, and what it loses. */
+function movesIn(values) {
+  const lost = (value) => Math.max(...values) - value;
+  return Object.values(ARROWS).map((arrow, i) =>
+    el("span", `${arrow} ${points(values[i])}`, isLost(lost(values[i])) ? `, loses ${points(lost(values[i]))}` : ""),
+  );
 }
 
 function inWords({ kind, closed, units, charge }) {

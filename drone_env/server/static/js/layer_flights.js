@@ -12,7 +12,7 @@ const SMALLEST_PARCEL = 15;
 /** The offset between flights in the same cell, in cells. */
 const ASIDE = 0.09;
 
-/** The middle of a cell in device pixels. */
+/** The middle of a cell in device pixels. @returns {[number, number]} @param {Layout} layout @param {number[]} cell */
 const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
 
 /** The size of a drone: about a cell, within limits. */

@@ -9,17 +9,23 @@ function eachCell(rows, visit) {
   rows?.forEach((row, y) => row.forEach((item, x) => item !== null && visit(item, x, y)));
 }
 
-/** Green shows the possible score from each cell; arrows are the best moves. */
+/** The highest and the lowest value of all cells. */
+export function spanOf(values) {
+  const all = values.flat().filter((value) => value !== null);
+  return { most: Math.max(...all), least: Math.min(...all) };
+}
+
+/** Colours show what each cell loses against the best one; arrows are the best moves. */
 export function drawValues(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   if (!cells?.values) return;
-  const all = cells.values.flat().filter((value) => value !== null);
-  const least = Math.min(...all);
-  const spread = Math.max(...all) - least || 1;
+  const { most, least } = spanOf(cells.values);
   const { cell, left, top } = layout;
-  ctx.fillStyle = colourOf("--good");
+  ctx.globalAlpha = 0.5;
   eachCell(cells.values, (value, x, y) => {
-    ctx.globalAlpha = 0.04 + 0.46 * ((value - least) / spread);
+    const lost = (100 * (most - value)) / (most - least || 1);
+    const ends = lost < 50 ? ["--good", "--warn"] : ["--warn", "--bad"];
+    ctx.fillStyle = `color-mix(in oklab, ${ends.map(colourOf).join(", ")} ${(2 * lost) % 100}%)`;
     ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
   });
   ctx.globalAlpha = 0.8;

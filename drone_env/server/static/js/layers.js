@@ -5,16 +5,6 @@ import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
 import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
-/**
- * @typedef {Object} Layer
- * @property {string} id @property {"ground"|"cells"|"air"} place "air" is drawn in every animation frame, the others on change.
- * @property {string} [name] The label of its switch; a layer without a name is always shown. @property {string} [key]
- * @property {string} [hint] @property {(context: Object) => boolean} [on] Whether it is shown until the visitor chooses.
- * @property {boolean} [needsValues] Whether it needs `POST /values`.
- * @property {(stage: import("./stage.js").Stage) => boolean} [when] Whether it has something to show.
- * @property {(ctx: CanvasRenderingContext2D, view: Object) => void} draw
- */
-
 /** @type {Layer[]} */
 export const LAYERS = [
   { id: "city", place: "ground", draw: (ctx, view) => (isJoined(view.world) ? drawBlocks : drawCity)(ctx, view) },
@@ -22,7 +12,7 @@ export const LAYERS = [
     id: "values",
     place: "cells",
     name: "Best moves",
-    hint: "The best moves from each cell, with the present battery, parcels and steps. Greener cells allow a higher score",
+    hint: "The best moves from each cell, with the present battery, parcels and steps. Point at a cell to see its five values",
     key: "v",
     needsValues: true,
     draw: drawValues,

@@ -9,6 +9,7 @@ const MORE =
   " The score counts parcels first, then the battery and the steps left. The page compares every flight with the " +
   "exact optimum of its map. A move that loses points loses them for good.";
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const lessons = el("ol.lessons");
   root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons);
@@ -41,6 +42,7 @@ function card(number, isNext) {
 const NONE = "–";
 const drains = (drain) =>
   Object.entries(drain)
+    .filter(([, units]) => units !== 1)
     .map(([kind, units]) => `; ${units} above a ${kind}`)
     .join("");
 

@@ -27,14 +27,6 @@ function atWorst({ track, clock }, pilot) {
   return worst > 0 && !clock.playing && (clock.cursor === worst || clock.cursor === worst - 1);
 }
 
-/**
- * @typedef {Object} Lesson The numbers in its text are exact.
- * @property {string} title
- * @property {string} text
- * @property {Partial<import("./router.js").Address>} address Its map and pilot.
- * @property {{text: string, done: (stage: Object) => boolean}[]} goals At most ten.
- */
-
 /** @type {Lesson[]} */
 export const LESSONS = [
   {
@@ -119,6 +111,7 @@ function goalItem(number, goal) {
 
 const isOver = ({ task, seed }, { address }) => task.short_name === address.task && seed === address.seed;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountLesson(root, { router, stage }) {
   root.setAttribute("aria-label", "Lesson");
   root.setAttribute("role", "region");

@@ -8,8 +8,13 @@ import { mountFly } from "./fly.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 
-/** Views that are loaded on their first visit. */
-const LATER = { compare: "compare", learn: "learn", api: "api_view", draw: "editor" };
+/** Views that are loaded on their first visit, with the names of their style sheets. */
+const LATER = {
+  compare: ["compare", () => import("./compare.js")],
+  learn: ["learn", () => import("./learn.js")],
+  api: ["api_view", () => import("./api_view.js")],
+  draw: ["editor", () => import("./editor.js")],
+};
 
 async function boot() {
   const api = createApi();
@@ -32,19 +37,20 @@ async function boot() {
   live.connect();
 }
 
-/** Loads a view and shows it. */
+/** Loads a view and shows it. @param {Context} context */
 async function mountLater(name, context) {
-  const file = LATER[name];
+  const later = LATER[name];
+  const [sheet, module] = later;
   const root = document.getElementById(`view-${name}`);
   delete LATER[name];
   try {
-    const style = el("link", { rel: "stylesheet", href: new URL(`../css/${file}.css`, import.meta.url) });
-    const [view] = await Promise.all([import(`./${file}.js`), loaded(style)]);
+    const style = el("link", { rel: "stylesheet", href: new URL(`../css/${sheet}.css`, import.meta.url) });
+    const [view] = await Promise.all([module(), loaded(style)]);
     root.replaceChildren();
     view.mount(root, context);
     if (context.view === name) context.emit("view", name);
   } catch (error) {
-    LATER[name] = file;
+    LATER[name] = later;
     console.warn(error);
     const again = el("button.button.small", { text: "Try again", press: () => mountLater(name, context) });
     root.replaceChildren(el("p.problem", { role: "alert" }, "This view could not be loaded. ", again));
@@ -59,7 +65,7 @@ async function firstAnswers(api) {
 
 const THEME = "drone-env-theme";
 
-/** Switches between dark and light; before_modules.js has set the first one. Emits "theme". */
+/** Switches between dark and light; before_modules.js has set the first one. Emits "theme". @param {Context} context */
 function mountTheme(context) {
   const button = document.getElementById("theme-button");
   const system = matchMedia("(prefers-color-scheme: light)");
@@ -84,7 +90,7 @@ const other = (theme) => (theme === "dark" ? "light" : "dark");
 
 const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", full: "Server full", refused: "Refused" };
 
-/** Shows the state of the connection: a dot in the top bar, and a banner while the server is away. */
+/** Shows the state of the connection: a dot in the top bar, and a banner while the server is away. @param {Context} context */
 function mountConnection({ live, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
@@ -115,10 +121,13 @@ function mountConnection({ live, stage }) {
 
 const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs", draw: "Draw a map" };
 
-/** Shows the view of the address. */
+/** Shows the view of the address. @param {Context} context */
 function mountViews(context) {
   const { router, live } = context;
-  const links = [...document.querySelectorAll(".views a")];
+  /** @type {NodeListOf<HTMLElement>} */
+  const sections = document.querySelectorAll("main > .view");
+  /** @type {NodeListOf<HTMLAnchorElement>} */
+  const links = document.querySelectorAll(".views a");
 
   function show({ view, unread }) {
     if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
@@ -127,7 +136,7 @@ function mountViews(context) {
     if (context.view !== view) live.subscribe([]);
     context.view = view;
     document.body.dataset.view = view;
-    for (const section of document.querySelectorAll("main > .view")) section.hidden = section.id !== `view-${view}`;
+    for (const section of sections) section.hidden = section.id !== `view-${view}`;
     for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");
@@ -141,8 +150,8 @@ function mountViews(context) {
 
   // Links within the page do not reload it.
   document.addEventListener("click", (event) => {
-    const link = event.target.closest?.("a[data-view], a[href^='?']");
-    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
+    const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
+    if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
     event.preventDefault();
     if (link.dataset.view) router.open(link.dataset.view);
     else router.follow(link.href);

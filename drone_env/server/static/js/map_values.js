@@ -1,27 +1,30 @@
 // The layers of the map: their switches, and the answers of `POST /values` for the present moment.
 import { ApiError } from "./api.js";
 import { el, setText, toast } from "./dom.js";
+import { points } from "./format.js";
+import { spanOf } from "./layer_values.js";
 import { LAYERS } from "./layers.js";
 
 const KEPT = 60;
 /** Milliseconds between a new moment and its request. */
 const LOOK = 120;
 
-/** Requests the values if a layer shows them or the flight is a fork. */
+/** Requests the values if a layer shows them or the flight is a fork. @param {Context} context */
 export function mountMapValues(context) {
   const { stage, api } = context;
   const cached = new Map();
   let timer = 0;
   let asking = false;
 
-  /** "range" is all that a visitor sees who flies without values; null for nothing. */
+  /** "range" is all that a visitor sees who flies without values, "moves" fills their table; null for nothing. */
   function wanted() {
-    const { track, world } = stage;
+    const { track, world, frame, clock } = stage;
     if (!track) return null;
     const range = world.task.pads > 0 && context.shows("range");
     if (context.secret(track)) return range ? "range" : null;
     const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
-    return track.showsValues || track.forkedAt !== null || range || values ? "values" : null;
+    if (track.showsValues || track.forkedAt !== null || range || values) return "values";
+    return frame.done || frame.value === null || stage.flying || clock.playing ? null : "moves";
   }
 
   function look() {
@@ -46,7 +49,7 @@ export function mountMapValues(context) {
       return;
     }
     const { world, track, actions, moment: key } = stage;
-    const flight = { task: world.task.id, seed: world.seed, actions, range_only: what === "range" };
+    const flight = { task: world.task.id, seed: world.seed, actions, only: what === "values" ? null : what };
     asking = true;
     let answer = null;
     try {
@@ -75,7 +78,7 @@ export function mountMapValues(context) {
   context.on("layers", look);
 }
 
-/** The switches of the layers. */
+/** The switches of the layers. @param {HTMLElement} root @param {Context} context */
 export function mountSwitches(root, context, acts) {
   const { stage } = context;
   const rows = LAYERS.filter(({ name }) => name).map((layer) => {
@@ -84,7 +87,9 @@ export function mountSwitches(root, context, acts) {
     return { layer, box, node: el("label.switch", { title: layer.hint }, box, el("span", { text: layer.name }), key) };
   });
   const note = el("p.note", { id: "unsolved", role: "status" });
+  const scale = el("p.scale", el("span"), el("i", { "aria-hidden": "true" }), el("span"));
   root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), note);
+  rows[0].node.after(scale);
 
   function draw() {
     root.hidden = !stage.world;
@@ -93,6 +98,12 @@ export function mountSwitches(root, context, acts) {
       box.checked = context.shows(layer.id);
     }
     const { cells, unsolved } = stage.values?.answer ?? {};
+    scale.hidden = !cells?.values || !context.shows("values");
+    if (!scale.hidden) {
+      const { most, least } = spanOf(cells.values);
+      setText(scale.firstChild, `${points(most)} possible`);
+      setText(scale.lastChild, `lost ${points(most - least)}`);
+    }
     const faultless = context.shows("network") && cells?.disagree && !cells.disagree.flat().some(Boolean);
     setText(note, unsolved ?? (faultless ? "The network makes no mistake here." : ""));
   }

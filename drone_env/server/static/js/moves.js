@@ -6,6 +6,7 @@ import { ARROWS, percent, points, signed } from "./format.js";
 const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake: "mistakes", blunder: "blunders" };
 const QUIET = new Set(["step", "wait", null]);
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountMoves(root, context) {
   const { stage } = context;
   const summary = el("div.accuracy");

@@ -6,7 +6,7 @@ import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
 export class Past {
-  /** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet Knows the pilots. */
+  /** @param {Context} context @param {Fleet} fleet Knows the pilots. */
   constructor(context, fleet) {
     this.context = context;
     this.fleet = fleet;
@@ -110,7 +110,7 @@ export async function recordOf({ api }, track) {
   return track.record;
 }
 
-/** Annotates a finished flight: the loss of each move. */
+/** Annotates a finished flight: the loss of each move. @param {Context} context */
 export async function explain(context, track) {
   if (track.annotation || !track.done) return;
   try {
@@ -140,10 +140,10 @@ async function readFlights(file) {
   } catch {
     const lines = text
       .split("\n")
-      .map((line, i) => [line, i + 1])
-      .filter(([line]) => line.trim());
+      .map((line, i) => ({ line, number: i + 1 }))
+      .filter(({ line }) => line.trim());
     if (!lines.length) throw new Error(`${file.name} is empty.`);
-    return lines.map(([line, number]) => parsed(line, `${file.name}, line ${number}`));
+    return lines.map(({ line, number }) => parsed(line, `${file.name}, line ${number}`));
   }
 }
 
@@ -155,7 +155,7 @@ function parsed(text, where) {
   }
 }
 
-/** The button that saves the record of a finished flight. */
+/** The button that saves the record of a finished flight. @param {HTMLElement} root @param {Context} context */
 export function mountRecord(root, context) {
   const { stage } = context;
   const save = el("button.button.quiet.small", { id: "save-record", text: "Save record", press: () => saveRecord(context) });

@@ -1,5 +1,5 @@
 // The flight plan: task, map and pilots.
-import { el, setText } from "./dom.js";
+import { el, leaveFocus, setText } from "./dom.js";
 import { title } from "./format.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
@@ -13,10 +13,11 @@ export function mountPlan(root, context, fleet, acts) {
   const details = el("details.plan-details", heading, choices);
   root.append(details, el("div.plan-ways", fresh, copy));
   const close = () => (details.open = false);
-  document.addEventListener("pointerdown", ({ target }) => details.contains(target) || close());
+  const inside = (target) => target instanceof Node && details.contains(target);
+  document.addEventListener("pointerdown", ({ target }) => inside(target) || close());
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "Escape" || !details.open) return;
-    if (details.contains(target)) heading.focus();
+    if (inside(target)) heading.focus();
     close();
   });
 
@@ -30,7 +31,8 @@ export function mountPlan(root, context, fleet, acts) {
   }
   for (const [family, members] of context.families) list(family, members);
   context.on("task", (task) => list(task.family, [task]));
-  for (const pilot of context.pilots) pilots.append(pilotRow(pilot));
+  const rows = context.pilots.map(pilotRow);
+  pilots.append(...rows.map(({ row }) => row));
 
   function taskOption(task, family) {
     const input = el("input", {
@@ -60,7 +62,8 @@ export function mountPlan(root, context, fleet, acts) {
       on: { change: () => choosePilots(withOrWithout(chosen(), pilot.id)) },
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
-    return el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
+    const row = el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
+    return { pilot, row, name, box, about };
   }
 
   const isPast = () => Boolean(stage.world) && !fleet.shown;
@@ -69,7 +72,7 @@ export function mountPlan(root, context, fleet, acts) {
   function choosePilots(ids) {
     // The next arrow key is for the drone, not for this button.
     if (ids.includes(fleet.person.id)) {
-      document.activeElement.blur();
+      leaveFocus();
       close();
     }
     acts.start({ pilots: ids }).finally(update);
@@ -94,16 +97,15 @@ export function mountPlan(root, context, fleet, acts) {
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
     copy.disabled = past && !stage.track.episode;
     pilots.dataset.many = String(setup.pilots.length > 1);
-    for (const row of pilots.querySelectorAll(".pilot")) {
-      const [name, box, about] = row.children;
-      const able = fleet.flies(box.value, task);
-      box.checked = !past && setup.pilots.includes(box.value);
+    for (const { pilot, row, name, box, about } of rows) {
+      const able = fleet.flies(pilot.id, task);
+      box.checked = !past && setup.pilots.includes(pilot.id);
       const last = box.checked && setup.pilots.length === 1;
       name.disabled = !able;
       name.setAttribute("aria-pressed", String(box.checked));
       box.disabled = !able || last || (!box.checked && setup.pilots.length >= context.most);
       row.classList.toggle("unable", !able);
-      setText(about, able ? fleet.pilot(box.value).summary : "no network for this task");
+      setText(about, able ? pilot.summary : "no network for this task");
     }
     if (!typing()) seed.value = map;
   }

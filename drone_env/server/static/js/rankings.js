@@ -5,7 +5,7 @@ import { fixed, percent, points, shortened, signed, title, who } from "./format.
 /**
  * A table that scrolls if it is larger than its place.
  *
- * @param {[string, (row: any) => Node|string, boolean?][]} columns Name, content, whether it is a number.
+ * @param {any[][]} columns Name, content, whether it is a number.
  * @param {(row: any) => Node|null} [below] Details that a row has opened.
  */
 export function grid(caption, columns, rows, below = () => null) {
@@ -67,7 +67,7 @@ const opener = (open, key, ...contents) =>
   el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
 
 /**
- * @param {Object} board From `GET /leaderboard/{task_name}`.
+ * @param {Answer<"Leaderboard">} board From `GET /leaderboard/{task_name}`.
  * @param {string[]} chosen One pilot has its maps open; two are compared.
  * @param {Node|null} maps The maps of the chosen pilot.
  */
@@ -100,7 +100,6 @@ export function leaderboard(context, board, chosen, maps, choose) {
     ["Steps", (row) => fixed(row.steps, 1), true],
     ["Maps", counted, true],
     ["Flights", (row) => String(row.flights), true],
-    ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
   ];
   const how = "Click a name to open its maps. Tick two pilots to compare them over their common maps.";
   const forks = board.forks ? ` Forks are not counted: ${board.forks}.` : "";
@@ -116,7 +115,7 @@ export function leaderboard(context, board, chosen, maps, choose) {
 /**
  * The maps of a pilot, largest loss first, with a button that opens the flight.
  *
- * @param {Object[]} maps From `GET /leaderboard/{task_name}/maps`.
+ * @param {Answer<"AgentMap">[]} maps From `GET /leaderboard/{task_name}/maps`.
  */
 export function mapsOf(context, name, maps) {
   const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
@@ -153,7 +152,7 @@ const OF_MODELS = [
   ["Tokens", (row) => figure(row.tokens), true],
 ];
 
-/** Runs of agents and language models, one board per set of maps. */
+/** Runs of agents and language models, one board per set of maps. @param {Context} context */
 export function runsOf(context, { boards, unranked }) {
   const columns = [
     ["Pilot", (row) => named(context, row.agent, row.prompt ? ` by ${row.prompt}` : "")],
@@ -190,11 +189,11 @@ const gap = (difference) => signed(difference === null ? null : difference * 100
 /**
  * Two pilots over their common maps.
  *
- * @param {Object} answer From `GET /paired/{task_name}`.
+ * @param {Answer<"Pairing">} answer From `GET /paired/{task_name}`.
  */
 export function paired(context, task, answer, pilots, rows) {
   const [a, b] = pilots.map((agent) => who(context, agent));
-  const head = el("h2", { text: `${a} against ${b}` });
+  const head = el("h2", named(context, pilots[0]), " against ", named(context, pilots[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
   const ours = pilots.every((pilot) => rows.some(({ agent, kind }) => agent === pilot && kind === "pilot"));
@@ -235,7 +234,7 @@ export function paired(context, task, answer, pilots, rows) {
   ];
 }
 
-/** Pilots of the address that have not flown the task, with a button that lets all pilots of the address fly it. */
+/** Pilots of the address that have not flown the task, with a button that lets all pilots of the address fly it. @param {Context} context */
 export function unflown(context, task, missing, pilots) {
   const able = pilots.filter((agent) => context.pilots.some(({ id, tasks }) => id === agent && tasks.includes(task.id)));
   const fly = () => context.router.go({ view: "fly", task: task.short_name, pilots: able });

@@ -7,23 +7,7 @@ const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 /** Milliseconds between two changes of a history entry: Safari allows 100 in 30 s. */
 const PAUSE = 400;
 
-/**
- * @typedef {Object} Address Missing parts are null or an empty list.
- * @property {string} view One of `VIEWS`.
- * @property {string|null} task Short name, id or grader.
- * @property {number|string|null} seed The server rejects anything but a map number.
- * @property {string|null} profile
- * @property {string[]} pilots Also the compared pilots in Compare.
- * @property {string|null} episode A stored flight.
- * @property {number|null} step The moment; by default the start of a stored flight and the newest step of a live one.
- * @property {number|null} fork The step at which the last pilot leaves the flight of `of`.
- * @property {string|null} actions All actions of the fork, or of the visitor's flight: one letter each.
- * @property {string|null} of The pilot before the fork; without a fork, the visitor as the record names him.
- * @property {number|null} lesson From 1.
- * @property {string[]} unread Parts with invalid values.
- *
- * Events: "address" (address) the page shows another address.
- */
+/** Events: "address" (address) the page shows another address. */
 export class Router extends Emitter {
   constructor() {
     super();
@@ -137,9 +121,11 @@ function read({ search }) {
     return value !== null && Number.isSafeInteger(Number(value)) ? Number(value) : value;
   };
   const unread = [];
+  /** @returns {number|null} */
   const count = (name, least = 0) => {
     const value = number(name);
-    if (value === null || (Number.isInteger(value) && value >= least)) return value;
+    if (value === null) return null;
+    if (typeof value === "number" && value >= least) return value;
     unread.push(`${name}=${value}`);
     return null;
   };

@@ -1,14 +1,7 @@
 // The state of Fly: a map, its flights, a common clock and the selected flight.
 import { Emitter, nextFrame } from "./base.js";
 
-/**
- * @typedef {Object} World The map.
- * @property {Object} task From `GET /tasks`. @property {number} seed @property {string} profile
- * @property {number} width @property {number} height @property {number} maxSteps @property {number} capacity Of the battery.
- * @property {number[][]} cells Kinds of the cells at the start, [y][x]. @property {number[][]} parcels [x, y] of each.
- */
-
-/** @returns {World} */
+/** @param {Answer<"FlightHeader">} opening @param {Answer<"TaskInfo">[]} tasks @returns {World} */
 export function worldOf(opening, tasks) {
   return {
     task: tasks.find((task) => task.id === opening.task),
@@ -117,9 +110,9 @@ export class Stage extends Emitter {
     super();
     /** @type {World|null} */
     this.world = null;
-    /** @type {import("./track.js").Track[]} */
+    /** @type {Track[]} */
     this.tracks = [];
-    /** The live flights. @type {import("./track.js").Track[]} */
+    /** The live flights. @type {Track[]} */
     this.followed = [];
     this.selected = 0;
     this.clock = new Clock(

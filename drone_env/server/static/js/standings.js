@@ -4,6 +4,7 @@ import { outcome, points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Possible", true], ["Lost", true]];
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountStandings(root, { stage }) {
   const body = el("tbody");
   const note = el("p.note", { id: "standings-note" });
@@ -44,7 +45,7 @@ export function mountStandings(root, { stage }) {
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
       const focused = document.activeElement;
       body.replaceChildren(...ranked.map(({ node }) => node));
-      if (body.contains(focused)) focused.focus();
+      if (focused instanceof HTMLElement && body.contains(focused)) focused.focus();
     }
     setText(note, describe());
   }

@@ -1,8 +1,9 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
-import { announce, el, setText } from "./dom.js";
+import { announce, el, leaveFocus, setText } from "./dom.js";
 import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 
+/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
   let worst = null;
@@ -111,11 +112,11 @@ function nextTask(families, task) {
   return group[(group.indexOf(task) + 1) % group.length];
 }
 
-/** Continues a failed flight from the last step at which all parcels could still be delivered. */
+/** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Fleet} fleet */
 function tryAgain({ stage }, fleet, acts) {
-  const { annotation, by, forkedAt, pilot } = stage.track;
+  const { annotation, unnamed: by, forkedAt, pilot } = stage.track;
   const step = annotation.rescue_step ?? 0;
-  document.activeElement.blur();
+  leaveFocus();
   if (fleet.pilot(pilot).automatic || forkedAt !== null) {
     stage.clock.goTo(step);
     acts.fork();
@@ -134,6 +135,6 @@ function goOn(context, fleet, acts) {
   const pilots = able.length ? able : fleet.able(next).slice(0, 1);
   acts.start({ task: next.short_name, seed: null, pilots });
   // The focus moves to Start; if the visitor flies, the keys are for the drone.
-  if (pilots.includes(fleet.person.id)) document.activeElement.blur();
+  if (pilots.includes(fleet.person.id)) leaveFocus();
   else document.getElementById("start").focus();
 }

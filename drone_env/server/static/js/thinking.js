@@ -5,6 +5,7 @@ import { ARROWS, fixed, isLost, points } from "./format.js";
 const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loss", true]];
 const ACTIONS = ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"];
 
+/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountThinking(root, context, fleet, acts) {
   const { stage } = context;
   const rows = ACTIONS.map((action) => {
@@ -15,14 +16,13 @@ export function mountThinking(root, context, fleet, acts) {
   });
   const body = el("tbody", ...rows.map(({ node }) => node));
   const shown = table("table.table.thoughts", { id: "q-values" }, "Each move from here", COLUMNS, body);
-  const lead = el("p.note", { id: "confidence" });
   const ask = el("button.button.small", {
     id: "ask-values",
     text: "Show values",
     title: "The record then notes that you flew with values",
     press: () => fleet.help(),
   });
-  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown, lead);
+  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown);
 
   /** Plays a move: continues the visitor's own flight, or forks another one. */
   function play(action) {
@@ -48,15 +48,6 @@ export function mountThinking(root, context, fleet, acts) {
       name.disabled = frame.done;
     }
     ask.hidden = !context.secret(track);
-    setText(lead, frame.done ? "" : describe(network));
-  }
-
-  /** The gap between the network's first and second choice. */
-  function describe(network) {
-    if (!ask.hidden) return "Values are hidden while you fly.";
-    if (!network) return "No network values single moves here: Tournet values whole tours. Network mistakes (E) marks its moves that lose points.";
-    const [a, b] = ACTIONS.filter((action) => action in network).sort((x, y) => network[y] - network[x]);
-    return `The network's ${a} leads ${b} by ${fixed(network[a] - network[b], 3)}.`;
   }
 
   stage.on("change", draw);

@@ -10,6 +10,7 @@ const ASIDE = 1.5;
 /** The minimum width of the graph in steps. */
 const SHORTEST = 10;
 
+/** @param {HTMLElement} root @param {Context} context */
 export function mountTimeline(root, context) {
   const { stage } = context;
   const canvas = el("canvas.timeline-graph", { "aria-hidden": "true" });
@@ -38,7 +39,7 @@ export function mountTimeline(root, context) {
     const y = (value) => ROOM.top + ((high - value) / (high - low)) * (height - ROOM.top - ROOM.bottom);
     drawEvents(ctx, track, x, height);
     tracks.forEach((one, i) => drawLine(ctx, one, x, y, (i - stage.selected) * ASIDE, one === track));
-    drawMarks(ctx, track, x, y, height);
+    drawMarks(ctx, track, x, y);
     ctx.fillStyle = colourOf("--ink");
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
     if (tracks.some(isKnown)) drawScale(ctx, y, [low, high], width);

@@ -1,26 +1,26 @@
 // The flight of one drone.
 
-/**
- * @typedef {Object} Flown A flight from the server.
- * @property {Object} opening Its pilot and map.
- * @property {Object[]} frames Frame 0 is the start; then one per step.
- */
+const PERSON = /^human \((.+?)\)/;
+
 export class Track {
-  /** @param {Flown} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
+  /** @param {Answer<"EpisodeView">} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
   constructor({ opening, frames }, { name, colour }, live = false) {
     this.opening = opening;
     this.pilot = opening.pilot;
     /** The agent of the record: one pilot, or several in sequence. */
     this.by = opening.by;
-    this.called = name;
+    /** In flights of this page the visitor is "You". */
+    this.called = (live ? null : opening.by.match(PERSON)?.[1]) ?? name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
-    /** The answer of `POST /annotate`, or null. */
+    /** The answer of `POST /annotate`, or null. @type {Answer<"AnalysedFlight">|null} */
     this.annotation = null;
+    /** Its record, once it is loaded. */
+    this.record = null;
     /** The summary of the stored flight, or null. */
     this.episode = null;
     /** The calls of a language model by step, or null; a retry is one more call. */
@@ -33,6 +33,11 @@ export class Track {
   /** The pilot's name, and the step of a fork. */
   get name() {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
+  }
+
+  /** The agent of the record without the name that a person chose. */
+  get unnamed() {
+    return this.by.replace(PERSON, "human");
   }
 
   /** Whether the visitor turned the values on while flying. */

@@ -1,0 +1,80 @@
+// What a drawn map is worth: the server computes its optimum after each change.
+import { ApiError } from "./api.js";
+import { Emitter } from "./base.js";
+import { el, setText } from "./dom.js";
+import { points } from "./format.js";
+
+/** Milliseconds until the next request to a busy server. */
+const AGAIN = 2000;
+/** Milliseconds until the page stops showing the optimum of the map before. */
+const LATE = 400;
+
+/** Events: "answer" (wrong) another answer is shown, or none while the server computes; why the map is invalid, or null. */
+export class Worth extends Emitter {
+  /** @param {Context} context @param {import("./drawing.js").Drawing} drawing */
+  constructor({ api }, drawing) {
+    super();
+    this.api = api;
+    this.drawing = drawing;
+    /** The answer of `POST /maps/worth`, with the parcels of that map; null until it arrives. */
+    this.answer = null;
+    this.asking = false;
+    /** The map of the next request, or null. */
+    this.newest = null;
+    this.score = el("strong.hero-number", { id: "map-optimum", text: "–" });
+    this.note = el("span.hero-note", { id: "map-note" });
+    this.problem = el("p.problem", { role: "alert", hidden: true });
+    this.root = el("div.score-main", { role: "status" }, el("span.eyebrow", { text: "Optimum" }), this.score, this.note);
+  }
+
+  /** Asks for the present map: one request at a time, then one for the newest map. */
+  async ask() {
+    this.newest = this.drawing.map;
+    this.score.classList.add("waiting");
+    if (this.asking) return;
+    this.asking = true;
+    while (this.newest) {
+      const late = setTimeout(() => this.show(null, null), LATE);
+      const sent = this.newest;
+      const parcels = sent.parcels.length;
+      this.newest = null;
+      let answer = null;
+      let wrong = null;
+      try {
+        answer = await this.api.post("maps/worth", sent);
+      } catch (error) {
+        if (!(error instanceof ApiError)) throw error;
+        wrong = error.message;
+        if (error.status === 503) setTimeout(() => sent === this.drawing.map && this.ask(), AGAIN);
+      }
+      clearTimeout(late);
+      // The visitor may have opened another map.
+      if (sent === this.drawing.map) this.show(answer && { ...answer, parcels }, wrong);
+    }
+    this.asking = false;
+    this.score.classList.remove("waiting");
+  }
+
+  /** Shows an answer, or why there is none; both null while the server computes. */
+  show(answer, wrong) {
+    this.answer = answer;
+    const { optimum, bounds, parcels } = answer ?? {};
+    setText(this.score, optimum ? points(optimum.score) : "–");
+    setText(this.note, answer ? inWords(optimum, bounds, parcels) : wrong === null ? "Computing …" : "");
+    this.problem.hidden = wrong === null;
+    setText(this.problem, wrong ?? "");
+    this.emit("answer", wrong);
+  }
+}
+
+/** The optimum in words. */
+function inWords(optimum, bounds, parcels) {
+  if (!optimum) {
+    if (!bounds) return "This map is too large for the exact solver.";
+    const [least, most] = bounds.map((bound) => points(bound));
+    return `This map is too large for the exact solver: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
+  }
+  const steps = optimum.steps === 1 ? "step" : "steps";
+  if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
+  return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
+}

@@ -1,0 +1,95 @@
+// Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
+import { recall, remember } from "./base.js";
+import { el, fact } from "./dom.js";
+import { points } from "./format.js";
+
+const NAME = "drone-env-name";
+const BEST = "drone-env-best";
+/** Maps whose best score is kept. */
+const KEPT = 200;
+/** @type {Intl.DateTimeFormatOptions} */
+const DAY = { day: "numeric", month: "long", timeZone: "UTC" };
+
+/** The name that the visitor chose, or null. The server accepts no other form. */
+export const nameOf = () => recall(NAME)?.match(/^[\p{L}\p{N}_-]{1,20}$/u)?.[0] ?? null;
+
+/** The visitor's best results: lists of map, score, optimum, pilot of the network and its score; oldest first. */
+function results() {
+  try {
+    return JSON.parse(recall(BEST)).filter(([map, score]) => typeof map === "string" && score <= 1);
+  } catch {
+    return [];
+  }
+}
+
+export function mountByHand(root, { api, stage }, fleet, acts) {
+  let [today, best, drawn] = [null, null, ""];
+  const head = el("h2.eyebrow");
+  const figures = el("dl.by-hand");
+  const list = el("ol.best-today");
+  const field = el("input.input", {
+    id: "name",
+    maxlength: "20",
+    pattern: "[\\p{L}\\p{N}_\\-]*",
+    title: "Letters, digits, _ and -; used from your next flight on",
+    autocomplete: "nickname",
+    value: nameOf() ?? "",
+    on: { change: rename },
+  });
+  root.append(head, figures, list, el("label.name-field.eyebrow", "Your name", field));
+
+  const map = () => `${stage.world.task.id} ${stage.world.seed}`;
+  const own = () => (fleet.shown ? fleet.tracks[fleet.human] : undefined);
+
+  function rename() {
+    field.value = field.value.trim();
+    if (!field.reportValidity()) return;
+    remember(NAME, field.value);
+    if (fleet.mine?.steps === 0) acts.reset();
+  }
+
+  /** Keeps the result of a flight without values, undo and forks. */
+  function keep({ annotation, unnamed, pilot }) {
+    if (!annotation || unnamed !== pilot || best?.[1] >= annotation.score) return;
+    best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
+    remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
+  }
+
+  function draw() {
+    const { world, track } = stage;
+    const day = world && today?.task === world.task.short_name && today.seed === world.seed ? today : null;
+    root.hidden = !day && !best && !own();
+    if (root.hidden) return;
+    if (own()) keep(own());
+    const { score, optimal_score: optimum, network, network_score } = track.annotation ?? {};
+    const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
+    const shown = [
+      [track.name, score],
+      ["Your best", best?.[1]],
+      ["Possible", optimum ?? best?.[2]],
+      [fleet.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
+      ["Best today", day?.best[0]?.score],
+    ];
+    const now = JSON.stringify([title, shown, day?.best]);
+    if (now === drawn) return;
+    drawn = now;
+    // Who has flown the map may see how others flew it.
+    const look = (id, text) => (best ? el("a", { href: `?episode=${id}`, text }) : text);
+    const row = ({ id, name, score, steps }) => el("li", look(id, name ?? "A person"), ` ${points(score)}, ${steps} steps`);
+    head.textContent = title;
+    figures.replaceChildren(...shown.filter(([, value]) => Number.isFinite(value)).map(([name, value]) => fact(name, points(value))));
+    list.replaceChildren(...(day?.best ?? []).map(row));
+  }
+
+  /** Without an answer, the page shows the list that it has. */
+  async function ask() {
+    if (!own()) return;
+    today = await api.get("today").catch(() => today);
+    draw();
+  }
+
+  stage.on("load", () => (best = results().find(([one]) => one === map()) ?? null));
+  stage.on("change", draw);
+  for (const event of ["begun", "ended"]) fleet.on(event, ask);
+  draw();
+}

@@ -1,0 +1,105 @@
+"""The map of the day and its list, and the names that people choose."""
+
+import re
+from datetime import date, datetime, timedelta, timezone
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.core.actions import Action
+from drone_env.core.seeds import SPLITS
+from drone_env.planning.optimal import solve
+from drone_env.server.map_choice import DAILY, map_of_the_day
+from tests.api.live_page import directions, flown, open_page
+
+NOON = datetime(2026, 11, 26, 12, tzinfo=timezone.utc)
+
+
+@pytest.fixture(autouse=True)
+def _same_day(monkeypatch: pytest.MonkeyPatch) -> None:  # pyright: ignore[reportUnusedFunction]
+    monkeypatch.setattr("drone_env.server.map_choice.today", NOON.date)
+
+
+def best(client: TestClient) -> list[tuple[Any, ...]]:
+    return [(row["name"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
+
+
+def test_a_day_has_one_map_and_each_task_comes_in_turn() -> None:
+    days = [date(2026, 11, 26) + timedelta(days) for days in range(len(DAILY))]
+    maps = [map_of_the_day(day) for day in days]
+    assert {task for task, _ in maps} == set(DAILY)
+    assert [seed for _, seed in maps] == [20261126, 20261127, 20261128]
+    assert all(seed in range(SPLITS["train"].start, SPLITS["train"].stop) for _, seed in maps)
+
+
+def test_the_front_page_flies_the_map_of_the_day(shared_client: TestClient) -> None:
+    today = shared_client.get("/today").json()
+    assert (today["task"], today["seed"]) == map_of_the_day(NOON)
+    (query,) = re.findall(r'href="\?([^"]*)">Map of the day, (?:\d+ \w+)<', shared_client.get("/").text)
+    assert query.split("&amp;") == [f"task={today['task']}", f"seed={today['seed']}", "pilot=human"]
+
+
+def test_the_list_has_the_best_flight_of_each_name_flown_without_help(client: TestClient) -> None:
+    today = client.get("/today").json()
+    task, seed, store = today["task"], today["seed"], client.app.state.shared.store  # pyright: ignore
+    optimum, weak = solve(task, seed), flown(task, "greedy", seed=seed)
+    moves = [Action(action).name for action in optimum.actions]
+    with open_page(client) as page:
+        for name, actions in (("Ada", directions(weak)), ("Ada", moves), ("Grace", moves), (None, moves)):
+            # The last move is flown by hand.
+            own = {"actions": actions[:-1], "step": 0, "of": "human (Eve)"}
+            page.start("human", task=task, seed=seed, fork=own, name=name)
+            page.send("fly", direction=actions[-1])
+            agent = page.until("ended")["episode"]["agent"]
+            assert agent == (f"human ({name})" if name else "human")
+    first, unnamed = (optimum.score, optimum.steps), (None, optimum.score, optimum.steps)
+    assert best(client) == [("Ada", *first), ("Grace", *first), unnamed]
+    helped = (
+        "human with values",
+        "human (Bob) with undo",
+        "human (Bob) from step 3 of human (Ada)",
+        "human (Bob) (Ada)",
+    )
+    for agent in (*helped, "optimal", "humans", *(f"human (n{number})" for number in range(20))):
+        store.add_episode(weak, agent)
+    store.add_episode(flown(task, "greedy", seed=seed + 1), "human (Other)")
+    assert best(client)[:3] == [("Ada", *first), ("Grace", *first), unnamed]
+    assert best(client)[3:] == [(f"n{number}", weak.score, weak.steps) for number in range(7)]
+    assert store.best(task, seed, "human", datetime.now(timezone.utc).timestamp() + 60, 10) == []
+
+
+HOSTILE = [
+    "",
+    "a" * 21,
+    "a b",
+    "Ada)",
+    "(Ada",
+    "<b>",
+    "a\n",
+    "\u202eada",
+    "z\u0335",
+    "greedy",
+    "PathQNet",
+    "ＹＯＵ",
+    "optimum",
+    7,
+]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_name_is_one_short_word_and_not_that_of_a_pilot(shared_client: TestClient, name: object) -> None:
+    with open_page(shared_client) as page:
+        page.send("start", task="easy", seed=7, pilots=["human"], name=name)
+        assert page.until("error")["code"] == "invalid_request"
+
+
+def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
+    with open_page(shared_client) as page:
+        flights = page.start("greedy", "human", name="Åsa_7-語")
+        assert [flight["opening"]["by"] for flight in flights] == ["greedy", "human (Åsa_7-語)"]
+        assert flights[1]["opening"]["pilot"] == "human"
+        page.send("undo", flight=1)
+        page.until("error")
+        page.send("help", flight=1)
+        assert page.until("helped")["by"] == "human (Åsa_7-語) with values"

@@ -1,0 +1,91 @@
+"""Reasons to come back: the map of the day, the visitor's name and best score; and the values of a cell."""
+
+from datetime import datetime, timezone
+
+from playwright.sync_api import Page, expect
+
+from drone_env.models import DIRECTIONS
+from drone_env.planning.optimal import solve
+from drone_env.server.map_choice import map_of_the_day
+from tests.api.serving import Server
+from tests.browser.flights import flown, get
+from tests.browser.shown import expect_step, points
+from tests.browser.stage import ended, over, until
+from tests.browser.test_several import KEYS
+
+
+def figures(page: Page) -> dict[str, str]:
+    rows = page.locator(".by-hand div").all_inner_texts()
+    return dict(row.split("\n") for row in rows)
+
+
+def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_best_score(
+    page: Page, server: Server
+) -> None:
+    task, seed = map_of_the_day(datetime.now(timezone.utc))
+    best = solve(task, seed)
+    field, entry = page.locator("#name"), page.locator(".best-today li")
+    # Junk in the storage is no name and no result.
+    page.evaluate("localStorage['drone-env-name'] = '<b>'; localStorage['drone-env-best'] = '[[1], 7, null]'")
+    over(page, seed, f"/?task={task}&seed={seed}&pilot=human")
+    field.fill("not a name")
+    field.press("Enter")
+    assert page.evaluate("localStorage['drone-env-name']") == "<b>"
+    field.fill(" undo ")
+    field.press("Enter")
+    page.locator("#step-counter").click()
+    for action in best.actions:
+        page.keyboard.press(KEYS[DIRECTIONS[action]])
+    ended(page)
+    expect(entry).to_have_text([f"undo {points(best.score)}, {best.steps} steps"])
+    network = points(flown(task, seed, "tournet").score)
+    score = points(best.score)
+    shown = {"You": score, "Your best": score, "Possible": score, "Tournet": network, "Best today": score}
+    until(page, lambda: figures(page) == shown)
+    (stored,) = get(server, "episodes", task=task, seed=seed)["episodes"]
+    assert stored["agent"] == "human (undo)"
+    # The name is not mistaken for help, and a stored flight shows it.
+    entry.get_by_role("link", name="undo", exact=True).click()
+    expect(page).to_have_url(f"{server.url}/?episode={stored['id']}")
+    expect(page.locator("#results-title")).to_have_text("undo: All parcels delivered.")
+    over(page, seed, f"/?task={task}&seed={seed}&pilot=greedy")
+    until(
+        page, lambda: figures(page) == {"Your best": score, "Possible": score, "Tournet": network, "Best today": score}
+    )
+    # Any other name of a pilot is refused, and the page says so.
+    over(page, 7, "/?task=easy&seed=7&pilot=human")
+    field.fill("greedy")
+    field.press("Enter")
+    expect(page.get_by_role("alert").filter(has_text="name of a pilot")).to_be_visible()
+    expect(entry).to_have_count(0)
+
+
+def test_a_cell_shows_the_value_of_each_action_and_a_scale(page: Page, server: Server) -> None:
+    over(page, 152, "/?task=skyline_easy&seed=152&pilot=greedy")
+    expect_step(page, 0, 60)
+    # Without any layer, the moves from here have their values.
+    expect(page.locator("#q-values tr.best")).not_to_have_count(0)
+    values = server.client.post("/values", json={"task": "skyline_easy", "seed": 152}).json()
+    x, y = values["position"]
+    rows = [value for row in values["cells"]["values"] for value in row if value is not None]
+    page.keyboard.press("v")
+    try:
+        expect(page.locator(".scale")).to_have_text(f"{points(max(rows))} possiblelost {points(max(rows) - min(rows))}")
+        air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
+        box = air.bounding_box()
+        assert box
+        signs, best = "↑↓←→•", values["value"]
+        q_values = zip(signs, values["cells"]["q_values"][y][x], strict=True)
+        lost = [
+            (sign, value, f", loses {points(best - value)}" if best - value > 0.0005 else "")
+            for sign, value in q_values
+        ]
+        wanted = [f"{sign} {points(value)}{loses}" for sign, value, loses in lost]
+        said: list[list[str]] = []
+        for row in range(16):
+            for column in range(16):
+                page.mouse.move(box["x"] + box["width"] * column / 16, box["y"] + box["height"] * row / 16)
+                said.append(note.inner_text().split("\n")[1:] if note.is_visible() else [])
+        assert wanted in said
+    finally:
+        page.keyboard.press("v")

@@ -1,0 +1,144 @@
+// Types of the page's scripts that their own comments do not contain.
+
+/** The server's JSON, from `/openapi.json`; `make check` writes the file. */
+type Answer<Name extends keyof import("./api").components["schemas"]> = import("./api").components["schemas"][Name];
+
+/** The element that `el(tag)` makes: `button.primary` is a button. */
+type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
+  ? Made<Name>
+  : Tag extends keyof HTMLElementTagNameMap
+    ? HTMLElementTagNameMap[Tag]
+    : HTMLElement;
+
+/** The elements of index.html. */
+interface Document {
+  getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
+  getElementById(
+    id: "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button"
+      | "theme-button" | "toasts" | "view-fly" | "view-title",
+  ): HTMLElement;
+}
+
+/** Of the vendored Swagger UI. */
+declare const SwaggerUIBundle: (options: object) => void;
+
+type Emitter = import("../../drone_env/server/static/js/base.js").Emitter;
+type Fleet = import("../../drone_env/server/static/js/fleet.js").Fleet;
+type Stage = import("../../drone_env/server/static/js/stage.js").Stage;
+type Track = import("../../drone_env/server/static/js/track.js").Track;
+
+/** The shared state of the page. Events, sent after a change: "view" (name), "theme" (name), "layers", "camera", "task" (new task). */
+interface Context extends Emitter {
+  /** The address of the page. */
+  router: import("../../drone_env/server/static/js/router.js").Router;
+  /** HTTP calls. */
+  api: ReturnType<typeof import("../../drone_env/server/static/js/api.js").createApi>;
+  /** The socket. */
+  live: import("../../drone_env/server/static/js/live.js").Live;
+  tasks: Answer<"TaskInfo">[];
+  /** The tasks by family. */
+  families: Map<string, Answer<"TaskInfo">[]>;
+  pilots: Answer<"PilotInfo">[];
+  /** The maximum number of pilots of a flight. */
+  most: number;
+  kinds: Answer<"KindInfo">[];
+  /** The map, the flights and the moment of Fly. */
+  stage: Stage;
+  camera: import("../../drone_env/server/static/js/camera.js").Camera;
+  view: string;
+  /** Whether a visitor flies it. */
+  byHand(track: Track): boolean;
+  /** Whether values are hidden: a visitor flies without them. */
+  secret(track: Track): boolean;
+  /** Whether a layer is shown. */
+  shows(id: string): boolean;
+  showLayer(id: string, shown: boolean): void;
+  /** Loads the task of a drawn map, which `/tasks` does not list. */
+  meet(name: string | null): Promise<void>;
+}
+
+/** The state of the page. Missing parts are null or an empty list. */
+interface Address {
+  view: string;
+  /** Short name, id or grader. */
+  task: string | null;
+  /** The server rejects anything but a map number. */
+  seed: number | string | null;
+  profile: string | null;
+  /** Also the compared pilots in Compare. */
+  pilots: string[];
+  /** A stored flight. */
+  episode: string | null;
+  /** The moment; by default the start of a stored flight and the newest step of a live one. */
+  step: number | null;
+  /** The step at which the last pilot leaves the flight of `of`. */
+  fork: number | null;
+  /** All actions of the fork, or of the visitor's flight: one letter each. */
+  actions: string | null;
+  /** The pilot before the fork; without a fork, the visitor as the record names him. */
+  of: string | null;
+  /** From 1. */
+  lesson: number | null;
+  /** Parts with invalid values. */
+  unread: string[];
+}
+
+/** The map. */
+interface World {
+  task: Answer<"TaskInfo">;
+  seed: number;
+  profile: string;
+  width: number;
+  height: number;
+  maxSteps: number;
+  /** Of the battery. */
+  capacity: number;
+  /** Kinds of the cells at the start, [y][x]. */
+  cells: number[][];
+  /** [x, y] of each. */
+  parcels: number[][];
+}
+
+/** The position of the grid in the window, in device pixels. */
+interface Layout {
+  /** Side of a cell, whole. */
+  cell: number;
+  /** Corner of cell [0, 0]. */
+  left: number;
+  top: number;
+  /** Device pixels per CSS pixel. */
+  scale: number;
+  /** Whether the numbers of columns and rows fit. */
+  labels: boolean;
+}
+
+interface Layer {
+  id: string;
+  /** "air" is drawn in every animation frame, the others on change. */
+  place: "ground" | "cells" | "air";
+  /** The label of its switch; a layer without a name is always shown. */
+  name?: string;
+  key?: string;
+  hint?: string;
+  /** Whether it is shown until the visitor chooses. */
+  on?(context: Context): boolean;
+  /** Whether it needs `POST /values`. */
+  needsValues?: boolean;
+  /** Whether it has something to show. */
+  when?(stage: Stage): boolean;
+  draw(ctx: CanvasRenderingContext2D, view: any): void;
+}
+
+/** The numbers in its text are exact. */
+interface Lesson {
+  title: string;
+  text: string;
+  /** Its map and pilot. */
+  address: Partial<Address>;
+  /** At most ten. */
+  goals: { text: string; done(stage: Stage): boolean }[];
+}
+
+/** The states of the live flights, which fleet_states.js explains, and what leads from one to another. */
+type FleetState = "idle" | "playing" | "starting" | "launching" | "interrupted" | "attaching" | "returning";
+type FleetCause = "start" | "launch" | "pause" | "rest" | "attach" | "lost" | "flights" | "refused" | "plays" | "pauses";
