@@ -33,6 +33,8 @@ def draw(results: dict[str, Any]) -> Figure:
             steps = [row["step"] * answers / log[-1]["step"] / 1000 for row in log]
             losses.plot(steps, [row["loss"] for row in log], label=name)
     losses.set(yscale="log", xlabel="thousand answers", ylabel="loss per token")
+    losses.yaxis.set_major_formatter("{x:g}")
+    losses.yaxis.set_minor_formatter("{x:g}")
     runs = {kind: sorted(name for name in results if name.startswith(f"grpo-{kind}-")) for kind in COLOURS}
     for kind, names in runs.items():
         for name in names:
