@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import SecretStr
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -103,21 +104,15 @@ def test_news_of_the_server(client: TestClient, settings: dict[str, Any]) -> Non
         assert episode["regret"] == episode["optimal_score"] - episode["score"]
 
 
-class TestToken:
-    @pytest.fixture
-    def settings(self, tmp_path: Path) -> dict[str, Any]:
-        return {"data": tmp_path, "token": "s3cret/+?"}
-
-    def test_a_page_offers_the_token_as_a_subprotocol(self, client: TestClient) -> None:
+def test_the_page_is_open_and_offers_the_token_as_a_subprotocol(tmp_path: Path) -> None:
+    with TestClient(create_app(Settings(data=tmp_path, token=SecretStr("s3cret/+?")))) as client:
         offered = base64.urlsafe_b64encode(b"s3cret/+?").decode().rstrip("=")
         with client.websocket_connect("/live", subprotocols=["drone-env", f"bearer.{offered}"]) as socket:
             assert socket.accepted_subprotocol == "drone-env"
             assert Page(socket).start("greedy")
-        wrong = ["drone-env", "bearer.wrong"]
+        wrong = ["drone-env", "bearer.d3Jvbmc"]
         with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live", subprotocols=wrong):
             raise AssertionError("opened")
-
-    def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
         assert client.get("/").status_code == 200
         edition = "/static/v-0123456789abcdef"
         assert client.get(f"{edition}/js/main.js").status_code == 200

@@ -2,7 +2,6 @@
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`. Its body contains:
 - `pilot`: perfect, greedy, plan, able (perfect or greedy, as the prompt allows), or a text to answer with.
-- `repair`: the same, for repair prompts.
 - `latency`: seconds.
 - `faults`: a list of [first, last, fault] by the number of the request from 0; the first match applies.
 """
@@ -114,8 +113,7 @@ def completion(script: dict, body: dict) -> dict:
     """What the pilot of the script says to a request."""
     texts = [message["content"] for message in body["messages"]]
     prompt = next(text for text in reversed(texts) if "Position:" in text)
-    pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
-    message = {"role": "assistant", "content": reply(pilot, prompt), **script.get("message", {})}
+    message = {"role": "assistant", "content": reply(script["pilot"], prompt), **script.get("message", {})}
     in_json = json.dumps({"direction": message["content"]})
     if body.get("tools"):
         function = {"name": body["tools"][0]["function"]["name"], "arguments": in_json}

@@ -4,15 +4,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.transcript import Transcript, read_calls
+from drone_env.llm.transcript import Transcript
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, verified, wait_until
-from .stored_run import Scripted, fly
 
 Start = Callable[..., Endpoint]
 
@@ -90,22 +88,3 @@ def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(endpoint: Start) 
         path.write_bytes(damaged)
         with pytest.raises(InvalidValueError, match=why):
             Transcript(path)
-
-
-def test_a_call_that_finds_no_room_leaves_no_half_line(tmp_path: Path) -> None:
-    resource = pytest.importorskip("resource")
-    call = fly(Scripted("greedy"), tmp_path / "run").calls[0]
-    path = tmp_path / "calls.jsonl"
-    transcript, limits = Transcript(path), resource.getrlimit(resource.RLIMIT_FSIZE)
-    transcript.append(call)
-    first, later = path.read_bytes(), call.model_copy(update={"turn": 2})
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(first) + 10, limits[1]))
-    try:
-        with pytest.raises(OSError, match="could not be written whole"):
-            transcript.append(later)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert path.read_bytes() == first
-    transcript.append(later)
-    transcript.close()
-    assert [written for _, written in read_calls(path)] == [call, later]

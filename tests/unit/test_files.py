@@ -12,7 +12,7 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.openstreetmap import import_city
 from drone_env.errors import DroneEnvError
-from drone_env.files import write_text
+from drone_env.files import append_line, write_text
 from drone_env.llm.prompt import read_prompt
 from drone_env.llm.run_folder import EpisodeIds, load_config, load_results
 from drone_env.llm.transcript import read_calls
@@ -103,6 +103,21 @@ def test_what_is_too_large_is_not_read(name: str, tmp_path: Path) -> None:
 def test_a_full_disk_is_reported_with_the_file() -> None:
     with pytest.raises(OSError, match="/dev/full"):
         write_text(Path("/dev/full"), "more")
+
+
+def test_a_line_that_finds_no_room_is_taken_back(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with (tmp_path / "lines").open("ab", buffering=0) as file:
+        append_line(file, "first")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10, limits[1]))
+        try:
+            with pytest.raises(OSError, match="could not be written whole"):
+                append_line(file, "second")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        append_line(file, "third")
+    assert (tmp_path / "lines").read_text() == "first\nthird\n"
 
 
 def test_what_is_no_file_is_written_to_and_not_replaced(tmp_path: Path) -> None:
