@@ -63,8 +63,8 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(strip.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
     expect(strip).to_contain_text(
         f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcels, "
-        f"{60 - last} battery units after {last} steps, a best flight ends with {annotation['optimal_battery']} "
-        f"battery units after {annotation['optimal_steps']} steps."
+        f"{60 - last} battery units after {last} steps, "
+        f"a best flight ends with {annotation['optimal_battery']} after {annotation['optimal_steps']}."
     )
     expect(strip).to_contain_text("What counts: parcels (80 points), then battery left (10) and steps left (10).")
     expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
@@ -92,6 +92,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
     # The graph leads to each moment.
     page.keyboard.press("Home")
+    slider(page).scroll_into_view_if_needed()
     bounds = slider(page).bounding_box()
     assert bounds
     page.mouse.click(bounds["x"] + bounds["width"] * worst / last, bounds["y"] + bounds["height"] / 2)

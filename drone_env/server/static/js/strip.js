@@ -92,9 +92,8 @@ function summary({ world }, { last, annotation, steps, done }) {
   const parts = [`Score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
   parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`);
-  const ends = (units, after) => `${units} battery units after ${after} steps`;
-  parts.push(ends(last.battery_units, steps));
-  if (annotation) parts.push(`a best flight ends with ${ends(annotation.optimal_battery, annotation.optimal_steps)}`);
+  parts.push(`${last.battery_units} battery units after ${steps} steps`);
+  if (annotation) parts.push(`a best flight ends with ${annotation.optimal_battery} after ${annotation.optimal_steps}`);
   return `${parts.join(", ")}.`;
 }
 
