@@ -97,7 +97,7 @@ def ended(page: Page) -> Locator:
     """The strip beside the map, once the flight has ended and is annotated."""
     strip = page.locator(".strip")
     expect(strip).to_be_visible()  # a hidden strip may be that of the flight before
-    expect(strip).to_contain_text("a best flight takes")
+    expect(strip).to_contain_text("a best flight ends with")
     return strip
 
 

@@ -42,8 +42,8 @@ from tests.browser.tabs import Tabs
 def expect_efficiency(page: Page, done: float, left: float) -> None:
     """The strip shows three shares with their weights, and their sum."""
     expect(page.locator("#efficiency-parts")).to_have_text(
-        f"Efficiency {fixed(75 * done + 25 * left, 1)} of 100: parcels delivered {percent(done)} (weight 75), "
-        f"battery left {percent(left)} (weight 15), steps left {percent(left)} (weight 10)."
+        f"Efficiency (not the score) {fixed(75 * done + 25 * left, 1)} of 100: parcels delivered {percent(done)} "
+        f"(weight 75), battery left {percent(left)} (weight 15), steps left {percent(left)} (weight 10)."
     )
 
 
@@ -63,8 +63,10 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(strip.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
     expect(strip).to_contain_text(
         f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcels, "
-        f"{last} steps, a best flight takes {annotation['optimal_steps']}."
+        f"{60 - last} battery units after {last} steps, "
+        f"a best flight ends with {annotation['optimal_battery']} after {annotation['optimal_steps']}."
     )
+    expect(strip).to_contain_text("What counts: parcels (80 points), then battery left (10) and steps left (10).")
     expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
     expect_efficiency(page, 1, 1 - last / 60)  # both the battery and the steps are 60
     analysis = get(server, "analyse/easy")
@@ -78,9 +80,10 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
         expect(counted).to_contain_text(f"{action} {percent(share)}")
     move = max(annotation["moves"], key=lambda move: move["regret"])
     worst, possible = move["step"], annotation["moves"][move["step"]]["value"]
+    best = " or ".join(move["best_actions"])
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
-    best = f"best: {' or '.join(move['best_actions'])}"
-    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {points(move['regret'])}; {best}")
+    lost = points(move["regret"])
+    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {lost}; best: {best}")
     seen.click()
     expect_frame(page, flight[worst - 1], 60)
     page.keyboard.press("ArrowRight")
@@ -91,6 +94,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
     # The graph leads to each moment.
     page.keyboard.press("Home")
+    slider(page).scroll_into_view_if_needed()
     bounds = slider(page).bounding_box()
     assert bounds
     page.mouse.click(bounds["x"] + bounds["width"] * worst / last, bounds["y"] + bounds["height"] / 2)
@@ -100,7 +104,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     moves(page).nth(worst - 1).click()
     expect(moves(page).nth(worst - 1)).to_have_attribute("aria-current", "step")
     expect_frame(page, flight[worst], 60)
-    lost = f"Lost {points(move['regret'], 2)}. Best move: {' or '.join(move['best_actions'])}."
+    lost = f"Lost {points(move['regret'], 2)}. Best move: {best}."
     expect(page.locator("#move-detail")).to_contain_text(lost)
     page.keyboard.press("ArrowRight")  # the line of the moment is beside the mark
     expect_frame(page, flight[worst + 1], 60)
@@ -121,7 +125,7 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
     fly(page)
     strip = ended(page)
     expect(strip.get_by_role("heading", name="Random: Battery empty.")).to_be_visible()
-    expect(strip).to_contain_text("0 of 1 parcels, 60 steps")
+    expect(strip).to_contain_text("0 of 1 parcels, 0 battery units after 60 steps")
     expect(page.get_by_role("dialog")).to_be_hidden()
     expect_efficiency(page, 0, 0)
     # With several flights, the strip is about the one that is selected.

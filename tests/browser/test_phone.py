@@ -125,12 +125,16 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     phone.get_by_role("button", name="Follow the drone").tap()
     for _ in range(4):
         phone.get_by_role("button", name="Zoom out").tap()
+    phone.get_by_role("button", name="Reset").tap()  # scrolls back to the map
+    expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
+    phone.evaluate("scrollTo(0, 0)")
     assert place() == whole
 
 
 def test_a_city_fills_its_place_above_its_attribution(phone: Page) -> None:
     show(phone, "/?task=city_small&seed=142&pilot=human")
     expect_step(phone, 0, 160)
+    expect(phone.get_by_role("button", name="Zoom out")).to_be_disabled()  # all parcels are in view
     city = phone.locator("#boards .map-air").bounding_box()
     credit = phone.get_by_role("link", name="© OpenStreetMap contributors").bounding_box()
     assert city

@@ -139,10 +139,12 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     for key in (way[0], way[1], way[1]):
         page.keyboard.press(key)
     expect(moves(page)).to_have_count(3)
+    expect(page.locator("#unlisted")).to_be_hidden()
     # Space is for the drone after a click, and for the button that the keyboard has reached.
     undo.click()
     page.keyboard.press(" ")
     expect_step(page, 3, 60, "WAIT")
+    expect(page.locator("#unlisted")).to_be_visible()
     page.keyboard.press("u")
     undo.press(" ")
     expect_step(page, 1, 60)

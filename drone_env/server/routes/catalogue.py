@@ -12,6 +12,8 @@ from drone_env import __version__
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
+from drone_env.core.rules import score_of
+from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.models import Count, Message
@@ -31,6 +33,21 @@ _CONVERTED = ("drain", "impassable", "terrain")
 _PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in _CONVERTED}
 
 
+def _score_weights() -> dict[str, int]:
+    """The weights in `score_of`, equal for all tasks."""
+    task = TASKS["easy_delivery"]
+    empty, full, steps = 0, task.battery_capacity, task.max_steps
+    tables = interpreted(task)
+    parcels, charged, at_once = (
+        score_of(tables, task.deliveries, *left) for left in ((empty, steps), (full, steps), (empty, 0))
+    )
+    weights = {"parcels": parcels, "battery": charged - parcels, "steps": at_once - parcels}
+    return {name: round(100 * weight) for name, weight in weights.items()}
+
+
+SCORE_WEIGHTS = _score_weights()
+
+
 class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     """One task: the fields of its `TaskConfig`, except for the terrain."""
 
@@ -42,6 +59,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
         description="Reward of each event, by reward profile; empty if the profile does not reward events. Three "
         "numbers if the drone moves: distance to the target grows, stays equal, shrinks. Otherwise one number."
     )
+    score_weights: dict[str, int] = Field(description="Points, of 100, for all parcels, a full battery and no step.")
     published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
 
@@ -56,6 +74,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
             },
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
+            score_weights=SCORE_WEIGHTS,
             published=task.id in PUBLISHED,
             attribution=task.attribution,
         )

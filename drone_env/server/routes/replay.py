@@ -71,6 +71,7 @@ class AnalysedFlight(Message):
     network: str | None = Field(description="Id of the pilot by whose network the map was flown; null without one.")
     network_score: Score | None = Field(description="Its score.")
     optimal_steps: Count = Field(description="Steps of a best flight.")
+    optimal_battery: Count = Field(description="Battery units left at its end.")
     optimal_actions: list[Direction] = Field(description="Its actions.")
     optimal_path: list[Position] = Field(description="[x, y] of the drone from the start.")
 
@@ -115,6 +116,7 @@ def _annotated(record: EpisodeRecord) -> str:
         moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
         optimal_steps=best.steps,
         optimal_actions=[DIRECTIONS[action] for action in best.actions],
+        optimal_battery=Episode(analysis.task, seed=analysis.seed).fly(best.actions).battery_units,
         optimal_path=path,
     )
     return answer.model_dump_json()

@@ -1,4 +1,5 @@
 // The actions of Fly, for buttons and keys.
+import { lessMotion } from "./base.js";
 import { ask, leaveFocus, toast } from "./dom.js";
 import { variants } from "./format.js";
 import { SPEEDS } from "./stage.js";
@@ -8,21 +9,22 @@ export function actionsOf(context, fleet) {
   const { stage } = context;
   const { clock } = stage;
 
-  /** Asks before an action ends the visitor's own flight. */
-  async function givingUp(act) {
+  async function givingUp(act, yes = "Give up") {
     const { own } = fleet;
-    if (own && !(await ask(`Give up your flight at step ${own.steps}?`, "Give up", "Keep flying"))) return;
+    if (own && !(await ask(`${yes} your flight at step ${own.steps}?`, yes, "Keep flying"))) return;
     act();
+    const behavior = lessMotion() ? "instant" : "smooth";
+    document.querySelector(".plan-bar").scrollIntoView({ block: "nearest", behavior });
   }
   /** Whether the next step is a new one of the server. */
   const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();
   /** Starts other flights. Missing parts come from the flights that are shown, also from a stored one. */
-  function start(change, how) {
+  function start(change, how, yes) {
     const { track, world } = stage;
     const past = world && !fleet.shown;
     const flown = past && { task: world.task.short_name, seed: world.seed, profile: world.profile };
     const pilots = past ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
-    return givingUp(() => fleet.start(past ? fleet.complete({ pilots, ...flown, ...change }) : change, how));
+    return givingUp(() => fleet.start(past ? fleet.complete({ pilots, ...flown, ...change }) : change, how), yes);
   }
   const acts = {
     givingUp,
@@ -48,7 +50,7 @@ export function actionsOf(context, fleet) {
       else clock.goTo(clock.cursor + 1);
     },
     undo: () => fleet.undo(),
-    reset: () => start({}),
+    reset: () => start({}, {}, "Restart"),
     newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
     fork(options) {

@@ -54,7 +54,6 @@ export function createApi() {
   };
 }
 
-/** The URL of a path on the server. */
 export function address(path) {
   return new URL(path.replace(/^\//, ""), document.baseURI);
 }

@@ -18,7 +18,7 @@ export class Emitter {
 const due = new Set();
 let scheduled = false;
 
-/** Calls `draw(now)` once in the next animation frame. */
+/** Calls `draw(now)` once in the next animation frame, however often it is asked to. */
 export function nextFrame(draw) {
   due.add(draw);
   if (scheduled) return;
@@ -31,9 +31,11 @@ export function nextFrame(draw) {
   });
 }
 
+/** Whether fingers are the main way to point. */
+export const TOUCH = matchMedia("(pointer: coarse)").matches;
+
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
-/** Whether the system asks for reduced motion. */
 export const lessMotion = () => still.matches;
 
 /** @param {"localStorage"|"sessionStorage"} where @returns {string|null} Null also if storage is blocked, as in a cross-site frame. */
@@ -62,7 +64,6 @@ export function colourOf(name) {
   return colours.get(name);
 }
 
-/** Clears the cache after a change of theme. */
 export const forgetColours = () => colours.clear();
 
 /** The page's font for a canvas, in device pixels. */

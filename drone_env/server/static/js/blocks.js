@@ -4,7 +4,6 @@ import { drawFigure } from "./figures.js";
 import { drawGrid, drawLabels, variety } from "./layer_city.js";
 
 const TONES = 3;
-/** Whether a map is drawn with blocks. */
 export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
 
 /** The offsets of roofs and shadows, in cells. */

@@ -43,7 +43,6 @@ export class Board {
     anew();
   }
 
-  /** Draws again in the next animation frame. */
   refresh() {
     nextFrame(this.draw);
   }

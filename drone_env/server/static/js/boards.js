@@ -3,7 +3,11 @@ import { Board } from "./board.js";
 import { el, icon } from "./dom.js";
 
 /** The minimum size of a cell in CSS pixels when the visitor starts to fly. */
-const BY_HAND = 22;
+const BY_HAND = 16;
+/** How much farther or nearer two fingers come before the map zooms one step. */
+const PINCH = 1.3;
+/** The share of the window over which the drone and its target may be apart. */
+const SEEN = 0.75;
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountBoards(root, context) {
@@ -35,10 +39,11 @@ export function mountBoards(root, context) {
   }
 
   let seen = null;
-  context.on("drawn", ({ world, layout }) => {
-    if (world === seen) return;
-    seen = world;
-    if (nearEnough(context, layout.scale)) context.emit("camera");
+  context.on("drawn", (view) => {
+    if (view.world === seen) return;
+    seen = view.world;
+    lookAtTarget(context, view);
+    context.emit("camera");
   });
   stage.on("load", () => camera.reset());
   stage.on("change", draw);
@@ -49,28 +54,44 @@ export function mountBoards(root, context) {
   return board;
 }
 
-/** Zooms in until the cells are large enough for a visitor who flies. @returns {boolean} Whether it zoomed. */
-function nearEnough({ stage, byHand, camera }, scale) {
-  if (!stage.tracks.some(byHand)) return false;
-  let moved = false;
-  while (camera.whole * camera.zoom < BY_HAND * scale && camera.nearer(1)) moved = true;
-  return moved;
+/** Zooms in until the cells are large enough for a visitor who flies, while drone and target are in view. */
+function lookAtTarget({ stage, byHand, camera }, { size, track, layout }) {
+  if (!stage.tracks.some(byHand)) return;
+  const { x, y, target } = track.last;
+  const [tx, ty] = target ?? [x, y];
+  const apart = Math.max(Math.abs(tx - x) / size.width, Math.abs(ty - y) / size.height);
+  const cell = () => camera.whole * camera.zoom;
+  while (cell() < BY_HAND * layout.scale && camera.nearer(1));
+  while (cell() * apart > SEEN && camera.nearer(-1));
+  if (camera.zoom > 1) camera.centre = [(x + tx + 1) / 2, (y + ty + 1) / 2];
 }
 
-/** A drag moves a map that is larger than its window. @param {Context} context */
+/** A drag moves a map that is larger than its window, and two fingers also zoom it. @param {Context} context */
 function listenToDrags(grid, context) {
   const { camera, stage } = context;
-  let before = null;
+  /** What points at the map, by id. @type {Map<number, PointerEvent>} */
+  const down = new Map();
+  let apart = 0;
+  const spread = ([a, b] = [...down.values()]) => (b ? Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY) : 0);
   grid.addEventListener("pointerdown", (event) => {
-    before = event.isPrimary ? event : null;
+    down.set(event.pointerId, event);
+    apart = spread();
   });
-  for (const type of ["pointerup", "pointercancel", "pointerleave"]) grid.addEventListener(type, () => (before = null));
+  for (const type of ["pointerup", "pointercancel", "pointerleave"])
+    grid.addEventListener(type, ({ pointerId }) => {
+      down.delete(pointerId);
+      apart = spread();
+    });
   grid.addEventListener("pointermove", (event) => {
-    if (!before || !event.isPrimary || !stage.world) return;
-    // If the visitor flies, a swipe flies.
-    if (event.pointerType !== "mouse" && document.body.classList.contains("human-flies")) return;
-    camera.pan((event.clientX - before.clientX) / camera.cell, (event.clientY - before.clientY) / camera.cell);
-    before = event;
+    const before = down.get(event.pointerId);
+    if (!before || !stage.world) return;
+    // If the visitor flies, a swipe of one finger flies.
+    if (event.pointerType !== "mouse" && down.size === 1 && document.body.classList.contains("human-flies")) return;
+    down.set(event.pointerId, event);
+    const now = spread();
+    if (now > apart * PINCH ? camera.nearer(1) : now * PINCH < apart && camera.nearer(-1)) apart = now;
+    const cell = camera.cell * down.size;
+    camera.pan((event.clientX - before.clientX) / cell, (event.clientY - before.clientY) / cell);
     context.emit("camera");
   });
 }

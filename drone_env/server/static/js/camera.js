@@ -3,7 +3,9 @@
 const LABEL_ROOM = 22;
 const LABELS_FROM = 20;
 /** Free cells around the grid, for the rotors. */
-const EDGE = 0.32;
+const EDGE = 0.4;
+/** From the middle of a small drone to the end of its rotors, in CSS pixels. */
+const ROTORS = 13;
 const ZOOMS = [1, 1.5, 2, 3, 4, 6];
 /** The maximum width of a map in device pixels. */
 const WIDEST = 4096;
@@ -51,6 +53,7 @@ export class Camera {
     if (this.zoom === 1) return whole;
     const cell = Math.max(whole.cell, Math.min(Math.floor(whole.cell * this.zoom), this.most));
     this.cell = cell / size.scale;
+    const edge = Math.max(EDGE, ROTORS / this.cell - 0.5);
     const middle = [at[0] + 0.5, at[1] + 0.5];
     this.centre ??= middle;
     const along = (axis, cells, room) => {
@@ -59,7 +62,7 @@ export class Camera {
         this.centre[axis] = within(this.centre[axis], middle[axis] - calm, middle[axis] + calm);
       }
       const half = room / cell / 2;
-      this.centre[axis] = cells <= 2 * half ? cells / 2 : within(this.centre[axis], half - EDGE, cells - half + EDGE);
+      this.centre[axis] = cells <= 2 * half ? cells / 2 : within(this.centre[axis], half - edge, cells - half + edge);
       return Math.round(room / 2 - this.centre[axis] * cell);
     };
     this.centre = [...this.centre];

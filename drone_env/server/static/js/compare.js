@@ -92,8 +92,8 @@ class Compare {
 
   async load() {
     const request = ++this.request;
-    const { api, router, tasks } = this.context;
-    this.wanted = router.address.task;
+    const { api, router, stage, tasks } = this.context;
+    this.wanted = router.address.task ?? stage.world?.task.short_name ?? null;
     await this.trying(request, () => this.context.meet(this.wanted));
     if (request !== this.request) return;
     // An unknown task shows only the error.
@@ -158,7 +158,6 @@ class Compare {
     this.chosen.hidden = !this.chosen.childElementCount;
   }
 
-  /** Shows an error of the newest request. */
   async trying(request, work) {
     try {
       await work();
@@ -171,7 +170,6 @@ class Compare {
     }
   }
 
-  /** Reloads after a flight of this task. */
   onEpisodes(episodes) {
     const newest = episodes.find((episode) => episode.task === this.task?.id)?.id;
     if (newest === undefined || newest === this.newest) return;

@@ -31,7 +31,6 @@ export function el(tag, ...contents) {
   return node;
 }
 
-/** A name and a value of a `dl`. */
 export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
 
 /** A table with a caption for screen readers. @param {any[][]} columns Names, and whether a column contains numbers. */

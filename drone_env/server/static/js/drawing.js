@@ -157,7 +157,6 @@ export class Drawing extends Emitter {
     });
   }
 
-  /** Resizes the map and keeps what fits. */
   resize(width, height) {
     this.edit(() => {
       const { map } = this;

@@ -53,7 +53,6 @@ export function mount(root, context) {
   const worth = new Worth(context, drawing);
   let key = null;
 
-  // Elements.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
   const clear = () => (drawing.map ? drawing.edit(() => (drawing.map = empty())) : router.go({ view: "draw" }));
@@ -113,7 +112,6 @@ export function mount(root, context) {
     return { id, input, label: el("label", el("span", { text }), input) };
   }
 
-  // Changes.
   drawing.on("stroke", changed);
   drawing.on("map", show);
   drawing.on("end", () => {
@@ -135,7 +133,6 @@ export function mount(root, context) {
     drawing.resize(...sides.map(({ input }) => Number(input.value)));
   }
 
-  // Drawing.
   function show() {
     turns();
     draw();
@@ -175,7 +172,6 @@ export function mount(root, context) {
     drawBest();
   });
 
-  /** Writes the numbers into the fields, except the focused one. */
   function fill() {
     const { map } = drawing;
     const numbers = map && { columns: map.cells[0].length, rows: map.cells.length, ...map.numbers };
@@ -193,7 +189,6 @@ export function mount(root, context) {
     worth.ask();
   }
 
-  // Actions.
   async function trying(press) {
     try {
       await press();

@@ -43,7 +43,6 @@ export function mountInput(grid, context, drawing, choose) {
   );
   for (const type of ["pointerup", "pointercancel"]) grid.addEventListener(type, () => drawing.end());
 
-  /** Centres a zoomed map on a cell. */
   function follow([x, y]) {
     if (camera.zoom === 1) return;
     camera.centre = [x + 0.5, y + 0.5];
@@ -51,7 +50,6 @@ export function mountInput(grid, context, drawing, choose) {
     context.emit("camera");
   }
 
-  /** Shows the cursor at a cell, for the keyboard. */
   function point(cell) {
     cursor = cell;
     mark.hidden = cell === null;

@@ -19,7 +19,6 @@ export class Worth extends Emitter {
     /** The answer of `POST /maps/worth`, with the parcels of that map; null until it arrives. */
     this.answer = null;
     this.asking = false;
-    /** The map of the next request, or null. */
     this.newest = null;
     this.score = el("strong.hero-number", { id: "map-optimum", text: "–" });
     this.note = el("span.hero-note", { id: "map-note" });
@@ -67,7 +66,6 @@ export class Worth extends Emitter {
   }
 }
 
-/** The optimum in words. */
 function inWords(optimum, bounds, parcels) {
   if (!optimum) {
     if (!bounds) return "This map is too large for the exact solver.";

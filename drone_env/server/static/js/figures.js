@@ -4,7 +4,6 @@ import { el } from "./dom.js";
 
 /** The size of a figure on the sheet, in cells. */
 const FIELD = 1.8;
-/** The maximum number of cached figures. */
 const KEPT = 400;
 const CORNERS = [
   [-1, -1],
@@ -44,7 +43,6 @@ export function drawFigure(ctx, kind, x, y, cell, variety = 0) {
   ctx.drawImage(inSize(there[variety % there.length], size), Math.round(x) - size / 2, Math.round(y) - size / 2);
 }
 
-/** A figure, cached per size. */
 function inSize([x, y], size) {
   const key = `${x} ${y} ${size}`;
   if (!drawn.has(key)) {
@@ -103,7 +101,6 @@ export function drawTarget(ctx, x, y, cell, breath, colour) {
   ctx.stroke();
 }
 
-/** An arrow from one point to another. */
 export function drawArrow(ctx, x1, y1, x2, y2, width) {
   const length = Math.hypot(x2 - x1, y2 - y1);
   if (length < 1) return;

@@ -4,7 +4,7 @@ import { toast } from "./dom.js";
 import { NEXT } from "./fleet_states.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
-import { nameOf } from "./today.js";
+import { nameOf, UNLISTED } from "./today.js";
 import { Track } from "./track.js";
 
 /** Actions as links write them. */
@@ -68,16 +68,11 @@ export class Fleet extends Emitter {
     return this.state === "starting" || this.state === "launching";
   }
 
-  get over() {
-    return this.tracks.length > 0 && this.tracks.every((track) => track.done);
-  }
-
   /** Whether the stage shows these flights, not a stored one. */
   get shown() {
     return this.tracks.length > 0 && this.tracks.every((track) => this.stage.tracks.includes(track));
   }
 
-  /** The index of the visitor's flight, or -1. */
   get human() {
     return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
@@ -92,7 +87,6 @@ export class Fleet extends Emitter {
     return track && this.shown && !track.done ? track : null;
   }
 
-  /** Whether the page shows the newest step of the visitor's flight. */
   get atHand() {
     const { track, clock } = this.stage;
     return this.mine !== null && track === this.mine && clock.cursor >= track.steps;
@@ -122,7 +116,7 @@ export class Fleet extends Emitter {
     const chosen = {
       selected: this.stage.track === this.front ? null : selected + 1,
       // While the page looks back, the step says nothing of the end.
-      ended: this.over && !clock.following ? clock.newest() : null,
+      ended: this.stage.over && !clock.following ? clock.newest() : null,
     };
     if (!track) return { actions: null, of: null, ...chosen };
     const { unnamed: by, pilot, steps } = track;
@@ -135,7 +129,6 @@ export class Fleet extends Emitter {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
 
-  /** Whether an automatic pilot has not finished. */
   get automatic() {
     return this.tracks.some(({ pilot, done }) => !done && this.pilot(pilot).automatic);
   }
@@ -159,7 +152,6 @@ export class Fleet extends Emitter {
     return !task || this.pilot(id).tasks.includes(task.id);
   }
 
-  /** Ids of the automatic pilots of a task, in the server's order. */
   able(task = this.task()) {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
@@ -261,7 +253,7 @@ export class Fleet extends Emitter {
   }
 
   step() {
-    if (!this.playing && !this.over) this.context.live.send({ type: "step" });
+    if (!this.playing && this.tracks.some(({ done }) => !done)) this.context.live.send({ type: "step" });
   }
 
   setSpeed(speed) {
@@ -295,7 +287,7 @@ export class Fleet extends Emitter {
   resume() {
     if (this.starting) this.send();
     // Finished flights need no session.
-    if (this.starting || !this.tracks.length || this.over) return;
+    if (this.starting || this.tracks.every(({ done }) => done)) return;
     this.turn("attach");
     const sessions = this.tracks.map(({ opening }) => opening.session);
     this.context.live.send({ type: "attach", number: ++this.number, sessions });
@@ -354,6 +346,7 @@ export class Fleet extends Emitter {
 
   undone({ flight, step, by }) {
     const track = this.tracks[flight];
+    if (track.unnamed === track.pilot) toast(UNLISTED);
     track.by = by;
     track.frames.length = step + 1;
     this.stage.changed(track);

@@ -65,8 +65,9 @@ export function mountFly(root, context) {
   panel("calls", mountCalls);
   panel("moves-panel", mountMoves);
   panel("record-panel", mountRecord);
-  mountKeys(context, fleet, acts, help);
-  document.getElementById("help-button").addEventListener("click", help);
+  const show = () => help(context);
+  mountKeys(context, fleet, acts, show);
+  document.getElementById("help-button").addEventListener("click", show);
   mountMapValues(context);
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */

@@ -8,7 +8,6 @@ export function fixed(value, digits = 2) {
   return value.toFixed(digits).replace("-", MINUS);
 }
 
-/** A number with its sign. */
 export function signed(value, digits = 2) {
   if (value === null || value === undefined) return "–";
   return (value >= 0 ? "+" : "") + fixed(value, digits);
@@ -19,7 +18,6 @@ export function points(score, digits = 1) {
   return score === null || score === undefined ? "–" : fixed(score * 100, digits);
 }
 
-/** A share of 0 to 1 in percent. */
 export function percent(share, digits = 0) {
   return share === null || share === undefined ? "–" : `${fixed(share * 100, digits)} %`;
 }
@@ -55,7 +53,6 @@ export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 /** Whether a loss is visible with one decimal. */
 export const isLost = (regret) => regret > 0.0005;
 
-/** A time in the visitor's time zone. */
 export function moment(iso) {
   return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
 }
@@ -80,4 +77,10 @@ export const shortened = (name) => (name.length > LONGEST ? `${name.slice(0, LON
 export function flightName(context, { task, seed, agent }) {
   const known = context.tasks.find(({ id }) => id === task);
   return `${title(known?.short_name ?? String(task))}, map ${seed}, ${who(context, agent)}`;
+}
+
+/** What the score of a task counts. @param {Answer<"TaskInfo">} task */
+export function scoring({ score_weights: { parcels, battery, steps }, efficiency_needs_all: all }) {
+  const rest = all ? ", these two only once all parcels are delivered" : "";
+  return `What counts: parcels (${parcels} points), then battery left (${battery}) and steps left (${steps})${rest}.`;
 }

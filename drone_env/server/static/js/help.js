@@ -1,11 +1,18 @@
 // The help dialog: a summary and the keys.
+import { TOUCH } from "./base.js";
 import { el } from "./dom.js";
+import { scoring } from "./format.js";
 import { LAYERS } from "./layers.js";
 
-/** A summary of the page. */
 export const ABOUT =
   "A drone delivers parcels on a city grid before its battery is empty. Fly it yourself, or watch an agent fly.";
 
+const TOUCHES = [
+  ["Arrows, or swipe on the map", "Fly, if you are the pilot"],
+  ["Wait", "Charge on a blue pad"],
+  ["Two fingers on the map", "Move and zoom the map"],
+  ["Tap a cell", "What it is and costs"],
+];
 const KEYS = [
   ["↑ ↓ ← → or W A S D", "Fly, if you are the pilot"],
   ["Space", "Start or pause; wait, if you fly"],
@@ -25,23 +32,26 @@ const KEYS = [
 
 const dialog = document.getElementById("help");
 
-export function help() {
-  if (!dialog.childElementCount) fill();
-  dialog.showModal();
-}
+/** Whether there is a mouse, and so a keyboard. */
+const MOUSE = matchMedia("(any-pointer: fine)").matches;
 
-function fill() {
+/** @param {Context} context */
+export function help({ stage, tasks }) {
   const close = () => dialog.close();
-  dialog.append(
-    el("h2", { id: "help-title", text: "Help" }),
+  const rows = [...(TOUCH ? TOUCHES : []), ...(TOUCH && !MOUSE ? [] : KEYS)];
+  dialog.replaceChildren(
+    el("h2", { id: "help-title", text: "Help", tabindex: "-1", autofocus: "" }),
     el("p", { text: ABOUT }),
-    el("dl.keys", ...KEYS.flatMap(([key, what]) => [el("dt", el("kbd", { text: key })), el("dd", { text: what })])),
+    el("p", { text: scoring(stage.world?.task ?? tasks[0]) }),
+    el("dl.keys", ...rows.flatMap(([key, what]) => [el("dt", el("kbd", { text: key })), el("dd", { text: what })])),
     el(
       "div.dialog-actions",
-      el("button.button.primary", { text: "Close", autofocus: "", press: close }),
+      el("button.button.primary", { text: "Close", press: close }),
       el("a.button", { href: "?view=learn", text: "Learn to fly", press: close }),
     ),
   );
-  // A click outside closes it.
-  dialog.addEventListener("click", (event) => event.target === dialog && close());
+  dialog.showModal();
 }
+
+// A click outside closes it.
+dialog.addEventListener("click", ({ target }) => target === dialog && dialog.close());

@@ -38,11 +38,7 @@ export function mountInstruments(root, context) {
   );
   const reward = row("Reward", "reward");
   const total = row("Total", "reward-total", "Sum of the rewards");
-  const efficiency = row(
-    "Efficiency",
-    "efficiency",
-    "Weighted sum of parcels delivered, battery left and steps left; not the score",
-  );
+  const efficiency = row("Efficiency (not the score)", "efficiency");
   const target = row("Target", "target");
   const below = row("Cell below", "below");
   const numbers = [reward, total, efficiency, target, below].map(({ nodes }) => el("div", ...nodes));

@@ -1,5 +1,6 @@
 // Keyboard shortcuts, the pad of buttons, and swipes on the map.
 import { el, icon, leaveFocus } from "./dom.js";
+import { STEP } from "./layer_flights.js";
 import { LAYERS } from "./layers.js";
 
 const FLY = {
@@ -18,8 +19,8 @@ const FLY = {
 export function mountKeys(context, fleet, acts, help) {
   const { camera, stage } = context;
   const see = (by) => camera.nearer(by) && context.emit("camera");
-  const pan = (x, y) => () => {
-    camera.pan(x, y);
+  const pan = (x, y) => {
+    camera.pan(-2 * x, -2 * y);
     context.emit("camera");
   };
   const KEYS = {
@@ -40,11 +41,8 @@ export function mountKeys(context, fleet, acts, help) {
     ArrowRight: acts.forward,
     Home: acts.first,
     End: acts.last,
-    ShiftArrowLeft: pan(2, 0),
-    ShiftArrowRight: pan(-2, 0),
-    ShiftArrowUp: pan(0, 2),
-    ShiftArrowDown: pan(0, -2),
   };
+  for (const [arrow, way] of Object.entries(FLY)) if (STEP[way]) KEYS[`Shift${arrow}`] = () => pan(...STEP[way]);
   for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
 
@@ -104,16 +102,17 @@ const ARROW = {
   DOWN: "M12 5v13M6 13l6 6 6-6",
   LEFT: "M19 12H6M11 6l-6 6 6 6",
   RIGHT: "M5 12h13M13 6l6 6-6 6",
-  WAIT: "!M9 9h6v6H9z",
 };
 const WORDS = { UP: "Up", DOWN: "Down", LEFT: "Left", RIGHT: "Right", WAIT: "Wait" };
 const SWIPE = 24;
 
 /** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountHuman(root, context, fleet) {
-  const buttons = Object.entries(ARROW).map(([direction, drawing]) => {
+  const buttons = Object.keys(WORDS).map((direction) => {
+    const drawing = ARROW[direction];
     const press = () => fleet.fly(direction);
-    return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, icon(drawing));
+    const face = drawing ? icon(drawing) : WORDS[direction];
+    return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, face);
   });
   const pad = el("div.pad", { role: "group", "aria-label": "Fly" }, ...buttons);
   root.append(pad);

@@ -4,7 +4,7 @@ import { el } from "./dom.js";
 import { ARROWS, cellName, isLost, points } from "./format.js";
 import { STEP } from "./layer_flights.js";
 
-const LEAST_CELL = 20;
+const LEAST_CELL = 16;
 
 /** The kind of a cell at a frame, whether it is closed, the units of a step there, and those that a wait charges. */
 function cellAt({ task, cells }, names, frame, [x, y]) {
@@ -20,7 +20,7 @@ export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
   const equal = !task.pads && !task.impassable.length && Object.values(task.drain).every((units) => units === 1);
   if (!byHand || equal || clock.cursor < track.steps || cell < LEAST_CELL * scale) return;
   const frame = track.last;
-  const high = Math.max(15 * scale, cell * 0.24);
+  const high = Math.max(Math.min(15 * scale, cell * 0.65), cell * 0.24);
   ctx.font = font(Math.round(high * 0.78), 500);
   ctx.textAlign = "center";
   ctx.textBaseline = "middle";
@@ -73,7 +73,6 @@ export function mountCellNote(field, context, names) {
   context.stage.on("cursor", hide);
 }
 
-/** The value of each action at a cell, and what it loses. */
 function movesIn(values) {
   const lost = (value) => Math.max(...values) - value;
   return Object.values(ARROWS).map((arrow, i) =>

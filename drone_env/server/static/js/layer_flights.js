@@ -53,7 +53,6 @@ export function drawTrails(ctx, view) {
 
 const position = (track, k) => [track.frames[k].x, track.frames[k].y];
 
-/** A best flight, once the flight is annotated. */
 export function drawBest(ctx, { track, layout, clock }) {
   const path = track.annotation?.optimal_path;
   if (!path) return;
@@ -145,7 +144,6 @@ export function drawDrones(ctx, view) {
   ctx.globalAlpha = 1;
 }
 
-/** The best moves from here, if the flight took another one. */
 function drawBetterMoves(ctx, { track, clock, layout }, x, y, size) {
   const next = track.annotation?.moves[clock.cursor];
   if (!next || next.label === "best" || clock.position !== clock.cursor) return;

@@ -9,7 +9,6 @@ function eachCell(rows, visit) {
   rows?.forEach((row, y) => row.forEach((item, x) => item !== null && visit(item, x, y)));
 }
 
-/** The highest and the lowest value of all cells. */
 export function spanOf(values) {
   const all = values.flat().filter((value) => value !== null);
   return { most: Math.max(...all), least: Math.min(...all) };
@@ -34,7 +33,6 @@ export function drawValues(ctx, { stage, layout }) {
   ctx.globalAlpha = 1;
 }
 
-/** The network's moves that lose something. */
 export function drawNetwork(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   const { cell, left, top, scale } = layout;

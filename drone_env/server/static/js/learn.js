@@ -60,7 +60,6 @@ const WORLD = [
   ["Battery", (t) => `${t.battery_capacity} units`],
   ["Battery use per step", (t) => `1 unit${drains(t.drain)}`],
 ];
-/** The reward profile of the page's flights. */
 const PROFILE = "tiered";
 /** The reward of each event if the step moves away from the target, keeps the distance, or moves closer. */
 const rewardRows = (rewards) =>
@@ -93,7 +92,6 @@ function group(name, rows, tasks) {
   );
 }
 
-/** The kinds of cells, drawn as on the map. */
 function legend({ kinds }) {
   const entry = ({ name, effect }) => el("div", el("dt", drawSign(name), cellName(name)), el("dd", { text: effect }));
   const shown = kinds.filter(({ name }) => name !== "unknown");

@@ -4,18 +4,16 @@ import { el, icon } from "./dom.js";
 import { isLost } from "./format.js";
 import { linkOf } from "./router.js";
 
-const last = (track) => track.frames.at(-1);
 const by = (pilot, { tracks }) => tracks.filter((track) => track.pilot === pilot && track.frames.length);
 /** A goal for any flight of the visitor. */
 const mine = (test) => (stage) => by("human", stage).some(test);
 
-const delivers = (track) => last(track).outcome === "delivered";
+const delivers = (track) => track.last.outcome === "delivered";
 /** Whether a flight has ended and lost at most this score. */
-const losesAtMost = (most) => (track) => track.done && last(track).regret !== null && last(track).regret <= most;
+const losesAtMost = (most) => (track) => track.done && track.last.regret !== null && track.last.regret <= most;
 const charges = ({ frames }) =>
   frames.some(({ action, battery_units }, i) => action === "WAIT" && battery_units > frames[i - 1].battery_units);
 
-/** The step with the largest loss, or 0. */
 function worstStep({ frames }) {
   const lost = (i) => (i ? frames[i].regret - frames[i - 1].regret : 0);
   return frames.reduce((worst, _, i) => (isLost(lost(i)) && lost(i) > lost(worst) ? i : worst), 0);
@@ -37,7 +35,7 @@ export const LESSONS = [
       "map takes 8 moves.",
     address: { view: "fly", task: "easy", seed: 18, pilots: ["human"] },
     goals: [
-      { text: "Make a move", done: mine((track) => last(track).step > 0) },
+      { text: "Make a move", done: mine((track) => track.last.step > 0) },
       { text: "Deliver the parcel", done: mine(delivers) },
       { text: "Lose nothing: 8 moves", done: mine(losesAtMost(0)) },
     ],
@@ -84,7 +82,6 @@ export function reached(number) {
   return cached.get(number);
 }
 
-/** Stores that a goal was reached. */
 export function reach(number, goal) {
   reached(number).add(goal);
   remember(key(number), [...reached(number)].join(""));
@@ -95,7 +92,6 @@ export const isComplete = (number) => LESSONS[number - 1].goals.every((_, goal) 
 /** The link to a lesson. @param {number} number From 1. */
 export const lessonLink = (number) => linkOf({ ...LESSONS[number - 1].address, lesson: number }).search;
 
-/** The goals of a lesson as a list of check marks. */
 export const goalList = (number) =>
   el("ul.goals", ...LESSONS[number - 1].goals.map((_, goal) => goalItem(number, goal)));
 

@@ -39,7 +39,6 @@ export class Live extends Emitter {
     socket.onclose = (event) => this.closed(event);
   }
 
-  /** Sends a message if there is a connection. */
   send(message) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }

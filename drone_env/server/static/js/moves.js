@@ -86,7 +86,6 @@ function counts(annotation) {
   ];
 }
 
-/** The present step in words, with its loss. */
 function describe(track, step) {
   const frame = track.frameAt(step);
   const reward = frame.step ? ` Reward ${signed(frame.reward, 3)}.` : "";

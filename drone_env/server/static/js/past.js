@@ -40,7 +40,6 @@ export class Past {
     return track;
   }
 
-  /** Opens a file and shows its first flight. */
   async openFile(file) {
     const request = ++this.request;
     const records = await readFlights(file);
@@ -64,7 +63,6 @@ export class Past {
     this.show(tracks, { selected: at - first });
   }
 
-  /** The stage shows something else. */
   leave() {
     this.request += 1;
     this.episode = this.tracks = null;
@@ -103,7 +101,6 @@ export class Past {
   }
 }
 
-/** The record of a finished flight. */
 export async function recordOf({ api }, track) {
   track.record ??= await api.get(`episodes/${encodeURIComponent(track.episode.id)}`);
   return track.record;
@@ -142,15 +139,13 @@ async function readFlights(file) {
       .map((line, i) => ({ line, number: i + 1 }))
       .filter(({ line }) => line.trim());
     if (!lines.length) throw new Error(`${file.name} is empty.`);
-    return lines.map(({ line, number }) => parsed(line, `${file.name}, line ${number}`));
-  }
-}
-
-function parsed(text, where) {
-  try {
-    return JSON.parse(text);
-  } catch (error) {
-    throw new Error(`${where} is not JSON: ${error.message}.`);
+    return lines.map(({ line, number }) => {
+      try {
+        return JSON.parse(line);
+      } catch (error) {
+        throw new Error(`${file.name}, line ${number} is not JSON: ${error.message}.`);
+      }
+    });
   }
 }
 

@@ -67,7 +67,7 @@ export function mountPlan(root, context, fleet, acts) {
       value: pilot.id,
       "aria-label": `Add ${pilot.name}`,
       title: "Add to the flight",
-      on: { change: () => choosePilots([...chosen().filter((id) => id !== pilot.id), ...(box.checked ? [pilot.id] : [])]) },
+      on: { change: () => choosePilots(box.checked ? [...chosen(), pilot.id] : chosen().filter((id) => id !== pilot.id)) },
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
     const row = el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);

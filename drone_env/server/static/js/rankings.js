@@ -23,7 +23,6 @@ export function grid(caption, columns, rows, below = () => null) {
   );
 }
 
-/** A score with a bar, and its interval as whiskers. */
 function scoreBar(score, ci, colour) {
   const [low, high] = ci ?? [score, score];
   const style = { "--at": score, "--low": low, "--high": high, "--colour": colour };
@@ -60,7 +59,6 @@ export const named = (context, agent, remark = "") =>
 const ENOUGH = 30;
 const counted = ({ maps }) => el("span", String(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
 
-/** A button that opens the details of its row. */
 const opener = (open, key, ...contents) =>
   el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
 

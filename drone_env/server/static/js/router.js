@@ -26,7 +26,6 @@ export class Router extends Emitter {
     this.show(next);
   }
 
-  /** Opens a view; Fly shows its last flight. */
   open(view) {
     this.go(view === "fly" ? this.flight : { view });
   }
@@ -35,7 +34,6 @@ export class Router extends Emitter {
     this.go(read(new URL(href)));
   }
 
-  /** Whether the address has no parameters. */
   get bare() {
     return linkOf(this.address).search === "";
   }
@@ -60,7 +58,6 @@ export class Router extends Emitter {
     this.timer ||= setTimeout(() => this.write(), PAUSE);
   }
 
-  /** Writes a pending update of the present entry. */
   write() {
     if (!this.timer) return;
     clearTimeout(this.timer);
@@ -82,7 +79,6 @@ export class Router extends Emitter {
   }
 }
 
-/** The address without parameters. */
 export const NOTHING = {
   view: "fly",
   task: null,

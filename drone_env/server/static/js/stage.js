@@ -128,7 +128,6 @@ export class Stage extends Emitter {
     return this.tracks[this.selected] ?? null;
   }
 
-  /** Its frame at the present step. */
   get frame() {
     return this.track?.frameAt(this.clock.cursor) ?? null;
   }

@@ -1,6 +1,6 @@
 // The ranking of the flights over the map.
 import { el, setText, table } from "./dom.js";
-import { outcome, points } from "./format.js";
+import { points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Lost", true]];
 
@@ -47,20 +47,24 @@ export function mountStandings(root, { stage }) {
       body.replaceChildren(...ranked.map(({ node }) => node));
       if (focused instanceof HTMLElement && body.contains(focused)) focused.focus();
     }
-    setText(note, describe());
-  }
-
-  function describe() {
-    if (!stage.over) return "Ranked by the score still possible.";
-    // The result, also while the page shows an earlier moment.
-    const [first, second] = [...rows].sort((a, b) => b.track.last.score - a.track.last.score);
-    const best = first.track.last.score;
-    if (second.track.last.score === best) return `A tie with ${points(best)}.`;
-    return `${first.track.name} wins with ${points(best)}: ${outcome(first.track.last).toLowerCase()}.`;
+    setText(note, placeOf(stage) || "Ranked by the score still possible.");
   }
 
   stage.on("load", build);
   stage.on("change", draw);
+}
+
+const PLACES = ["1st", "2nd", "3rd"];
+
+/** The result of the selected flight among others, which does not depend on the moment; empty before the end. @param {import("./stage.js").Stage} stage */
+export function placeOf({ over, tracks, track }) {
+  if (!over || tracks.length < 2) return "";
+  const sorted = [...tracks].sort((a, b) => b.last.score - a.last.score);
+  const scores = sorted.map(({ last }) => last.score);
+  const place = scores.indexOf(track.last.score);
+  const tie = place < scores.lastIndexOf(track.last.score) ? ", a tie" : "";
+  const all = sorted.map(({ name, last }) => `${name} ${points(last.score)}`).join(", ");
+  return `${PLACES[place] ?? `${place + 1}th`} of ${tracks.length}${tie}: ${all}. The higher score wins.`;
 }
 
 /** The score still possible, or the present score if it is hidden. @param {number} all The score possible at the start. */

@@ -1,7 +1,8 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
 import { announce, el, leaveFocus, setText } from "./dom.js";
 import { lettersOf } from "./fleet.js";
-import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
+import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
+import { placeOf } from "./standings.js";
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
@@ -9,11 +10,14 @@ export function mountStrip(root, context, fleet, acts) {
   let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
-  const see = el("button.link", { id: "worst", title: "Show the step before this move", press: () => stage.clock.goTo(worst.step - 1) });
+  const place = el("p.strip-reason");
+  const counts = el("p.note");
+  const before = () => stage.clock.goTo(worst.step - 1);
+  const see = el("button.link", { id: "worst", title: "Show the step before this move", press: before });
   const tryIt = el("button.button.small", {
     id: "try-worst",
     press: () => {
-      stage.clock.goTo(worst.step - 1);
+      before();
       acts.fork();
     },
   });
@@ -24,7 +28,7 @@ export function mountStrip(root, context, fleet, acts) {
   const analysis = el("p.note.strip-analysis");
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
-  root.append(head, reason, el("div.strip-actions", again, next), why, worstLine, more);
+  root.append(head, place, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
   root.hidden = true;
   let announced = null;
 
@@ -37,6 +41,8 @@ export function mountStrip(root, context, fleet, acts) {
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
+    setText(place, placeOf(stage));
+    setText(counts, scoring(stage.world.task));
     if (annotation?.why && reason.textContent !== annotation.why) announce(annotation.why);
     setText(reason, annotation?.why ?? "");
     again.hidden = !annotation?.why;
@@ -81,17 +87,18 @@ export function mountStrip(root, context, fleet, acts) {
 /** The efficiency with its parts: `Efficiency 87.5 of 100: parcels 100 % (weight 75), ...`. */
 function efficiencyOf({ efficiency, efficiency_parts: parts }) {
   const words = parts.map(({ name, weight, share }) => `${title(name).toLowerCase()} ${percent(share)} (weight ${weight})`);
-  return `Efficiency ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
+  return `Efficiency (not the score) ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
 }
 
 function summary({ world }, { last, annotation, steps, done }) {
   if (!done) return "This flight is not finished, so its moves have no marks.";
   const optimum = annotation?.optimal_score ?? null;
-  const parts = [`score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
+  const parts = [`Score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
-  parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`, `${steps} steps`);
-  if (annotation) parts.push(`a best flight takes ${annotation.optimal_steps}`);
-  return `${parts.join(", ")}.`.replace(/^./, (letter) => letter.toUpperCase());
+  parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`);
+  parts.push(`${last.battery_units} battery units after ${steps} steps`);
+  if (annotation) parts.push(`a best flight ends with ${annotation.optimal_battery} after ${annotation.optimal_steps}`);
+  return `${parts.join(", ")}.`;
 }
 
 function inWords(figures, task) {
@@ -138,5 +145,5 @@ function goOn(context, fleet, acts) {
   acts.start({ task: next.short_name, seed: null, pilots });
   // The focus moves to Start; if the visitor flies, the keys are for the drone.
   if (pilots.includes(fleet.person.id)) leaveFocus();
-  else document.getElementById("start").focus();
+  else document.getElementById("start").focus({ preventScroll: true });
 }

@@ -3,12 +3,11 @@ import { el, setText, table } from "./dom.js";
 import { ARROWS, fixed, isLost, points } from "./format.js";
 
 const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loss", true]];
-const ACTIONS = ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"];
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountThinking(root, context, fleet, acts) {
   const { stage } = context;
-  const rows = ACTIONS.map((action) => {
+  const rows = Object.keys(ARROWS).map((action) => {
     const cells = COLUMNS.slice(1).map(() => el("td.num"));
     const press = () => play(action);
     const name = el("button.q-move", { press, "aria-label": `Play ${action}` }, el("i", { text: ARROWS[action] }), action);

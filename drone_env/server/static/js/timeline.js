@@ -65,7 +65,6 @@ export function mountTimeline(root, context) {
   stage.on("change", refresh);
 }
 
-/** The range of the y axis, in tens. */
 function range(tracks) {
   const all = tracks.flatMap(({ frames }) => frames.map(({ value, score }) => value ?? score));
   const high = Math.min(1, Math.ceil(Math.max(...all) * 10) / 10);

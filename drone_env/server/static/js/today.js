@@ -1,10 +1,11 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
 import { recall, remember } from "./base.js";
-import { el, fact } from "./dom.js";
+import { el, fact, toast } from "./dom.js";
 import { points } from "./format.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
+export const UNLISTED = "Flights with Undo, values or a fork are not listed, nor your best.";
 /** Maps whose best score is kept. */
 const KEPT = 200;
 /** @type {Intl.DateTimeFormatOptions} */
@@ -36,18 +37,21 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     value: nameOf() ?? "",
     on: { change: rename },
   });
+  const unlisted = el("p.note", { id: "unlisted", text: UNLISTED });
   const refused = el("p.note", { role: "alert" });
-  root.append(head, figures, list, el("label.name-field.eyebrow", "Your name", field), refused);
+  root.append(head, figures, unlisted, list, el("label.name-field.eyebrow", "Your name", field), refused);
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
   const own = () => (fleet.shown ? fleet.tracks[fleet.human] : undefined);
 
   function rename() {
     field.value = field.value.trim();
-    refused.textContent = field.checkValidity() ? "" : "Use letters, digits, _ and - without spaces. You fly without a name.";
+    refused.textContent = field.checkValidity() ? "" : "Use letters, digits, _ and - without spaces. Your next flight has no name.";
     // An invalid name is no name, rather than the one before.
     remember(NAME, field.value);
+    field.blur();
     if (fleet.mine?.steps === 0) acts.reset();
+    else if (!refused.textContent) toast("Used from your next flight on.");
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
@@ -63,6 +67,7 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     root.hidden = !day && !best && !own();
     if (root.hidden) return;
     if (own()) keep(own());
+    unlisted.hidden = !own() || own().unnamed === own().pilot;
     const { score, optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [

@@ -19,18 +19,14 @@ export class Track {
     this.live = live;
     /** The answer of `POST /annotate`, or null. @type {Answer<"AnalysedFlight">|null} */
     this.annotation = null;
-    /** Its record, once it is loaded. */
     this.record = null;
-    /** The summary of the stored flight, or null. */
     this.episode = null;
     /** The calls of a language model by step, or null; a retry is one more call. */
     this.calls = null;
-    /** The step of the fork, or null. */
     this.forkedAt = opening.forked_at;
     this.way = null;
   }
 
-  /** The pilot's name, and the step of a fork. */
   get name() {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
   }
@@ -45,7 +41,6 @@ export class Track {
     return this.by.split(" from step ")[0].includes(" with values");
   }
 
-  /** Whether the flight contains network values. */
   get weighed() {
     return this.frames.some((frame) => frame.q_values);
   }
