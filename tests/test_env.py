@@ -23,12 +23,6 @@ OBSERVATION = [
 ]  # fmt: skip
 
 
-def started(task: str, seed: int, profile: str = "tiered") -> Episode:
-    episode = Episode(task, profile)
-    episode.reset(seed)
-    return episode
-
-
 def fly(episode: Episode, actions: str) -> list[float]:
     return [episode.step(Action[name]) for name in actions.split()]
 
@@ -67,7 +61,7 @@ def test_maps_come_from_a_seeded_torch_generator() -> None:
 
 @pytest.mark.feature("E2")
 def test_seven_cell_types_with_emoji_name_and_effect() -> None:
-    episode, seen = started("medium_delivery", 7), set[str]()
+    episode, seen = Episode("medium_delivery", "tiered", 7), set[str]()
     for action in solve("medium_delivery", 7).actions:
         obs = DroneObservation.of(episode)
         for row, names in zip(obs.grid, obs.cell_types, strict=True):
@@ -83,10 +77,10 @@ def test_seven_cell_types_with_emoji_name_and_effect() -> None:
 @pytest.mark.feature("E3")
 def test_five_actions_move_and_the_edge_of_the_city_holds() -> None:
     for action, (dx, dy) in {"UP": (0, -1), "DOWN": (0, 1), "LEFT": (-1, 0), "RIGHT": (1, 0), "WAIT": (0, 0)}.items():
-        episode = started("easy_delivery", 14)
+        episode = Episode("easy_delivery", "tiered", 14)
         fly(episode, action)
         assert episode.position == (6 + dx, 3 + dy)
-    episode = started("easy_delivery", 14)
+    episode = Episode("easy_delivery", "tiered", 14)
     fly(episode, "RIGHT RIGHT RIGHT")
     assert fly(episode, "RIGHT RIGHT") == [0.10, 0.10]
     assert (episode.position, episode.event.name, episode.steps) == ((9, 3), "WALL", 5)
@@ -103,7 +97,7 @@ def test_an_observation_has_typed_fields_that_openapi_documents(tmp_path: Path) 
     for field in documented["properties"].values():
         assert "description" in field
         assert field.keys() & {"type", "anyOf"}
-    obs = DroneObservation.of(started("easy_delivery", 14))
+    obs = DroneObservation.of(Episode("easy_delivery", "tiered", 14))
     assert (obs.drone_x, obs.drone_y, obs.current_target, obs.distance_to_target) == (6, 3, (5, 1), 3)
     assert (obs.battery, obs.battery_steps_remaining, obs.step_count, obs.max_steps) == (1, 60, 0, 60)
     assert (obs.deliveries_total, obs.deliveries_done, obs.score, obs.done) == (1, 0, 0.20, False)
@@ -112,7 +106,7 @@ def test_an_observation_has_typed_fields_that_openapi_documents(tmp_path: Path) 
 
 @pytest.mark.feature("E5")
 def test_actions_observations_and_states_are_models() -> None:
-    episode = started("easy_delivery", 14)
+    episode = Episode("easy_delivery", "tiered", 14)
     action = DroneAction(direction="LEFT")
     episode.step(action.action)
     state = DroneState.of(episode)
@@ -127,7 +121,7 @@ def test_actions_observations_and_states_are_models() -> None:
 
 @pytest.mark.feature("E8")
 def test_each_step_drains_the_battery_and_an_empty_one_ends_the_flight() -> None:
-    episode = started("easy_delivery", 14)
+    episode = Episode("easy_delivery", "tiered", 14)
     for flown in range(1, 61):
         assert not episode.ended
         episode.step(Action.WAIT)
@@ -141,11 +135,9 @@ def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
     task = TASKS[f"{level}_delivery"]
     grader = getattr(import_module(f"drone_env.graders.{level}"), f"grade_{level}")
     assert grader is GRADERS[task.id]
-    episode = started(task.id, 14)
+    episode = Episode(task.id, "tiered", 14)
     assert grader(DroneState.of(episode)) == 0.20  # nothing delivered: 0.2 * (0.5 * 1 + 0.5 * 1)
-    for action in solve(task.id, 14).actions:
-        episode.step(action)
-    state = DroneState.of(episode)
+    state = DroneState.of(episode.fly(solve(task.id, 14).actions))
     assert grader(state) == grader(state.model_dump(mode="json")) == solve(task.id, 14).score
 
 
@@ -155,7 +147,7 @@ def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
     [("LEFT UP UP", 0.99), ("WAIT " * 60, 0.01), ("WAIT " * 57 + "LEFT UP UP", 0.80)],
 )
 def test_grades_lie_between_001_and_099(actions: str, score: float) -> None:
-    episode = started("easy_delivery", 14)
+    episode = Episode("easy_delivery", "tiered", 14)
     fly(episode, actions)
     # 0.8 + 0.2 * 57 / 60 = 0.99, and 0 is clamped.
     assert GRADERS["easy_delivery"](DroneState.of(episode)) == score

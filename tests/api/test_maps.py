@@ -22,7 +22,6 @@ YARD: dict[str, Any] = {
     "numbers": {"battery_capacity": 9},
     "attribution": "© OpenStreetMap contributors",
 }
-HALF = 'format = 1\nlicence = "CC0-1.0"\n[terrain]\nrows = ["· · 🏢", "· 🚧🔋", "· · · "]'
 
 
 @pytest.fixture

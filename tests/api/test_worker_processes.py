@@ -3,7 +3,7 @@
 import asyncio
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from drone_env.server.exceptions import RequestError
 from drone_env.server.settings import Settings
 from drone_env.server.state import AppState
 from drone_env.server.workers import Job, Workers
+from tests.tools import eventually
 from tests.toy import TOY
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
@@ -124,9 +125,7 @@ def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) ->
         pool.submit(die, signal.SIGKILL, caller="a").result()
 
 
-def test_callers_take_turns_and_dropped_jobs_do_not_run(
-    pool: Workers, gate: Path, tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Path, tmp_path: Path) -> None:
     notes = tmp_path / "notes"
     first = pool.submit(wait_at, gate, caller="a")
     eventually(first.running)
@@ -141,9 +140,7 @@ def test_callers_take_turns_and_dropped_jobs_do_not_run(
     assert submitted["c1"].cancelled()
 
 
-def test_a_running_job_is_dropped_with_its_worker(
-    pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_running_job_is_dropped_with_its_worker(pool: Workers, gate: Path) -> None:
     job = pool.submit(wait_at, gate, caller="a")
     eventually(lambda: job.process is not None)
     job.cancel()
@@ -160,7 +157,7 @@ def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None
 
 
 def test_too_many_jobs_are_refused_by_caller_and_in_all(
-    pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
+    pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers, "WAITING", 3)
     monkeypatch.setattr(workers, "WAITING_PER_CALLER", 2)
@@ -177,7 +174,7 @@ def test_too_many_jobs_are_refused_by_caller_and_in_all(
     assert [job.result() for job in waiting] == [3] * 3
 
 
-def test_closing_drops_everything(pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]) -> None:
+def test_closing_drops_everything(pool: Workers, gate: Path) -> None:
     running, waiting = (pool.submit(wait_at, gate, caller="a") for _ in range(2))
     eventually(running.running)
     pool.close()
@@ -209,9 +206,7 @@ def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypa
     assert context.solver_of(task, 2) is not second
 
 
-def test_a_job_is_dropped_when_its_caller_leaves(
-    tmp_path: Path, gate: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_job_is_dropped_when_its_caller_leaves(tmp_path: Path, gate: Path) -> None:
     shared, gone = AppState(Settings(data=tmp_path / "data")), asyncio.Event()
 
     async def receive() -> dict[str, Any]:

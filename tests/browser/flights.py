@@ -1,39 +1,21 @@
 """Finished flights for a store, flown by the agents themselves."""
 
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from drone_env.agents import make_agent
-from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
-from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.files import EVALUATIONS
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
 from drone_env.results.folder import ResultsFolder
 from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.results.store import Store
+from tests.api import live_page
 from tests.api.serving import Server
 
 
 def flown(task: str, seed: int, agent: str, label: str | None = None, profile: str = "tiered") -> EpisodeRecord:
     """The record of a whole flight, under the agent's own name or another."""
-    pilot = make_agent(agent, get_task(task))
-    episode = Episode(task, profile)
-    episode.reset(seed)
-    pilot.reset(seed)
-    while not episode.ended:
-        episode.step(pilot.act(episode.observation()))
-    return record_of(episode, label or agent)
-
-
-def by_hand(task: str | TaskConfig, seed: int, actions: Iterable[Action]) -> Episode:
-    """A flight of these actions."""
-    episode = Episode(task, "tiered", seed)
-    for action in actions:
-        episode.step(action)
-    return episode
+    return record_of(live_page.flown(task, agent, seed=seed, profile=profile), label or agent)
 
 
 def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:

@@ -7,9 +7,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import by_hand, flown, frames, get, posted
+from tests.browser.flights import flown, frames, get, posted
 from tests.browser.shown import (
     expect_flying,
     expect_frame,
@@ -162,7 +163,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
     expect(page.locator("#standings")).to_be_hidden()
     choice.select_option(index=5)
     expect(standings(page).and_(page.locator(".selected"))).to_contain_text("Greedy (6)")
-    open_file(page, "flight.json", record_of(by_hand("easy", 5, [Action.UP]), "me").to_json(2))
+    open_file(page, "flight.json", record_of(Episode("easy", "tiered", 5).fly([Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight.")
     expect(page.locator(".strip")).to_contain_text("This flight is not finished")
     page.keyboard.press("End")

@@ -8,7 +8,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import by_hand, frames, newest
+from tests.browser.flights import frames, newest
 from tests.browser.shown import counter, expect_flying, expect_frame, expect_step, painted, pictures
 from tests.browser.stage import (
     FASTEST,
@@ -42,8 +42,8 @@ def question(page: Page) -> Locator:
 
 
 def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server: Server) -> None:
-    flown = ("RIGHT", "LEFT", "DOWN", "RIGHT", "WAIT", "UP")
-    flight = iter(frames(server, record_of(by_hand("easy", 7, (Action[name] for name in flown)), "me"))[1:])
+    flown = (Action.RIGHT, Action.LEFT, Action.DOWN, Action.RIGHT, Action.WAIT, Action.UP)
+    flight = iter(frames(server, record_of(Episode("easy", "tiered", 7).fly(flown), "me"))[1:])
     over(page, 7, "/?task=easy&seed=7&pilot=greedy")
     expect_step(page, 0, 60)
     # At once: the key comes before the server has answered.
