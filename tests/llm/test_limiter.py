@@ -82,6 +82,21 @@ def test_concurrency_grows_with_answers_and_halves_under_load() -> None:
     with_limiter(work, concurrency=100)
 
 
+def test_the_limiter_bounds_the_requests_at_once() -> None:
+    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
+        seen: list[int] = []
+
+        async def one() -> None:
+            async with limiter.slot():
+                seen.append(limiter.active)
+                await asyncio.sleep(0)
+
+        await asyncio.gather(*(one() for _ in range(50)))
+        assert (max(seen), len(seen), limiter.active) == (3, 50, 0)
+
+    with_limiter(work, concurrency=3)
+
+
 def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> None:
     async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
         async with limiter.slot() as first, limiter.slot() as second:
