@@ -16,6 +16,7 @@ from drone_env.datasets.trajectories import DatasetConfig
 from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
 
+pytestmark = [pytest.mark.timeout(600), pytest.mark.filterwarnings("ignore")]
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
 ROUTE = '<tool_call>\n{{"name": "fly_route", "arguments": {{"directions": {}}}}}\n</tool_call>'
 
@@ -99,8 +100,6 @@ def paid(route: list[str]) -> float:
     return sum(pay)
 
 
-@pytest.mark.timeout(600)
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("plan", [None, "plan"])
 def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -> None:
     best = [action.name for action in solve("easy", 14).actions]
@@ -131,8 +130,6 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     assert any("'NORTH' is not an action" in text for text in asked)
 
 
-@pytest.mark.timeout(600)
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("turns", ["plan", "step", "route"])
 def test_both_trainers_learn_from_the_datasets(turns: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))

@@ -54,10 +54,6 @@ def fail(error: Exception) -> None:
     raise error
 
 
-def die(number: int) -> None:
-    os.kill(os.getpid(), number)
-
-
 def spin() -> None:
     while True:
         pass
@@ -81,10 +77,6 @@ def allocate(megabytes: int) -> int:
 def hoard(megabytes: int) -> int:
     jobs.HOARD = np.ones(megabytes << 20, np.uint8)  # type: ignore[attr-defined]
     return os.getpid()
-
-
-def deliveries_of(task: str) -> int:
-    return get_task(task).deliveries
 
 
 def test_a_result_and_an_error_come_back(pool: Workers) -> None:
@@ -122,7 +114,7 @@ def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) ->
     os.kill(after, signal.SIGKILL)
     assert pool.submit(abs, -3, caller="a").result() == 3, "the process died before the job"
     with pytest.raises(RequestError, match="the server failed"):
-        pool.submit(die, signal.SIGKILL, caller="a").result()
+        pool.submit(signal.raise_signal, signal.SIGKILL, caller="a").result()
 
 
 def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Path, tmp_path: Path) -> None:
@@ -187,7 +179,7 @@ def test_closing_drops_everything(pool: Workers, gate: Path) -> None:
 
 def test_workers_know_the_tasks_that_the_server_has(pool: Workers, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASKS, "toy", TOY)
-    assert pool.submit(deliveries_of, "toy", caller="a").result() == TOY.deliveries
+    assert pool.submit(get_task, "toy", caller="a").result() == TOY
 
 
 def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:

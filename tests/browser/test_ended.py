@@ -48,8 +48,7 @@ def expect_efficiency(page: Page, done: float, left: float) -> None:
     )
 
 
-@pytest.mark.feature("D2")
-@pytest.mark.feature("D5")
+@pytest.mark.feature("D2", "D5")
 def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the_graph(
     page: Page, server: Server
 ) -> None:
@@ -112,8 +111,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(page).to_have_url(re.compile(f"fork={worst - 1}&of=random"))
 
 
-@pytest.mark.feature("D2")
-@pytest.mark.feature("D3")
+@pytest.mark.feature("D2", "D3")
 def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard_to_easy(page: Page) -> None:
     over(page, 0, "/?task=easy&seed=0&pilots=random,optimal")
     fly(page)
