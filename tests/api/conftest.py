@@ -62,12 +62,6 @@ def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestCli
 
 
 @pytest.fixture
-def shared_session(shared_client: TestClient) -> dict[str, str]:
-    """The header of a session of `shared_client` on easy map 7."""
-    return {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
-
-
-@pytest.fixture
 def session(client: TestClient) -> dict[str, str]:
     """The header of a session on easy map 7."""
     return {"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]}

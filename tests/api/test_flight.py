@@ -69,14 +69,15 @@ def test_openenvs_forms_are_answered_in_openenvs_form(client: TestClient) -> Non
     ],
 )
 def test_what_is_refused_leaves_the_episode_as_it_was(
-    shared_client: TestClient, shared_session: Header, path: str, body: Any, told: str
+    shared_client: TestClient, path: str, body: Any, told: str
 ) -> None:
-    shared_client.post("/step", json=UP, headers=shared_session)
-    answer = shared_client.post(path, json=body, headers=shared_session)
+    session = {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
+    shared_client.post("/step", json=UP, headers=session)
+    answer = shared_client.post(path, json=body, headers=session)
     assert answer.status_code == 422
     assert told in answer.json()["detail"]
     assert path == "/reset" or answer.json()["errors"]
-    assert shared_client.get("/state", headers=shared_session).json()["step_count"] == 1
+    assert shared_client.get("/state", headers=session).json()["step_count"] == 1
 
 
 def test_a_reset_in_a_session_stays_in_it_and_walks_on(client: TestClient, session: Header) -> None:
