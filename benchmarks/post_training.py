@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 ROOT = Path(__file__).resolve().parent.parent
 COLOURS = {"rank": "#4a76ab", "score": "#4d9a55", "regret": "#c4722e"}
@@ -33,6 +34,9 @@ def draw(results: dict[str, Any]) -> Figure:
             steps = [row["step"] * answers / log[-1]["step"] / 1000 for row in log]
             losses.plot(steps, [row["loss"] for row in log], label=name)
     losses.set(yscale="log", xlabel="thousand answers", ylabel="loss per token")
+    losses.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    losses.yaxis.set_major_formatter("{x:g}")
+    losses.minorticks_off()
     runs = {kind: sorted(name for name in results if name.startswith(f"grpo-{kind}-")) for kind in COLOURS}
     for kind, names in runs.items():
         for name in names:

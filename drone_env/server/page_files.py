@@ -1,6 +1,6 @@
 """The static files of the page. URLs under `/static/v-EDITION/` contain a content hash, so browsers cache them.
 
-`make bundle` joins the modules in `static/js` into one file for Fly and one for each other view, in `static/bundle`.
+`make bundle` writes `static/bundle`: one script and one style sheet for Fly, and one script for each other view.
 """
 
 import os
@@ -17,7 +17,7 @@ PAGE = Path(__file__).with_name("static")
 ART = Path(__file__).parents[1] / "envs" / "art"
 """Sprites of Gymnasium's renderer and of the page."""
 FILES = [(folder, path) for folder in (PAGE, ART) for path in sorted(folder.rglob("*.*"))]
-MODULES = sorted((PAGE / "js").glob("*.js"))
+SOURCES = [PAGE / "index.html", *sorted(PAGE.glob("css/*.css")), *sorted(PAGE.glob("js/*.js"))]
 BUNDLE = PAGE / "bundle" / "main.js"
 PATHS = {f"/static/{path.relative_to(folder).as_posix()}" for folder, path in FILES}
 VERSIONED = re.compile("v-[0-9a-f]{16}/")
@@ -29,16 +29,15 @@ def edition() -> str:
     return _digest(tuple(path for _, path in FILES))
 
 
-def modules_digest() -> str:
-    """Return 16 hexadecimal digits of the content hash of the modules, which the bundle's first line repeats."""
-    return _digest(tuple(MODULES))
+def sources_digest() -> str:
+    """Return 16 hexadecimal digits of the content hash of the bundle's sources, which its first line repeats."""
+    return _digest(tuple(SOURCES))
 
 
-def script() -> str:
-    """Return the path of the page's script: the bundle, or the module if one has changed since `make bundle`."""
+def is_bundled() -> bool:
+    """Return whether the bundle is current: no source has changed since `make bundle`."""
     with BUNDLE.open(encoding="utf-8") as file:
-        current = file.readline().split() == ["//", modules_digest()]
-    return f"static/{'bundle' if current else 'js'}/main.js"
+        return file.readline().split() == ["//", sources_digest()]
 
 
 def _digest(paths: tuple[Path, ...]) -> str:
@@ -82,4 +81,4 @@ class PageFiles(StaticFiles):
 
 
 if __name__ == "__main__":
-    print(modules_digest())
+    print(sources_digest())

@@ -56,4 +56,4 @@ def test_the_cells_of_its_notebook_run_without_a_gpu(tmp_path: Path, monkeypatch
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     notebook = json.loads((ROOT / "examples" / "post_train.ipynb").read_text(encoding="utf-8"))
     *_, outputs = run(notebook, tmp_path)
-    assert {"optimum", "greedy", "sft", "weak", "grpo-regret-0"} <= set("".join(outputs[0]["text"]).split())
+    assert {"optimum", "greedy", "sft", "weak", "grpo-rank-0"} <= set("".join(outputs[0]["text"]).split())

@@ -109,6 +109,7 @@ class TestPredictions:
         else:
             assert untold.json() == answer.json(), "older clients were never told, and nothing depends on it"
 
+    @pytest.mark.feature("L7")
     def test_what_was_trained_here_goes_before_what_is_shipped(
         self, client: TestClient, settings: dict[str, Any], session: Header
     ) -> None:

@@ -37,15 +37,18 @@ class TestHello:
             assert path.read_text(encoding="utf-8") == text, "python -m tools.first_paint draws them again"
 
 
-class TestScripts:
-    def test_the_bundle_is_current(self) -> None:
-        assert page_files.script() == "static/bundle/main.js", "make bundle writes it again"
+class TestBundle:
+    def test_it_is_current(self) -> None:
+        assert page_files.is_bundled(), "make bundle writes it again"
 
-    def test_a_module_that_has_changed_is_served_instead(
+    def test_sources_that_have_changed_are_served_instead(
         self, shared_client: TestClient, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        assert "/bundle/main.js" in shared_client.get("/").text
-        monkeypatch.setattr(page_files, "MODULES", page_files.MODULES[1:])
-        html = shared_client.get("/").text
-        assert "/js/main.js" in html
+        sources = [path.relative_to(PAGE).as_posix() for path in page_files.SOURCES[1:]]
+        html = shared_client.get("/?view=learn").text
+        assert [name for name in sources if f"/{name}" in html] == ["js/before_modules.js"]
+        assert html.count("/bundle/main.js") == html.count("/bundle/page.css") == 1
+        monkeypatch.setattr(page_files, "SOURCES", page_files.SOURCES[1:])
+        html = shared_client.get("/?view=learn").text
         assert "/bundle/" not in html
+        assert {"css/tokens.css", "css/fly.css", "js/main.js"} < {name for name in sources if f"/{name}" in html}

@@ -36,8 +36,7 @@ class Reference:
     """The episode that a session flies, here."""
 
     def __init__(self, seed: int) -> None:
-        self.episode = Episode(TASK, ORIGINAL_PROFILE)
-        self.episode.reset(seed)
+        self.episode = Episode(TASK, ORIGINAL_PROFILE, seed)
         self.moves = random.Random(seed)
 
     def action(self) -> Action:
@@ -47,17 +46,11 @@ class Reference:
         return from_json(to_json(observation_fields(self.episode)))
 
 
-def openenv_result(fields: dict[str, Any], reward: float | None, **more: Any) -> dict[str, Any]:
-    """An observation as OpenEnv sends it: reward and done beside the rest. Takes the fields for its own."""
-    done = fields.pop("done")
-    outside = {"metadata": more["metadata"]} if more else {}
-    return {"observation": {**fields, "metadata": {}, **more}, "reward": reward, "done": done, **outside}
-
-
 def socket_result(fields: dict[str, Any], reward: float | None, flown: int, profile: str) -> dict[str, Any]:
-    """The answer to a step over OpenEnv's socket."""
-    metadata = {"reward_profile": profile, "flown": flown}
-    return openenv_result(fields, reward, metadata=metadata, prompt="", messages=[])
+    """The answer to a step over OpenEnv's socket: reward and done beside the rest. Takes the fields for its own."""
+    done, metadata = fields.pop("done"), {"reward_profile": profile, "flown": flown}
+    observation = {**fields, "metadata": metadata, "prompt": "", "messages": []}
+    return {"observation": observation, "reward": reward, "done": done, "metadata": metadata}
 
 
 class HttpSession:

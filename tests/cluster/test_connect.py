@@ -14,8 +14,6 @@ def test_where_nobody_listens_and_what_is_no_address(capsys: pytest.CaptureFixtu
     for address, said in (("127.0.0.1:9", "no cluster"), ("here", "HOST:PORT"), ("", "HOST:PORT")):
         assert main([*evaluate, "--engine", "ray", "--address", address]) == 2
         assert said in capsys.readouterr().err
-    assert main([*evaluate, "--address", "auto"]) == 2
-    assert "--engine ray" in capsys.readouterr().err
 
 
 def test_a_node_with_another_package_is_refused() -> None:

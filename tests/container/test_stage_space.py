@@ -3,15 +3,13 @@
 import json
 import subprocess
 import sys
-import tarfile
-from io import BytesIO
 from pathlib import Path
 
 import pytest
 import yaml
 
 from tests.contract import official
-from tests.tools import missing_tool
+from tests.package.installed import copy_tracked
 
 from .commands import ROOT
 from .test_dockerfile import START, instructions
@@ -21,13 +19,9 @@ COLOURS = {"red", "yellow", "green", "blue", "indigo", "purple", "pink", "gray"}
 
 @pytest.fixture(scope="module")
 def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The repository as it is committed, without git."""
-    done = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, capture_output=True, check=False)
-    if done.returncode != 0:
-        missing_tool("a git checkout")
+    """The tracked files, without git."""
     folder = tmp_path_factory.mktemp("export")
-    with tarfile.open(fileobj=BytesIO(done.stdout)) as archive:
-        archive.extractall(folder, filter="data")
+    copy_tracked(folder)
     return folder
 
 

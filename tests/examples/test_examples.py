@@ -25,10 +25,9 @@ SHORT = {
 ELSEWHERE = "post_train"
 """It needs TRL: tests/adapters/test_post_train.py runs it."""
 PAIR = re.compile(r"score (0\.\d+)[^\n]*optimum[^\n]*? (0\.\d+)")
-every_example = pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 
 
-@every_example
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_sound(example: Path) -> None:
     text = example.read_text(encoding="utf-8")
     check_python(text, example.name)

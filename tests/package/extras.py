@@ -1,6 +1,5 @@
 """The packages of each extra, from the metadata of installed packages."""
 
-import sys
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 
@@ -8,15 +7,11 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from drone_env.errors import DISTRIBUTION
+from drone_env.toml_text import parse_toml
 from tests.package.installed import ROOT
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 INSTALLED = packages_distributions()
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 @cache

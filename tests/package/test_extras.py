@@ -30,7 +30,6 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 """The extras that a module may import, and its submodules without an own entry."""
 
 
-ALL = sorted({extra for extras in NEEDS.values() for extra in extras})
 NOT_INSTALLED = {"inspect", "trl"}
 """Extras that are no part of the development tools."""
 
@@ -69,12 +68,12 @@ for module in modules:
 """
 
 
-def not_brought(extras: tuple[str, ...], *more: str) -> list[str]:
+def not_brought(extras: tuple[str, ...]) -> list[str]:
     """The modules that cannot be imported with these extras alone."""
     # The last two are in Ray.
     there = sorted({*brought(*extras), *sys.stdlib_module_names, "drone_env", "colorama", "psutil"})
     parts = [module for module in modules() if needs(module) == extras]
-    command = [sys.executable, "-c", IMPORT, json.dumps([there, [*parts, *more]])]
+    command = [sys.executable, "-c", IMPORT, json.dumps([there, parts])]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return [line for line in done.stdout.splitlines() if "needs Stable-Baselines3" not in line]  # of no extra

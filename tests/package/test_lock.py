@@ -2,20 +2,14 @@
 
 import re
 import subprocess
-import sys
 from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 from packaging.requirements import Requirement
 
 from drone_env.errors import DISTRIBUTION
-from tests.package.installed import ROOT
+from tests.package.extras import PROJECT, ROOT
 from tests.tools import find_uv, missing_tool
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 
 @pytest.mark.feature("P5")
@@ -29,9 +23,8 @@ def test_the_lock_agrees_with_pyproject_toml_and_with_what_is_installed() -> Non
     assert exported.returncode == 0, exported.stderr
     pins = [Requirement(line) for line in exported.stdout.splitlines() if re.match(r"\w", line)]
     locked = {pin.name: pin for pin in pins if pin.marker is None or pin.marker.evaluate()}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    needed = [Requirement(line) for line in (*project["dependencies"], *extras["dev"])]
+    extras = PROJECT["optional-dependencies"]
+    needed = [Requirement(line) for line in (*PROJECT["dependencies"], *extras["dev"])]
     compared = set()
     for requirement in needed:
         if requirement.name == DISTRIBUTION:

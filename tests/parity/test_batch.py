@@ -12,44 +12,22 @@ from drone_env.core.cells import Cell
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import MAX_SIDE, MAX_UNITS, TASKS, TaskConfig
-from drone_env.core.terrain import Terrain
 from tests.parity.golden import Reference
+from tests.property.test_episode import custom_task
+from tests.unit.test_terrain import CELLS
+from tests.unit.test_terrain import task as terrain_task
 
 STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "250000"))
 """Steps in all, over every combination of task, profile and mode."""
 HARD = TASKS["hard_delivery"]
-CUSTOM = {
-    "drain": replace(HARD, drain=((Cell.TREE, 7), (Cell.BUILDING, 0), (Cell.DELIVERED, 3)), max_steps=90),
-    "pads": replace(
-        HARD, width=5, height=8, buildings=5, trees=4, obstacles=3, pads=9, charge_rate=6, battery_capacity=12
-    ),
-    "impassable": replace(
-        HARD, width=9, height=6, impassable=frozenset({Cell.BUILDING, Cell.OBSTACLE}), buildings=9, battery_capacity=99
-    ),
-}
-# Rows of 6: two pieces, parted by obstacles.
-CELLS = bytes([0, 0, 1, 0, 3, 0, 0, 2, 3, 0, 3, 0, 0, 0, 0, 1, 3, 0, 2, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 3])
-GIVEN = replace(
-    HARD,
-    width=6,
-    height=5,
-    deliveries=3,
-    buildings=2,
-    trees=2,
-    obstacles=6,
-    pads=2,
-    charge_rate=4,
-    battery_capacity=18,
-    impassable=frozenset({Cell.OBSTACLE}),
-    terrain=Terrain(CELLS, 6),
-)
-CITY = np.tile(np.reshape(np.frombuffer(CELLS, np.uint8), (5, 6)), (2, 5))
+CUSTOM = {f"custom {number}": custom_task(number) for number in range(8)}
+CITY = np.tile(np.reshape(np.frombuffer(CELLS, np.uint8), (3, 5)), (2, 6))
 CITY[:, -1] = Cell.PAD
 CUSTOM |= {
-    "terrain": GIVEN,
-    "windows": replace(GIVEN, buildings=20, trees=20, obstacles=58, pads=6, terrain=Terrain(CITY.tobytes(), 30)),
-    "start": replace(GIVEN, terrain=Terrain(CELLS, 6, start=(3, 3))),
-    "parcels": replace(GIVEN, terrain=Terrain(CELLS, 6, parcels=((0, 0), (3, 0), (2, 4)))),
+    "terrain": terrain_task(pads=2, battery_capacity=18),
+    "windows": terrain_task(CITY.tobytes(), columns=30, pads=2, battery_capacity=18),
+    "start": terrain_task(start=(2, 2)),
+    "parcels": terrain_task(parcels=((0, 0), (2, 1))),
 }
 LARGEST = replace(
     HARD,

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from drone_env.core.batch import Batch
-from drone_env.core.tasks import TASKS
 from tests.parity.golden import (
     GOLDEN_FILE,
     N_FIRST,
@@ -56,10 +55,6 @@ def python_without_numba(version: str, folder: Path) -> str:
             missing_tool(f"NumPy and Gymnasium for Python {version}")
         ready.touch()
     return python
-
-
-def test_names_every_task() -> None:
-    assert list(GOLDEN) == list(TASKS)
 
 
 def test_in_plain_python() -> None:

@@ -1,6 +1,7 @@
 """What holds on every flight, in the standard tasks and in random ones."""
 
 import os
+import pickle
 import random
 from dataclasses import replace
 from fractions import Fraction
@@ -79,8 +80,7 @@ TASK = STANDARD | NUMBERS.map(custom_task)
 
 def finish(episode: Episode, actions: list[int]) -> None:
     """Fly the actions, then WAIT until the end."""
-    for action in actions:
-        episode.step(action)
+    episode.fly(actions)
     while not episode.ended:
         episode.step(Action.WAIT)
 
@@ -143,9 +143,7 @@ def test_what_holds_at_every_step(task: TaskConfig, seed: int, actions: list[int
 def test_the_score_is_the_formula_computed_exactly_and_rounded_once(
     task: TaskConfig, seed: int, actions: list[int]
 ) -> None:
-    episode = Episode(task, "tiered", seed)
-    for action in actions:
-        episode.step(action)
+    episode = Episode(task, "tiered", seed).fly(actions)
     delivered = Fraction(episode.deliveries_done, task.deliveries)
     battery = Fraction(episode.battery_units, task.battery_capacity)
     time = 1 - Fraction(episode.steps, task.max_steps)
@@ -174,9 +172,7 @@ def test_an_unfinished_episode_counts_exactly_what_waiting_to_the_end_would_scor
     task: TaskConfig, seed: int, actions: list[int]
 ) -> None:
     """So stopping early never pays: whoever stops could have had as much by going on."""
-    episode = Episode(task, "tiered", seed)
-    for action in actions:
-        episode.step(action)
+    episode = Episode(task, "tiered", seed).fly(actions)
     before = episode.get_state()
     counted = episode.counted_score()
     assert episode.get_state() == before
@@ -189,14 +185,12 @@ def test_an_unfinished_episode_counts_exactly_what_waiting_to_the_end_would_scor
 def test_set_state_returns_to_the_snapshot(
     task: TaskConfig, profile: str, seed: int, actions: list[int], further: list[int]
 ) -> None:
-    episode = Episode(task, profile, seed)
-    for action in actions:
-        episode.step(action)
-    state, mask = episode.get_state(), episode.action_mask()
+    episode = Episode(task, profile, seed).fly(actions)
+    state, mask, message = pickle.dumps(episode.get_state()), episode.action_mask(), episode.message
     rewards = [episode.step(action) for action in further]
     after = episode.get_state()
-    episode.set_state(state)
-    assert episode.get_state() == state
+    episode.set_state(pickle.loads(state))
+    assert (pickle.dumps(episode.get_state()), episode.message) == (state, message)
     assert np.array_equal(episode.action_mask(), mask)
     assert [episode.step(action) for action in further] == rewards
     assert episode.get_state() == after

@@ -2,7 +2,6 @@
 
 import os
 import random
-from collections.abc import Sequence
 from dataclasses import replace
 
 from hypothesis import given, settings
@@ -10,15 +9,13 @@ from hypothesis import strategies as st
 
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.core.actions import Action
-from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning import optimal
 from drone_env.planning.legs import LegSolver, covers
 from drone_env.planning.solver import ExactSolver, Solver
 from tests.brute_force import BruteForce
-from tests.property.test_episode import BLOCKING, DRAINED
-from tests.toy import TOY
+from tests.property.test_episode import custom_task, uniform_task
 
 thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "150")), deadline=None, derandomize=True)
 
@@ -27,57 +24,19 @@ NUMBERS = st.integers(0, 2**32)
 
 def small_task(number: int) -> TaskConfig:
     """A task of every mechanic, or in one case of four of none, with few enough states to try them all."""
-    draw = random.Random(number)
-    spacing = draw.choice((0, 0, 2, 3))
-    sides = [side for side in range(2, 7) if not spacing or side % spacing == 0]
-    width, height = draw.choice(sides), draw.choice(sides)
-    cells = width * height
-    between = (width - width // spacing) * (height - height // spacing) if spacing else cells
-    on_streets = cells - between if spacing else cells
-    deliveries = draw.randint(1, min(3, on_streets - 1))
-    terrain = draw.choices((*BLOCKING, Cell.PAD, Cell.ROAD), k=cells - 1 - deliveries)
-    kinds = {kind: terrain.count(kind) for kind in (*BLOCKING, Cell.PAD)}
-    if spacing:
-        kinds[Cell.BUILDING] = min(kinds[Cell.BUILDING], between)
-        kinds[Cell.TREE] = min(kinds[Cell.TREE], between - kinds[Cell.BUILDING])
-        kinds[Cell.OBSTACLE] = min(kinds[Cell.OBSTACLE], on_streets - 1 - deliveries)
-        kinds[Cell.PAD] = min(kinds[Cell.PAD], on_streets - 1 - deliveries - kinds[Cell.OBSTACLE])
-    plain = draw.random() < 0.25
-    steps = draw.randint(1, 24 if cells <= 9 else 12)
+    draw = random.Random(str(number))  # independent of what the task draws
+    task = (uniform_task if draw.random() < 0.25 else custom_task)(number)
+    steps = draw.randint(1, 24 if task.width * task.height <= 9 else 12)
     return replace(
-        TOY,
-        width=width,
-        height=height,
-        deliveries=deliveries,
-        buildings=kinds[Cell.BUILDING],
-        trees=kinds[Cell.TREE],
-        obstacles=kinds[Cell.OBSTACLE],
-        pads=kinds[Cell.PAD],
-        street_spacing=spacing,
+        task,
         max_steps=steps,
         battery_capacity=draw.choice((steps, draw.randint(1, 16), draw.randint(1, 16))),
-        efficiency_needs_all=draw.random() < 0.5,
-        drain=() if plain else tuple((kind, draw.randint(0, 4)) for kind in DRAINED if draw.random() < 0.5),
-        impassable=frozenset(() if plain else (kind for kind in BLOCKING if draw.random() < 0.4)),
-        charge_rate=0 if plain else draw.choice((0, 1, 2, 5, 20)),
+        charge_rate=task.charge_rate * draw.choice((1, 1, 4)),
     )
 
 
 def small_episode(number: int) -> Episode:
-    episode = Episode(small_task(number), "score")
-    episode.reset(number)
-    return episode
-
-
-def flown(episode: Episode, actions: Sequence[Action]) -> float:
-    """The score of a flight, which has to end with its last action; the episode is left as it is."""
-    flight = Episode(episode.task, episode.reward_profile)
-    flight.set_state(episode.get_state())
-    for action in actions:
-        assert not flight.ended
-        flight.step(action)
-    assert flight.ended
-    return flight.score
+    return Episode(small_task(number), "score", number)
 
 
 def solvers_of(episode: Episode) -> list[Solver]:
@@ -130,7 +89,9 @@ def test_every_planner_flies_what_brute_force_finds_from_the_start_and_from_any_
         for solver in solvers_of(episode):
             assert episode.copy().fly(solver.best_actions()).counted_score() == best
         solution = optimal.solve_episode(episode)
-        assert flown(episode, solution.actions) == solution.score == best
+        flight = episode.copy().fly(solution.actions)
+        assert (flight.ended, flight.score, solution.score) == (True, best, best)
+        assert flight.steps == episode.steps + len(solution.actions), "it ends with its last action"
         assert episode.get_state() == before
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from drone_env.agents.weights_file import write_weights
 from drone_env.results.store import Store
 
 
@@ -20,7 +21,9 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import torch  # slow to load
 
     from drone_env.rl.models import TourNet
-    from tests.unit.tour_features import parameters_of, save
 
     torch.manual_seed(0)
-    return save(tmp_path_factory.mktemp("network") / "tour.safetensors", parameters_of(TourNet()))
+    file = tmp_path_factory.mktemp("network") / "tour.safetensors"
+    parameters = {name: tensor.numpy() for name, tensor in TourNet().state_dict().items()}
+    write_weights(file, parameters, {"network": "tournet"})
+    return file

@@ -53,17 +53,13 @@ class Drawing:
         self._add("relation", "", held, {"type": "multipolygon", **tags})
         return self
 
-    def text(self) -> str:
-        parts = [part for kind in self._parts.values() for part in kind]
-        return "\n".join(['<osm version="0.6">', self._head, *parts, "</osm>\n"])
-
     def save(self, path: Path) -> Path:
-        path.write_text(self.text(), encoding="utf-8")
+        parts = [part for kind in self._parts.values() for part in kind]
+        path.write_text("\n".join(['<osm version="0.6">', self._head, *parts, "</osm>\n"]), encoding="utf-8")
         return path
 
     def _add(self, kind: str, attributes: str, inner: list[str], tags: Mapping[str, str]) -> None:
-        pairs = [(key.replace("__", ":"), value) for key, value in tags.items()]
-        inner = [*inner, *(f"<tag k={quoteattr(key)} v={quoteattr(value)}/>" for key, value in pairs)]
+        inner = [*inner, *(f"<tag k={quoteattr(key)} v={quoteattr(value)}/>" for key, value in tags.items())]
         number = len(self._parts[kind]) + 1
         self._parts[kind].append(f'<{kind} id="{number}" version="1" {attributes}>{"".join(inner)}</{kind}>')
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+from torch import nn
 
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.dqn import Trainer
@@ -53,6 +54,10 @@ def finished(trainer: AnyTrainer) -> AnyTrainer:
     for _ in trainer.train():
         pass
     return trainer
+
+
+def parameters(network: nn.Module) -> list[torch.Tensor]:
+    return [parameter.detach().clone() for parameter in network.parameters()]
 
 
 def assert_same(a: Any, b: Any) -> None:

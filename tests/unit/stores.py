@@ -13,8 +13,7 @@ from drone_env.results.store import Store, StoredEpisode
 
 def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile: str = "tiered") -> Episode:
     """An episode flown to its end: with these actions again and again, or optimally."""
-    episode = Episode(task, profile)
-    episode.reset(seed)
+    episode = Episode(task, profile, seed)
     chosen = "".join(str(int(a)) for a in solve(task, seed).actions) if actions is None else actions
     while not episode.ended:
         episode.step(int(chosen[episode.steps % len(chosen)]))

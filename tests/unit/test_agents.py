@@ -11,7 +11,7 @@ from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
 from tests.which_tasks import SMALL
 
@@ -65,11 +65,6 @@ def test_the_random_agent_draws_all_actions_alike_and_differently_on_each_map() 
     for action in Action:
         assert drawn.count(action) / len(drawn) == pytest.approx(0.2, abs=0.02)
     assert len({tuple(actions) for actions in flights}) == len(flights)
-
-
-def test_an_unknown_agent_is_refused_with_the_names_that_exist() -> None:
-    with pytest.raises(UnknownNameError, match=r"'greedier'.*greedy, optimal, pathqnet, random"):
-        make_agent("greedier", "easy")
 
 
 def test_a_batch_counts_the_first_flight_over_each_map() -> None:

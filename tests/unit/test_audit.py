@@ -101,18 +101,12 @@ def test_hacks_of_one_easy_map_by_hand() -> None:
     assert audited.score == 0.8
 
 
-def test_a_flight_for_a_reward_of_ones_own_can_be_analysed_and_replayed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_for_a_reward_of_ones_own_can_be_analysed(tmp_path: Path) -> None:
     mine, worst = tmp_path / "mine.toml", tmp_path / "worst.json"
     mine.write_text(MINE)
     # Waiting costs nothing here, so the delivery may come with the last step.
     assert cli.main(["audit", "--reward", str(mine), "--maps", "2", "--replay", str(worst)]) == 1
     assert cli.main(["analyse-flight", str(worst)]) == 0
-    assert cli.main(["replay", str(worst)]) == 2
-    assert "unknown reward profile 'mine'" in capsys.readouterr().err
-    assert cli.main(["replay", str(worst), "--reward", str(mine)]) == 0
-    assert "[END]" in capsys.readouterr().out
 
 
 # Files
@@ -144,9 +138,7 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id = ", "invalid TOML"),
         ("summary = 'x'", "id: Field required"),
-        ("id = 'x'\nbonus = 1", "unknown key 'bonus'; allowed: id, summary"),
         ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),

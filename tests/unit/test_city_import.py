@@ -10,17 +10,15 @@ from drone_env.city.openstreetmap import import_city
 from drone_env.city.raster import metres_per_degree, paint_area, water_beside
 from tests.unit.osm_files import BOX, Drawing
 
-SIGNS = {"· ": ".", "🏢": "B", "🌳": "T", "🚧": "#", "🔋": "P"}
+SIGNS = ".BT#----P"
+"""A letter for each cell."""
 RING = ((1, 1), (5, 1), (5, 3), (1, 3), (1, 1))
 OPEN = ["......"] * 4
 
 
 def rows_of(drawing: Drawing, folder: Path) -> list[str]:
-    """The rows of a drawing's city, a letter for each cell."""
-    text = "\n".join(text_rows(import_city(drawing.save(folder / "town.osm"), BOX).grid))
-    for symbol, sign in SIGNS.items():
-        text = text.replace(symbol, sign)
-    return text.split("\n")
+    """The rows of a drawing's city."""
+    return ["".join(SIGNS[cell] for cell in row) for row in import_city(drawing.save(folder / "town.osm"), BOX).grid]
 
 
 @pytest.mark.parametrize(

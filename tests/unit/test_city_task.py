@@ -48,20 +48,11 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     assert (fixed.deliveries, fixed.terrain and fixed.terrain.start) == (2, (1, 1))
 
 
-@pytest.mark.parametrize(
-    ("city", "said"),
-    [
-        (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
-        (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
-        (City(np.zeros((129, 2), np.uint8)), "height must be 2 to 128, got 129"),
-    ],
-)
-def test_a_city_that_cannot_be_a_task_is_refused(city: City, said: str, tmp_path: Path) -> None:
-    write_city(city, tmp_path / "yard.toml")
+def test_a_city_that_cannot_be_a_task_is_refused(yard: Path) -> None:
+    write_city(City(GRID, numbers={"pads": 0}), yard)
     with pytest.raises(InvalidTaskError) as raised:
-        city_task(tmp_path / "yard.toml")
-    assert str(raised.value).startswith(f"city {tmp_path / 'yard.toml'}: task 'yard': ")
-    assert said in str(raised.value)
+        city_task(yard)
+    assert str(raised.value) == f"city {yard}: task 'yard': pads must be at least the 1 of the terrain, got 0"
 
 
 def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,10 +121,3 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
             row.begin(Episode("yard", "tiered", 8))
         with pytest.raises(StoreError, match="another task"):
             store.add_episode(Episode("yard", seed=7).fly([0] * 39), "someone")
-
-
-def test_the_name_of_another_task_cannot_be_taken(yard: Path) -> None:
-    register_city(yard)
-    write_city(City(GRID.T.copy()), yard)
-    with pytest.raises(InvalidTaskError, match="yard already names the task 'yard'"):
-        register_city(yard)

@@ -99,8 +99,7 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
     seed = next(seed for seed in range(1000) if solve(task, seed).deliveries == 3)
     assert main(["solve", "--task", task, "--seed", str(seed), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    episode = Episode(report["task"])
-    episode.reset(report["seed"])
+    episode = Episode(report["task"], seed=report["seed"])
     assert tuple(report["path"][0]) == episode.position
     for action, position in zip(report["actions"], report["path"][1:], strict=True):
         episode.step(Action[action])
@@ -145,6 +144,7 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         (["train", "--reward-profile", "generous"], "allowed: aligned"),
         (["train", "--replay-size", "1000000000000000"], "out of memory"),
         (["train", "--network", "tournet", "--preset", "original"], "--preset"),
+        (["sweep", "--set", "gamma=0.9", "--set", "gamma=0.8"], "set twice"),
         ([], "name a command, such as fly"),
     ],
 )

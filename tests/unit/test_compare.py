@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.result import EpisodesKey, Results, repeated
+from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import (
     SCORES,
     PairedComparison,
@@ -75,12 +74,3 @@ def test_the_lowest_regret_ranks_first_whatever_the_maps_were_worth() -> None:
     }
     agents = {agent: results(np.array(scores), np.array(optima)) for agent, (scores, optima) in maps.items()}
     assert [agent for agent, _ in ranked(agents)] == ["best of two", "best of one", "rich", "unknown"]
-
-
-def test_of_several_flights_over_a_map_the_mean_counts() -> None:
-    key = episodes_key("easy", "random", range(20))
-    repeats = [run_episodes(key._replace(repeat=repeat)) for repeat in range(3)]
-    flown = repeated(repeats)
-    scores = np.mean([results.scores for results in repeats], axis=0)
-    assert flown.by_map().scores.tolist() == scores.tolist()
-    assert {row.flights for row in flown.by_map().rows()} == {3}

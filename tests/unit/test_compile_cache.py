@@ -30,6 +30,8 @@ def twice(x):
 def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty folder, which `DRONE_ENV_CACHE` names."""
     folder = tmp_path / "cache"
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("DRONE_ENV_CACHE", str(folder))
     print_before_compiling.cache_clear()
     yield folder
@@ -118,8 +120,7 @@ def test_processes_that_compile_at_once_never_load_the_code_of_another_signature
 def test_the_folder_that_the_environment_names(
     variables: dict[str, str], folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("DRONE_ENV_CACHE", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
+    monkeypatch.delenv("DRONE_ENV_CACHE")
     for name, value in variables.items():
         monkeypatch.setenv(name, str(tmp_path / value))
     assert cache_folder() == tmp_path / folder / compile_cache.LOADED
@@ -133,8 +134,7 @@ def test_the_folder_that_the_environment_names(
 def test_a_folder_at_home_that_others_can_write_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("DRONE_ENV_CACHE", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
+    monkeypatch.delenv("DRONE_ENV_CACHE")
     monkeypatch.setenv("HOME", str(tmp_path))
     parent = tmp_path / ".cache" / "drone_env"
     assert {path.stat().st_mode & 0o777 for path in (cache_folder(), parent)} == {0o700}

@@ -26,8 +26,6 @@ from drone_env.planning.solver import ExactSolver
 from tests.which_tasks import SMALL
 
 FORMATS = ("parquet", "minari") if sys.version_info >= (3, 11) else ("parquet",)
-needs_minari = pytest.mark.skipif("minari" not in FORMATS, reason="Minari asks for Python 3.11")
-
 SHORT = [task.short_name for task in SMALL.values() if task.short_name not in ("skyline_hard", "city_small")]
 
 
@@ -57,8 +55,7 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
     folder = made(tmp_path, config_of(task, range(5, 6), "train", reward_profile="tiered"))
     for flight in flights(folder):
         first = flight[0]
-        episode = Episode(task, "tiered")
-        episode.reset(first["seed"])
+        episode = Episode(task, "tiered", first["seed"])
         solver = ExactSolver(episode)
         rewards = []
         for number, row in enumerate(flight):
@@ -132,7 +129,7 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     assert '"package_version"' in page
 
 
-@needs_minari
+@pytest.mark.skipif("minari" not in FORMATS, reason="Minari asks for Python 3.11")
 @pytest.mark.parametrize("task", ["easy", "skyline_easy"])
 def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import minari

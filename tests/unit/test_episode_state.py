@@ -1,6 +1,5 @@
 """An episode as an object: its start, its snapshots, and what it refuses."""
 
-import pickle
 from dataclasses import replace
 from itertools import accumulate
 from typing import Any
@@ -48,21 +47,9 @@ class TestReset:
 
 
 class TestState:
-    def test_a_snapshot_knows_whether_its_last_step_came_after_the_end(self) -> None:
-        episode = toy_episode(["@0", ".."])
-        seen = []
-        for _ in range(2):
-            fly(episode, "R")
-            seen.append((episode.get_state(), episode.message))
-        assert seen[0][1] != seen[1][1]
-        for state, message in seen:
-            episode.set_state(pickle.loads(pickle.dumps(state)))
-            assert episode.message == message
-
     @pytest.mark.parametrize(("task", "profile"), [("medium", "tiered"), ("easy", "composite")])
     def test_a_snapshot_of_another_task_or_profile_is_refused(self, task: str, profile: str) -> None:
-        other = Episode(task, profile)
-        other.reset(1)
+        other = Episode(task, profile, 1)
         episode = Episode("easy", "tiered", 2)
         before = episode.get_state()
         with pytest.raises(InvalidValueError, match=f"{task}_delivery.*{profile}.*easy_delivery.*tiered"):

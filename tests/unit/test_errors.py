@@ -8,7 +8,7 @@ from importlib import import_module
 import pytest
 
 from drone_env import errors
-from drone_env.errors import DroneEnvError, UnknownNameError
+from drone_env.errors import DroneEnvError
 
 ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.exceptions")
 VALUES: dict[str, object] = {
@@ -42,9 +42,3 @@ def test_every_error_arrives_as_it_was(kind: type[DroneEnvError]) -> None:
     assert type(arrived) is kind
     assert (str(arrived), arrived.args) == (str(error), error.args)
     assert vars(arrived) == vars(error)
-
-
-def test_an_unknown_name_is_told_with_the_most_similar_one() -> None:
-    assert str(UnknownNameError("task", "eazy", ["hard", "easy"])) == (
-        "unknown task 'eazy'; did you mean 'easy'? allowed: easy, hard"
-    )

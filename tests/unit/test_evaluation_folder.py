@@ -14,7 +14,9 @@ from drone_env.results.evaluate import run_episodes
 from drone_env.results.result import EpisodesKey, Results
 
 
-def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_evaluation_goes_on_where_it_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, figures = tmp_path / "results", tmp_path / "figures.json"
     command = ["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]
     assert main([*command, "--json", str(figures)]) == 0
@@ -34,6 +36,9 @@ def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pyte
     other = [*command[:4], "0:2600", *command[5:]]
     assert main(other) == 2
     assert "holds another evaluation: seeds: [0, 2500] is now [0, 2600]" in capsys.readouterr().err
+    monkeypatch.setattr(results_folder, "__version__", "99.0")
+    assert main(command) == 2
+    assert "is now '99.0'" in capsys.readouterr().err
 
 
 def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
@@ -51,13 +56,3 @@ def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
     assert main(["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]) == 130
     assert len(list((folder / "pieces").iterdir())) == 1
     assert f"interrupted; the same command goes on from {folder}" in capsys.readouterr().err
-
-
-def test_another_version_does_not_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["evaluate", "--task", "easy", "--seeds", "0:2", "--agents", "greedy", "--out", str(tmp_path / "results")]
-    assert main(command) == 0
-    monkeypatch.setattr(results_folder, "__version__", "99.0")
-    assert main(command) == 2
-    assert "is now '99.0'" in capsys.readouterr().err

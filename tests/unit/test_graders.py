@@ -60,3 +60,9 @@ def test_check_graders_fails_on_a_broken_manifest(
     output = capsys.readouterr().out
     assert complaint in output
     assert "PASSED" not in output
+
+
+@pytest.mark.feature("P4")
+def test_check_graders_passes_on_the_manifest_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_graders.main() == 0
+    assert capsys.readouterr().out.splitlines()[-2:] == ["Summary: 3 valid graders found.", "LOCAL CHECK PASSED."]

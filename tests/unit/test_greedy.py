@@ -1,17 +1,11 @@
 """The agent that flies to the nearest target."""
 
-import os
-
 import pytest
 
 from drone_env.agents import make_agent
 from drone_env.core.actions import Action, Event
 from drone_env.core.cells import Cell
 from tests.toy import fly, toy_episode
-from tests.which_tasks import SMALL
-
-MAPS = 1000 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 30
-SKYLINE = [name for name, task in SMALL.items() if not task.uniform]
 
 
 @pytest.mark.parametrize(

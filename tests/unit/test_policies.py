@@ -15,6 +15,7 @@ from drone_env.agents import elsewhere, file_of
 from drone_env.cli import main
 from drone_env.errors import AgentError, InvalidValueError, UnknownNameError
 from drone_env.results.evaluate import episodes_key, repeats_of, run_episodes
+from drone_env.results.result import repeated
 
 MODULE = """
 import random
@@ -132,6 +133,9 @@ def test_of_who_draws_lots_each_flight_over_a_map_is_another_and_the_same_every_
         assert len({tuple(results.steps.tolist()) for results in flown}) == 3
         for key, results in zip(keys, flown, strict=True):
             assert run_episodes(key).steps.tolist() == results.steps.tolist()
+        by_map = repeated(flown).by_map()
+        assert by_map.scores.tolist() == np.mean([results.scores for results in flown], axis=0).tolist()
+        assert {row.flights for row in by_map.rows()} == {3}
         figures = summarise(*flown)
         assert figures["mean_score"] == pytest.approx(np.mean([results.scores for results in flown]))
         assert figures["success_rate"] == pytest.approx(np.mean([results.success for results in flown]))

@@ -1,9 +1,5 @@
 """Tasks, reward profiles and agents that are registered from outside the package."""
 
-import os
-import subprocess
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
@@ -12,10 +8,11 @@ import gymnasium
 import pytest
 
 import drone_env
-from drone_env.agents import AGENTS, GreedyAgent, register_agent
+from drone_env.agents import GreedyAgent, register_agent
+from drone_env.cli import main
 from drone_env.core.actions import Event
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs.registry import register_reward_profile, register_task
 from drone_env.errors import InvalidTaskError, InvalidValueError
@@ -31,14 +28,12 @@ hop = replace(get_task("easy"), id="hop", short_name="hop", grader="drone_env.gr
 register_task(replace(hop, width=5, height=5))
 """
 GRADER = "drone_env.graders:grade_courier"
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def courier() -> Iterator[TaskConfig]:
+def courier() -> TaskConfig:
     task = replace(get_task("medium"), id="courier", short_name="courier", grader=GRADER, width=8, height=8)
-    yield register_task(task)
-    del TASKS[task.id], GRADERS[task.id], gymnasium.registry[task.gym_id]
+    return register_task(task)
 
 
 def test_a_registered_task_is_known_everywhere(courier: TaskConfig) -> None:
@@ -50,15 +45,10 @@ def test_a_registered_task_is_known_everywhere(courier: TaskConfig) -> None:
     assert envs.reset(seed=7)[0]["grid"].shape == (3, 8, 8)
     results = run_episodes(episodes_key("courier", "optimal", range(7, 9)))
     assert results.scores[0] == solve("courier", 7).score > 0.9
-
-
-def test_its_grader_can_be_imported_by_its_id(courier: TaskConfig) -> None:
     from drone_env.graders import grade_courier  # type: ignore[attr-defined]
 
-    episode = Episode("courier", seed=7)
-    for action in solve("courier", 7).actions:
-        episode.step(action)
-    assert grade_courier(DroneState.of(episode)) == GRADERS["courier"](DroneState.of(episode)) == episode.score
+    state = DroneState.of(Episode("courier", seed=7).fly(solve("courier", 7).actions))
+    assert grade_courier(state) == GRADERS["courier"](state) == results.scores[0]
 
 
 def test_registering_again_changes_nothing_and_names_cannot_be_taken(courier: TaskConfig) -> None:
@@ -75,33 +65,25 @@ def test_registering_again_changes_nothing_and_names_cannot_be_taken(courier: Ta
 
 def test_a_registered_profile_pays_by_its_name() -> None:
     profile = RewardProfile(id="parcels", summary="a parcel pays", events=((Event.DELIVERY, Decimal(3)),))
-    try:
-        assert drone_env.register_reward_profile(profile) is profile
-        episode = Episode("easy", "parcels", 14)
-        assert [episode.step(action) for action in solve("easy", 14).actions] == [0, 0, 3]
-        with pytest.raises(InvalidTaskError, match="another profile has this id"):
-            register_reward_profile(replace(profile, summary="another"))
-    finally:
-        REWARD_PROFILES.pop("parcels", None)
+    assert drone_env.register_reward_profile(profile) is profile
+    episode = Episode("easy", "parcels", 14)
+    assert [episode.step(action) for action in solve("easy", 14).actions] == [0, 0, 3]
+    with pytest.raises(InvalidTaskError, match="another profile has this id"):
+        register_reward_profile(replace(profile, summary="another"))
 
 
 def test_a_registered_agent_flies_by_its_name() -> None:
-    try:
-        register_agent("mine", GreedyAgent)
-        register_agent("mine", GreedyAgent)
-        mine, greedy = (run_episodes(episodes_key("easy", name, range(7, 9))) for name in ("mine", "greedy"))
-        assert mine.scores.tolist() == greedy.scores.tolist()
-        for name in ("mine", "greedy", "pathqnet:mine"):
-            with pytest.raises(InvalidValueError, match="has a colon or is that of another agent: random, greedy"):
-                register_agent(name, lambda task: GreedyAgent(task))
-    finally:
-        del AGENTS["mine"]
+    register_agent("mine", GreedyAgent)
+    register_agent("mine", GreedyAgent)
+    mine, greedy = (run_episodes(episodes_key("easy", name, range(7, 9))) for name in ("mine", "greedy"))
+    assert mine.scores.tolist() == greedy.scores.tolist()
+    for name in ("mine", "greedy", "pathqnet:mine"):
+        with pytest.raises(InvalidValueError, match="has a colon or is that of another agent: random, greedy"):
+            register_agent(name, lambda task: GreedyAgent(task))
 
 
-def test_the_command_line_imports_the_modules_it_is_told(tmp_path: Path) -> None:
+def test_the_command_line_imports_the_modules_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "hops.py").write_text(PLUGIN)
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "DRONE_ENV_PLUGINS": "hops"}
-    run = [sys.executable, "-m", "drone_env.cli", "solve", "--task", "hop", "--seed", "7"]
-    done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "hop" in done.stdout
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("DRONE_ENV_PLUGINS", "hops")
+    assert main(["solve", "--task", "hop", "--seed", "7"]) == 0

@@ -44,6 +44,8 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     assert capsys.readouterr().out.endswith("rewards=-0.25,-0.25,7.00\n")
     assert run(*flight, "mine") == 2
     assert "unknown reward profile 'mine'" in capsys.readouterr().err
+    assert run("replay", "flight.json") == 2
+    assert "unknown reward profile 'mine'" in capsys.readouterr().err
     assert run("replay", "flight.json", "--verify", "--reward", "mine.toml") == 0
     mine.write_text('id = "mine"\nbonus = 1')
     assert run(*flight, "mine.toml") == 2

@@ -122,11 +122,6 @@ def test_of_every_state_that_is_kept_the_options_differ_in_worth() -> None:
         assert (((worst < COMPLETE) & (best >= COMPLETE)).sum() > 64) == fatal
 
 
-def test_where_no_choice_matters_no_state_is_kept() -> None:
-    samples = SampleGenerator(get_task("easy"), 2, 8).generate(np.arange(2))
-    assert [len(part) for part in (*samples.features, samples.values)] == [0, 0, 0, 1, 0, 0, 0, 0]
-
-
 def test_a_choice_that_loses_the_mission_is_not_flown() -> None:
     task = get_task("skyline_easy")
     flights: list[list[float]] = []

@@ -75,11 +75,6 @@ def test_what_cannot_be_set_is_refused(sets: list[str], message: str) -> None:
         config_of(*sets)
 
 
-def test_a_setting_is_set_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sweep", "--set", "gamma=0.9", "--set", "gamma=0.8", "--out", str(tmp_path)]) == 2
-    assert "set twice" in capsys.readouterr().err
-
-
 def test_a_dry_run_lists_the_settings_and_trains_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sweep"
     assert main(["sweep", "--set", "gamma=0.9,0.8", "--out", str(out), "--dry-run"]) == 0

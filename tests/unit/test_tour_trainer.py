@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from torch import nn
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.core.seeds import split_of, split_seeds
@@ -18,7 +17,7 @@ from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.samples import SampleGenerator, Samples
 from drone_env.rl.tour_config import SHARES, TourConfig, randomise, variant
 from drone_env.rl.tournet import TourTrainer
-from tests.unit.small_training import SMALL_TOUR, assert_same, finished
+from tests.unit.small_training import SMALL_TOUR, assert_same, finished, parameters
 
 
 def test_samples_come_from_train_maps_of_the_tasks_by_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,23 +75,19 @@ def test_the_learning_rate_warms_up_and_decays_along_half_a_cosine() -> None:
     assert rates == pytest.approx([rate * min(1, (u + 1) / 5) for u, rate in enumerate(cosine)])
 
 
-def weights(network: nn.Module) -> list[torch.Tensor]:
-    return [parameter.detach().clone() for parameter in network.parameters()]
-
-
 def test_the_average_follows_the_weights_that_learn_and_is_what_is_kept() -> None:
     trainer = TourTrainer(replace(SMALL_TOUR, updates=40, average=0.6, validation_every=40))
-    expected = weights(trainer.online)
+    expected = parameters(trainer.online)
     for update, _ in enumerate(islice(trainer.train(), 25), start=1):
         kept = min(0.6, 1 - 1 / (update / 10 + 1))
-        expected = [kept * a + (1 - kept) * b for a, b in zip(expected, weights(trainer.online), strict=True)]
-        assert all(torch.allclose(*pair, atol=1e-6) for pair in zip(weights(trainer.average), expected, strict=True))
-    assert not all(map(torch.equal, weights(trainer.average), weights(trainer.online)))
+        expected = [kept * a + (1 - kept) * b for a, b in zip(expected, parameters(trainer.online), strict=True)]
+        assert all(torch.allclose(*pair, atol=1e-6) for pair in zip(parameters(trainer.average), expected, strict=True))
+    assert not all(map(torch.equal, parameters(trainer.average), parameters(trainer.online)))
     assert trainer.best_network() is None
     trainer.validate()
     best = trainer.best_network()
     assert best is not None
-    assert_same(weights(best), weights(trainer.average))
+    assert_same(parameters(best), parameters(trainer.average))
 
 
 def test_it_soon_flies_better_than_to_the_nearest_target() -> None:
@@ -121,4 +116,4 @@ def test_a_validation_is_what_evaluation_says_of_the_exported_average(tmp_path: 
     assert trainer.ratios == {"skyline_easy": pytest.approx(figures["mean_score"] / figures["mean_optimal_score"])}
     # Another training can start from it.
     other = TourTrainer(replace(SMALL_TOUR, initial=str(file), seed=1))
-    assert_same(weights(other.online), weights(trainer.average))
+    assert_same(parameters(other.online), parameters(trainer.average))

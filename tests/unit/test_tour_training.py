@@ -14,8 +14,8 @@ import torch
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, InvalidValueError
-from drone_env.rl.run import TrainingRun, load_checkpoint, save_checkpoint
+from drone_env.errors import InvalidValueError
+from drone_env.rl.run import load_checkpoint, save_checkpoint
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
 from tests.unit.small_training import SMALL_TOUR, assert_same, finished
@@ -61,7 +61,7 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
 
 
 def test_samples_without_a_choice_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    empty = SampleGenerator(get_task("easy"), 1, 1).generate(np.zeros(1, np.int64))
+    empty = SampleGenerator(get_task("easy"), 2, 8).generate(np.arange(2))
     monkeypatch.setattr(SampleGenerator, "generate", lambda *_: empty)
     trainer = TourTrainer(SMALL_TOUR)
     with pytest.raises(InvalidValueError, match="no sample has options of different value: raise maps_per_chunk"):
@@ -73,17 +73,9 @@ def test_a_training_that_diverges_ends_with_the_reason() -> None:
         finished(TourTrainer(replace(SMALL_TOUR, learning_rate=1e30, warm_up=0, validation_every=100)))
 
 
-def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(tmp_path: Path) -> None:
-    run = TrainingRun(TourTrainer(SMALL_TOUR), tmp_path, tmp_path / "results")
-    run.save()
-    before = run.checkpoint.read_bytes()
-    other = TourTrainer(replace(SMALL_TOUR, updates=13, window=4))
-    with pytest.raises(CheckpointError, match=r"updates: 12 is now 13, window: 3 is now 4; .*--fresh"):
-        TrainingRun(other, tmp_path, tmp_path / "results")
-    assert run.checkpoint.read_bytes() == before
-    # How often it is saved, and by which of its names the task is called, makes no other run of it.
+def test_how_often_it_is_saved_and_how_the_task_is_called_makes_no_other_run() -> None:
     same = replace(SMALL_TOUR, task=get_task("skyline_easy").grader, checkpoint_seconds=1)
-    assert TrainingRun(TourTrainer(same), tmp_path, tmp_path / "results").resumed
+    assert same.identity() == SMALL_TOUR.identity() != replace(same, updates=13).identity()
 
 
 # The command
@@ -122,10 +114,7 @@ def test_the_command_trains_and_leaves_what_it_says(
     expected = {"network": "tournet", "tasks": {"skyline_easy": 2}, "updates": 4, "states": 64}
     expected |= {"validation_shares": state["ratios"], "config": state["config"]}
     assert {name: network.metadata[name] for name in expected} == expected
-    # Other settings are another run; those that are not given are the checkpoint's.
-    assert main(["train", "--network", "tournet", "--task", "skyline_easy"]) == 0
-    assert "has 4 of 4 updates: nothing to do.\nAdd --fresh" in capsys.readouterr().err
-    assert main([*EASY, "--updates", "6"]) == 2
+    assert main([*EASY, "--updates", "6"]) == 2  # other settings are another run
 
 
 def test_interrupted_it_saves_and_goes_on_to_the_same_end(

@@ -20,7 +20,7 @@ from drone_env.rl.common import Validation, Validator
 from drone_env.rl.dqn import Trainer
 from drone_env.rl.models import PathQNet
 from drone_env.rl.run import load_checkpoint, save_checkpoint
-from tests.unit.small_training import SMALL, assert_same, finished
+from tests.unit.small_training import SMALL, assert_same, finished, parameters
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +32,6 @@ def flown_for(trainer: Trainer, steps: int) -> Trainer:
     for _ in range(steps):
         trainer.fly()
     return trainer
-
-
-def parameters(network: PathQNet) -> list[torch.Tensor]:
-    return [parameter.detach().clone() for parameter in network.parameters()]
 
 
 # What it flies

@@ -22,18 +22,15 @@ from drone_env.rl.tour_config import TourConfig
 from drone_env.server.logs import TrainLog
 from tests.unit.small_training import SMALL, assert_same, run_in
 
-ROOT = Path(__file__).parents[2]
-
-
 # Checkpoints
 
 
 @pytest.mark.feature("L5")
 def test_a_checkpoint_of_another_run_names_the_difference_and_without_one_it_starts_anew(tmp_path: Path) -> None:
     run_in(tmp_path).save()
-    assert run_in(tmp_path).resumed
     with pytest.raises(CheckpointError, match=r"gamma: 0.99 is now 0.9.*--fresh"):
         run_in(tmp_path, gamma=0.9)
+    assert run_in(tmp_path).resumed
     assert not run_in(tmp_path, fresh=True, gamma=0.9).resumed
     (tmp_path / "easy.pth").unlink()
     assert not run_in(tmp_path).resumed

@@ -1,19 +1,15 @@
 """Tasks, observations and networks that the tests of the tour network share."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.tour_features import FeatureEncoder, Features
-from drone_env.agents.weights_file import write_weights
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.rl.models import TourNet
 from tests.which_tasks import SMALL
 
 HARD = get_task("skyline_hard")
@@ -27,15 +23,6 @@ OWN = {
 }
 """Custom tasks."""
 EVERY_TASK = {**SMALL, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
-
-
-def save(path: Path, parameters: dict[str, Any], metadata: Mapping[str, object] | None = None) -> Path:
-    write_weights(path, parameters, metadata or {"network": "tournet"})
-    return path
-
-
-def parameters_of(model: TourNet) -> dict[str, Any]:
-    return {name: tensor.numpy() for name, tensor in model.state_dict().items()}
 
 
 def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:

@@ -22,6 +22,7 @@ interface Document {
 /** Of the vendored Swagger UI. */
 declare const SwaggerUIBundle: (options: object) => void;
 
+type Drawing = import("../../drone_env/server/static/js/drawing.js").Drawing;
 type Emitter = import("../../drone_env/server/static/js/base.js").Emitter;
 type Fleet = import("../../drone_env/server/static/js/fleet.js").Fleet;
 type Stage = import("../../drone_env/server/static/js/stage.js").Stage;
@@ -142,3 +143,14 @@ interface Lesson {
 /** The states of the live flights, which fleet_states.js explains, and what leads from one to another. */
 type FleetState = "idle" | "playing" | "starting" | "launching" | "interrupted" | "attaching" | "returning";
 type FleetCause = "start" | "launch" | "pause" | "rest" | "attach" | "lost" | "flights" | "refused" | "plays" | "pauses";
+
+interface StartOptions {
+  /** Whether to play at once. */
+  play?: boolean;
+  /** Finished flights to show beside them. */
+  beside?: Track[];
+  /** The pilots of the setup that still fly. */
+  flown?: string[];
+  /** The visitor's first moves. */
+  moves?: string[];
+}

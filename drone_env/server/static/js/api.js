@@ -19,6 +19,7 @@ export function createApi() {
   let token = recall(TOKEN, "sessionStorage");
 
   async function call(method, path, body) {
+    const sent = token;
     const headers = token ? { Authorization: `Bearer ${token}` } : {};
     if (body !== undefined) headers["Content-Type"] = "application/json";
     let response;
@@ -33,8 +34,8 @@ export function createApi() {
       throw new ApiError(0, "away", "The server cannot be reached.");
     }
     if (response.status === 401) {
-      do token = await askForToken(token !== null);
-      while (!SENDABLE.test(token));
+      // Several requests may wait for one token.
+      while (token === sent || !SENDABLE.test(token)) token = await askForToken(token !== null);
       remember(TOKEN, token, "sessionStorage");
       return call(method, path, body);
     }

@@ -75,7 +75,6 @@ export const labelColour = (label) => colourOf(LABELS[label] ?? "--ink-3");
 
 /**
  * Keeps a canvas as large as an element, at any pixel density. A ResizeObserver reads the size without a forced layout.
- *
  * @param {() => void} resized Called after a change.
  * @returns {{width: number, height: number, scale: number}} Size in CSS pixels, device pixels per one.
  */

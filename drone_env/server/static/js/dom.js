@@ -34,11 +34,7 @@ export function el(tag, ...contents) {
 /** A name and a value of a `dl`. */
 export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
 
-/**
- * A table with a caption for screen readers.
- *
- * @param {any[][]} columns Names, and whether a column contains numbers. @param {...HTMLElement} bodies
- */
+/** A table with a caption for screen readers. @param {any[][]} columns Names, and whether a column contains numbers. */
 export function table(tag, props, caption, columns, ...bodies) {
   return el(
     tag,
@@ -107,8 +103,7 @@ export const leaveFocus = () => document.activeElement instanceof HTMLElement &&
 export function keepFocus(root, draw) {
   const key = document.activeElement instanceof HTMLElement && document.activeElement.dataset.key;
   draw();
-  const same = key && root.querySelector(`[data-key="${CSS.escape(key)}"]`);
-  if (same) same.focus();
+  if (key) root.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
 }
 
 /** A short message at the top of the page, also for screen readers. */

@@ -150,8 +150,7 @@ export function mount(root, context) {
     const [height, width] = [map.cells.length, map.cells[0].length];
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
-    // Only what the board reads.
-    /** @type {any} */
+    /** Only what the board reads. @type {any} */
     const start = { opening: { pilot: "", by: "", forked_at: null }, frames };
     const track = new Track(start, { name: "", colour: "--accent" });
     /** @type {any} */
@@ -248,10 +247,7 @@ export function mount(root, context) {
     await load(wanted, left ?? (() => origin(address)));
   }
 
-  async function origin({ task, seed }) {
-    if (task) return api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
-    return empty();
-  }
+  const origin = ({ task, seed }) => (task ? api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`) : empty());
 
   function empty() {
     return { cells: drawing.empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };

@@ -5,8 +5,7 @@ import { cellName } from "./format.js";
 const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
 
 /**
- * @param {HTMLElement} grid Contains the canvas. @param {Context} context Of the editor.
- * @param {import("./drawing.js").Drawing} drawing
+ * @param {HTMLElement} grid Contains the canvas. @param {Context} context Of the editor. @param {Drawing} drawing
  * @param {(i: number) => boolean} choose Chooses a tool; false if there are not so many.
  * @returns {(cell?: number[]|null) => void} Moves the cursor to a cell, or hides it; without one, keeps it if the map still contains its cell.
  */

@@ -11,7 +11,7 @@ const LATE = 400;
 
 /** Events: "answer" (wrong) another answer is shown, or none while the server computes; why the map is invalid, or null. */
 export class Worth extends Emitter {
-  /** @param {Context} context @param {import("./drawing.js").Drawing} drawing */
+  /** @param {Context} context @param {Drawing} drawing */
   constructor({ api }, drawing) {
     super();
     this.api = api;

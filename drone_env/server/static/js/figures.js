@@ -36,11 +36,7 @@ export async function loadFigures() {
   await sheet.decode();
 }
 
-/**
- * Draws a figure around its centre, in device pixels.
- *
- * @param {number} [variety] Selects one of several figures.
- */
+/** Draws a figure around its centre, in device pixels. @param {number} [variety] Selects one of several figures. */
 export function drawFigure(ctx, kind, x, y, cell, variety = 0) {
   const there = places.get(kind);
   if (!there) return;

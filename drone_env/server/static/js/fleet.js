@@ -174,10 +174,7 @@ export class Fleet extends Emitter {
 
   /**
    * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
-   *
-   * @param {Partial<Address>} change
-   * @param {{play?: boolean, beside?: Track[], flown?: string[], moves?: string[]}} how Whether to play at once, finished flights
-   *   to show beside them, the pilots of the setup that still fly, and the visitor's first moves.
+   * @param {Partial<Address>} change @param {StartOptions} how
    */
   start(change = {}, how = {}) {
     const { play = false, beside = [], flown = null, moves = [] } = how;

@@ -21,11 +21,7 @@ import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
 import { mountByHand } from "./today.js";
 
-/**
- * Fills its element, as every `mountX(root, context, ...)` of this page does.
- *
- * @param {HTMLElement} root An empty element. @param {Context} context
- */
+/** Fills an empty element, as every `mountX(root, context, ...)` does. @param {HTMLElement} root @param {Context} context */
 export function mountFly(root, context) {
   const { router, stage } = context;
   const fleet = new Fleet(context);

@@ -6,12 +6,7 @@ const WAITS = [500, 1000, 2000, 4000, 8000];
 const NOT_ALLOWED = 1008;
 const TRY_LATER = 1013;
 
-/**
- * @typedef {"connecting"|"open"|"away"|"full"|"refused"} LinkState
- *
- * Events: every message type of the server ("flights", "frames", ...) with the message, and "state" with
- * {state: LinkState, wait: milliseconds until the next try, reason}.
- */
+/** Events: every message type of the server with the message, and "state" ({state, wait: ms until the next try, reason}). */
 export class Live extends Emitter {
   /** @param {() => string[]} protocols Subprotocols, with the token if there is one. */
   constructor(protocols) {

@@ -19,7 +19,7 @@ const LATER = {
 async function boot() {
   const api = createApi();
   const figures = loadFigures();
-  const [{ tasks }, { pilots, most }, { kinds }] = await firstAnswers(api);
+  const [{ tasks }, { pilots, most }, { kinds }] = await Promise.all([api.get("tasks"), api.get("pilots"), api.get("kinds")]);
   await figures;
   const live = new Live(api.protocols);
   document.getElementById("loading")?.remove();
@@ -55,12 +55,6 @@ async function mountLater(name, context) {
     const again = el("button.button.small", { text: "Try again", press: () => mountLater(name, context) });
     root.replaceChildren(el("p.problem", { role: "alert" }, "This view could not be loaded. ", again));
   }
-}
-
-/** Loads the tasks first and alone, because this request may ask for the token. */
-async function firstAnswers(api) {
-  const tasks = await api.get("tasks");
-  return Promise.all([tasks, api.get("pilots"), api.get("kinds")]);
 }
 
 const THEME = "drone-env-theme";

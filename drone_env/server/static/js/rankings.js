@@ -4,7 +4,6 @@ import { fixed, percent, points, shortened, signed, title, who } from "./format.
 
 /**
  * A table that scrolls if it is larger than its place.
- *
  * @param {any[][]} columns Name, content, whether it is a number.
  * @param {(row: any) => Node|null} [below] Details that a row has opened.
  */
@@ -112,11 +111,7 @@ export function leaderboard(context, board, chosen, maps, choose) {
   );
 }
 
-/**
- * The maps of a pilot, largest loss first, with a button that opens the flight.
- *
- * @param {Answer<"AgentMap">[]} maps From `GET /leaderboard/{task_name}/maps`.
- */
+/** The maps of a pilot, largest loss first, with a button that opens the flight. @param {Answer<"AgentMap">[]} maps */
 export function mapsOf(context, name, maps) {
   const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
   const sorted = [...maps].sort((x, y) => (regret(y) ?? -1) - (regret(x) ?? -1) || x.seed - y.seed);
@@ -186,11 +181,7 @@ export function runsOf(context, { boards, unranked }) {
 
 const gap = (difference) => signed(difference === null ? null : difference * 100, 1);
 
-/**
- * Two pilots over their common maps.
- *
- * @param {Answer<"Pairing">} answer From `GET /paired/{task_name}`.
- */
+/** Two pilots over their common maps. @param {Context} context @param {Answer<"Pairing">} answer */
 export function paired(context, task, answer, pilots, rows) {
   const [a, b] = pilots.map((agent) => who(context, agent));
   const head = el("h2", named(context, pilots[0]), " against ", named(context, pilots[1]));

@@ -43,7 +43,6 @@ export class Router extends Emitter {
 
   /**
    * Writes the flights that were started: a new history entry, unless they only complete the present address.
-   *
    * @param {Partial<Address>} flown @param {boolean} entry Forces a new entry.
    */
   flies(flown, entry = false) {

@@ -29,7 +29,6 @@ export class Training {
 
 function chart(name, curve, count) {
   const [words, format] = DRAWN[name];
-  const write = (value) => format(value);
   const at = curve[count];
   const known = curve[name].map((value, i) => [at[i], value]).filter(([, value]) => value !== null);
   const values = known.map(([, value]) => value);
@@ -38,20 +37,20 @@ function chart(name, curve, count) {
   const up = (value) => 100 - (100 * (value - low)) / (high - low || 1);
   const [last, newest] = known.at(-1);
   const optimum = name === "validation" && curve.optimum?.at(-1);
-  const best = optimum ? ` Optimum of these maps: ${write(optimum)}.` : "";
+  const best = optimum ? ` Optimum of these maps: ${format(optimum)}.` : "";
   const line = known.map(([x, value]) => `${across(x)} ${up(value)}`).join("L");
   const label = (place, text) => el(`span.chart-${place}`, { text });
   return el(
     "figure.chart",
     { data: { chart: name } },
-    el("figcaption", el("h3", { text: words }), el("p.note", { text: `${write(newest)} at ${count} ${last}.${best}` })),
+    el("figcaption", el("h3", { text: words }), el("p.note", { text: `${format(newest)} at ${count} ${last}.${best}` })),
     el(
       "div.chart-frame",
       { "aria-hidden": "true" },
       // A line of one value is a dot.
       el("svg:svg", { viewBox: "0 0 100 100", preserveAspectRatio: "none" }, el("svg:path", { d: `M${line}h0` })),
-      label("high", write(high)),
-      label("low", low === high ? "" : write(low)),
+      label("high", format(high)),
+      label("low", low === high ? "" : format(low)),
       label("from", `${title(count)} ${at[0]}`),
       label("to", String(at.at(-1))),
     ),
