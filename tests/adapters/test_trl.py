@@ -15,8 +15,8 @@ from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import DatasetConfig
 from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
+from tests.api.serving import serving
 
-pytestmark = [pytest.mark.timeout(600), pytest.mark.filterwarnings("ignore")]
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
 ROUTE = '<tool_call>\n{{"name": "fly_route", "arguments": {{"directions": {}}}}}\n</tool_call>'
 
@@ -55,7 +55,7 @@ def tiny_model(words: Any) -> Any:
 TRAINING = {"max_steps": 1, "learning_rate": 1.0, "logging_steps": 1, "report_to": [], "use_cpu": True, "bf16": False}
 
 
-def scripted(said: list[list[str]], folder: Path, data: Any, environment: Any) -> tuple[Any, list[str]]:
+def scripted(said: list[list[Any]], folder: Path, data: Any, reward: Any, environment: Any) -> tuple[Any, list[str]]:
     """A trainer whose model answers by one script for each rollout of its group, and the list of what it is asked.
 
     All else, from the tool's schema to the step of the optimiser, is TRL's.
@@ -68,8 +68,9 @@ def scripted(said: list[list[str]], folder: Path, data: Any, environment: Any) -
     class Scripted(GRPOTrainer):
         def _generate_single_turn(self, prompt_ids: list[list[int]], *_: Any, **__: Any) -> Any:
             asked.extend(words.decode(ids) for ids in prompt_ids)
-            texts = [script.pop(0) for script in said if script]
-            assert len(texts) == len(prompt_ids)
+            answers = [script.pop(0) for script in said if script]
+            assert len(answers) == len(prompt_ids)
+            texts = [answer() if callable(answer) else answer for answer in answers]
             return [words.encode(f"{text}<|im_end|>", add_special_tokens=False) for text in texts], None
 
     sizes = {"per_device_train_batch_size": len(said), "num_generations": len(said), "max_completion_length": 2000}
@@ -78,7 +79,7 @@ def scripted(said: list[list[str]], folder: Path, data: Any, environment: Any) -
         processing_class=words,
         train_dataset=data,
         environment_factory=environment,
-        reward_funcs=flight_reward,
+        reward_funcs=reward,
         args=GRPOConfig(output_dir=str(folder), **sizes, **TRAINING),
     )
     return trainer, asked
@@ -100,6 +101,8 @@ def paid(route: list[str]) -> float:
     return sum(pay)
 
 
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("plan", [None, "plan"])
 def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -> None:
     best = [action.name for action in solve("easy", 14).actions]
@@ -111,7 +114,7 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
         said = [[*route, "Done."] for route in [[ROUTE.format(json.dumps(best))], *routes]]
     calls = sum(map(len, said)) - len(said)
     data = training_maps("easy", 1, plan=plan).map(lambda row: {**row, "seed": 14})
-    trainer, asked = scripted(said, tmp_path, data, None if plan else DroneEnvironment)
+    trainer, asked = scripted(said, tmp_path, data, flight_reward, None if plan else DroneEnvironment)
     before = [p.detach().clone() for p in trainer.model.parameters()]
     log = trained(trainer)
     # By tool calls the wrong word costs no step; as an answer it is unusable.
@@ -130,6 +133,70 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     assert any("'NORTH' is not an action" in text for text in asked)
 
 
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
+def test_environments_like_those_of_its_openenv_examples_fly_over_the_server(tmp_path: Path) -> None:
+    """`wordle.py` and `catch.py` with another URL and prompt. No package contains these scripts or their clients."""
+    from datasets import Dataset
+    from openenv import GenericEnvClient
+
+    class Client(GenericEnvClient):
+        def _step_payload(self, action: str | int) -> dict[str, Any]:
+            words = {"message": action}
+            return words if isinstance(action, str) else {"action_id": action, "game_name": "catch", "game_params": {}}
+
+    class Drone:
+        def __init__(self) -> None:
+            self.client = Client(base_url=f"{server.url}/easy/minimal")
+            flights.append(self)
+
+        def reset(self, **_: Any) -> str:
+            self.told, self.reward = "", 0.0
+            return self._new(self.client.reset())
+
+        def guess(self, guess: str) -> str:
+            """Fly.
+
+            Args:
+                guess: Directions in brackets.
+            """
+            return self._new(self.client.step(guess))
+
+        def move(self, direction: str) -> str:
+            """Fly.
+
+            Args:
+                direction: left or right.
+            """
+            return self._new(self.client.step({"left": 0, "right": 2}[direction]))
+
+        def _new(self, result: Any) -> str:
+            before, self.told = self.told, result.observation["messages"][0]["content"]
+            self.reward = result.reward
+            return self.told[len(before) :]
+
+    def call(name: str, **arguments: str) -> str:
+        return f"<tool_call>\n{json.dumps({'name': name, 'arguments': arguments})}\n</tool_call>"
+
+    def best() -> Any:
+        return solve("easy", flights[0].client.state()["seed"])
+
+    flights: list[Any] = []
+    said = [
+        [lambda: call("guess", guess=f"[{' '.join(action.name for action in best().actions)}]"), "Done."],
+        [call("move", direction="left"), call("guess", guess=f"[{' WAIT' * 59}]"), "Done."],
+    ]
+    data = Dataset.from_dict({"prompt": [[{"role": "user", "content": "Fly."}]]})
+    with serving(tmp_path / "data") as server:
+        trainer, asked = scripted(
+            said, tmp_path, data, lambda environments, **_: [one.reward for one in environments], Drone
+        )
+        assert trained(trainer)["reward"] == pytest.approx((best().score + 0.01) / 2)
+    assert any("Mission accomplished" in text for text in asked)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("turns", ["plan", "step", "route"])
 def test_both_trainers_learn_from_the_datasets(turns: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
