@@ -47,7 +47,9 @@ export function mountStandings(root, { stage }) {
       body.replaceChildren(...ranked.map(({ node }) => node));
       if (focused instanceof HTMLElement && body.contains(focused)) focused.focus();
     }
-    setText(note, placeOf(stage) || "Ranked by the score still possible.");
+    const place = placeOf(stage);
+    const result = cursor < stage.clock.end() && place ? `At the end: ${place}` : place;
+    setText(note, result || "Ranked by the score still possible.");
   }
 
   stage.on("load", build);
