@@ -119,16 +119,6 @@ def test_actions_observations_and_states_are_models() -> None:
         DroneAction.model_validate({"direction": "SIDEWAYS"})
 
 
-@pytest.mark.feature("E8")
-def test_each_step_drains_the_battery_and_an_empty_one_ends_the_flight() -> None:
-    episode = Episode("easy_delivery", "tiered", 14)
-    for flown in range(1, 61):
-        assert not episode.ended
-        episode.step(Action.WAIT)
-        assert (episode.battery_units, episode.battery) == (60 - flown, (60 - flown) / 60)
-    assert (episode.outcome, episode.score) == (Outcome.BATTERY_DEAD, 0.01)
-
-
 @pytest.mark.feature("E9")
 @pytest.mark.parametrize("level", ["easy", "medium", "hard"])
 def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
@@ -137,12 +127,11 @@ def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
     assert grader is GRADERS[task.id]
     episode = Episode(task.id, "tiered", 14)
     assert grader(DroneState.of(episode)) == 0.20  # nothing delivered: 0.2 * (0.5 * 1 + 0.5 * 1)
-    episode.fly(solve(task.id, 14).actions)
-    state = DroneState.of(episode)
+    state = DroneState.of(episode.fly(solve(task.id, 14).actions))
     assert grader(state) == grader(state.model_dump(mode="json")) == solve(task.id, 14).score
 
 
-@pytest.mark.feature("E9")
+@pytest.mark.feature("E8", "E9")
 @pytest.mark.parametrize(
     ("actions", "score"),
     [("LEFT UP UP", 0.99), ("WAIT " * 60, 0.01), ("WAIT " * 57 + "LEFT UP UP", 0.80)],
@@ -150,5 +139,6 @@ def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
 def test_grades_lie_between_001_and_099(actions: str, score: float) -> None:
     episode = Episode("easy_delivery", "tiered", 14)
     fly(episode, actions)
+    assert (episode.ended, episode.battery_units) == (True, 60 - episode.steps)
     # 0.8 + 0.2 * 57 / 60 = 0.99, and 0 is clamped.
     assert GRADERS["easy_delivery"](DroneState.of(episode)) == score

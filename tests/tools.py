@@ -6,7 +6,8 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
@@ -59,6 +60,14 @@ def _version(python: str) -> str:
 def find_uv() -> str:
     """Return the path of uv, of this environment or on `PATH`."""
     return shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv") or missing_tool("uv")
+
+
+def eventually(holds: Callable[[], object]) -> None:
+    """Wait until a condition is true, for at most a minute."""
+    deadline = time.monotonic() + 60
+    while not holds():
+        assert time.monotonic() < deadline, "timed out"
+        time.sleep(0.02)
 
 
 _RESERVED: list[socket.socket] = []

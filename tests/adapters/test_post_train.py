@@ -14,10 +14,10 @@ from drone_env.core.episode import Episode
 from drone_env.planning.optimal import solver_of
 from tools.docs_notebook import run
 
+pytestmark = pytest.mark.timeout(600)
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.timeout(600)
 def test_the_example_trains_by_both_trainers_and_evaluates(tmp_path: Path) -> None:
     command = [sys.executable, "examples/post_train.py", "--quick", "--out", str(tmp_path)]
     subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {"HF_HUB_OFFLINE": "1"}, timeout=500)
@@ -30,7 +30,6 @@ def test_the_example_trains_by_both_trainers_and_evaluates(tmp_path: Path) -> No
         assert 0.01 <= row["score"][0] <= results["evaluation"]["optimum"]["score"][0]
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", ["score", "regret", "rank"])
 def test_an_unusable_answer_is_paid_as_the_worst_of_its_group(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,7 +51,6 @@ def test_an_unusable_answer_is_paid_as_the_worst_of_its_group(kind: Any, monkeyp
     assert logged == {"unusable": 9 / 15}
 
 
-@pytest.mark.timeout(600)
 def test_the_cells_of_its_notebook_run_without_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT / "examples")
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)

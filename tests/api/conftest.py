@@ -1,7 +1,7 @@
 """The application in this process, and clients of it."""
 
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from http.cookiejar import DefaultCookiePolicy
 from pathlib import Path
 from typing import Any
@@ -62,25 +62,6 @@ def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestCli
 
 
 @pytest.fixture
-def shared_session(shared_client: TestClient) -> dict[str, str]:
-    """The header of a session of `shared_client` on easy map 7."""
-    return {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
-
-
-@pytest.fixture
 def session(client: TestClient) -> dict[str, str]:
     """The header of a session on easy map 7."""
     return {"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]}
-
-
-@pytest.fixture
-def eventually() -> Callable[[Callable[[], bool]], None]:
-    """Return a function that waits until a condition is true, for at most 30 seconds."""
-
-    def wait(holds: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 30
-        while not holds():
-            assert time.monotonic() < deadline, "timed out"
-            time.sleep(0.05)
-
-    return wait

@@ -106,16 +106,12 @@ async def fly_all(url: str, seconds: float) -> list[float]:
 
 def memory(process: int) -> float:
     """Megabytes of a process and its children; what they share counts once (Linux)."""
-    children: dict[int, list[int]] = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            parent = int(stat.read_text().rpartition(")")[2].split()[1])
-            children.setdefault(parent, []).append(int(stat.parent.name))
     total, todo = 0, [process]
     while todo:
         one = todo.pop()
-        todo += children.get(one, [])
         with contextlib.suppress(OSError):
+            for children in Path(f"/proc/{one}/task").glob("*/children"):
+                todo += map(int, children.read_text().split())
             total += int(Path(f"/proc/{one}/smaps_rollup").read_text().partition("\nPss:")[2].split()[0])
     return total / 1024
 

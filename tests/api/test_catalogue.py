@@ -44,6 +44,7 @@ class TestLogs:
         assert curve["loss"] == [None if n < 10 else n / 2 for n in episodes]
         assert set(curve["score"]) == {None}
 
+    @pytest.mark.feature("H9")
     def test_requests_are_logged_without_what_they_carried(self, client: TestClient) -> None:
         session = client.post("/reset?secret=query", json={"agent": "secret body"}).json()["session_id"]
         client.get("/state", headers={"X-Session-Id": session})

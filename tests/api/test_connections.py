@@ -5,7 +5,6 @@ import logging
 import re
 import socket
 import sys
-import time
 from contextlib import suppress
 from typing import Any
 
@@ -18,6 +17,13 @@ from drone_env.server import protocols
 from drone_env.server.process import LINE_SECONDS, LINES, OTHER_FILES, BoundedLog, listen, most_connections
 from drone_env.server.protocols import Http
 from tests.api.raw import WHOLE, answer, everything, running, taken_of
+from tests.tools import eventually
+
+
+def asked(sock: socket.socket) -> bytes:
+    """Send a request, and return the beginning of the response."""
+    sock.sendall(WHOLE)
+    return sock.recv(1000)
 
 
 class Hurried(Http):
@@ -39,15 +45,13 @@ def test_half_requests_are_ended_and_whole_ones_have_time_to_be_answered() -> No
     with running(app, http=Hurried) as connect:
         whole, kept = connect(), connect()
         whole.sendall(WHOLE.replace(b"/", b"/slow", 1))
-        kept.sendall(WHOLE)
-        assert kept.recv(1000).startswith(b"HTTP/1.1 200 ")
+        assert asked(kept).startswith(b"HTTP/1.1 200 ")
         halves = [b"", b"GE", WHOLE[:-2], b"POST / HTTP/1.1\r\nHost: h\r\nContent-Length: 9\r\n\r\nhal"]
         late = [connect() for _ in halves]
         for sock, half in zip(late, halves, strict=True):
             sock.sendall(half)
         again = connect()
-        again.sendall(WHOLE)
-        assert again.recv(1000).startswith(b"HTTP/1.1 200 ")
+        assert asked(again).startswith(b"HTTP/1.1 200 ")
         again.sendall(WHOLE[:-2])
         try:
             for sock in (*late, again):
@@ -56,8 +60,7 @@ def test_half_requests_are_ended_and_whole_ones_have_time_to_be_answered() -> No
             # The server stops after this response.
             loops[0].call_soon_threadsafe(release.set)
         assert whole.recv(1000).startswith(b"HTTP/1.1 200 ")
-        kept.sendall(WHOLE)
-        assert kept.recv(1000).startswith(b"HTTP/1.1 200 ")
+        assert asked(kept).startswith(b"HTTP/1.1 200 ")
 
 
 def test_a_request_that_is_being_answered_has_no_more_read_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,19 +212,12 @@ def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog
     with running(answer, connections=3) as connect:
         first, *_ = kept = [connect() for _ in range(3)]
         for sock in kept:
-            sock.sendall(WHOLE)
-            assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
+            assert asked(sock).startswith(b"HTTP/1.1 200 ")
         for _ in range(5):
             assert everything(connect()).startswith(b"HTTP/1.1 503 ")
         assert set(caplog.messages) == {"3 connections are open, which is the limit: others are refused"}
         first.close()
-        deadline = time.monotonic() + 60
-        while True:  # until the server has noticed
-            sock = connect()
-            sock.sendall(WHOLE)
-            if sock.recv(1000).startswith(b"HTTP/1.1 200 "):
-                break
-            assert time.monotonic() < deadline
+        eventually(lambda: asked(connect()).startswith(b"HTTP/1.1 200 "))
         assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import pytest
 from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
@@ -80,29 +79,6 @@ def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: T
             assert shown["frames"][-1]["done"]
             ids.add(page.until("ended")["episode"]["id"])
     assert ids == {row["id"] for row in client.get("/episodes").json()["episodes"]}
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"fork": {"actions": ["UP"], "step": 1, "of": "a\nb"}}, "one printable line of 1 to 200 characters"),
-        ({"fork": {"actions": ["WAIT"] * 61, "step": 1, "of": "x"}}, "ends after 60 steps, but there are 61 actions"),
-        (
-            {"pilots": ["greedy"], "fork": {"actions": ["WAIT"], "step": 1, "of": "greedy"}},
-            "not an action of greedy",
-        ),
-    ],
-)
-def test_a_fork_that_cannot_be_is_refused_and_opens_nothing(
-    client: TestClient, change: dict[str, Any], says: str
-) -> None:
-    with open_page(client) as page:
-        page.start("greedy")
-        page.until("values")
-        opened = client.app.state.shared.store.count_sessions()  # type: ignore[attr-defined]
-        page.send("start", **{"task": "easy", "seed": 7, "pilots": ["random", "human"], **change})
-        assert says in page.until("error")["detail"]
-        assert client.app.state.shared.store.count_sessions() == opened  # type: ignore[attr-defined]
 
 
 def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_so(client: TestClient) -> None:

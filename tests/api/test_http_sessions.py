@@ -95,22 +95,21 @@ class TestSessions:
             assert [point["action"] for point in one.get("/state", headers=session).json()["path_history"]] == ["LEFT"]
 
 
-class TestEndOfSession:
-    def test_a_session_that_is_ended_is_gone_and_its_place_free(self, tmp_path: Path) -> None:
-        with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
-            header = {"X-Session-Id": client.post("/reset").json()["session_id"]}
-            full = client.post("/reset", headers=NEW)
-            assert (full.status_code, full.json()["code"], full.headers["Retry-After"]) == (503, "no_room", "5")
-            assert client.post("/reset", headers=header).status_code == 200
-            assert client.delete("/session", headers=header).status_code == 204
-            assert client.delete("/session", headers=header).status_code == 410
-            assert client.get("/state", headers=header).status_code == 410
-            client.cookies.clear()
-            client.post("/reset")
-            assert client.delete("/session").status_code == 204
-            assert client.get("/state").json()["code"] == "no_session", "the cookie goes with it"
-            answer = client.post("/reset", headers={"X-Session-Id": "never"})
-            assert (answer.status_code, answer.json()["session_id"] == "never") == (200, False)
+def test_a_session_that_is_ended_is_gone_and_its_place_free(tmp_path: Path) -> None:
+    with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
+        header = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+        full = client.post("/reset", headers=NEW)
+        assert (full.status_code, full.json()["code"], full.headers["Retry-After"]) == (503, "no_room", "5")
+        assert client.post("/reset", headers=header).status_code == 200
+        assert client.delete("/session", headers=header).status_code == 204
+        assert client.delete("/session", headers=header).status_code == 410
+        assert client.get("/state", headers=header).status_code == 410
+        client.cookies.clear()
+        client.post("/reset")
+        assert client.delete("/session").status_code == 204
+        assert client.get("/state").json()["code"] == "no_session", "the cookie goes with it"
+        answer = client.post("/reset", headers={"X-Session-Id": "never"})
+        assert (answer.status_code, answer.json()["session_id"] == "never") == (200, False)
 
 
 def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(

@@ -1,6 +1,5 @@
 """The WebSocket of the page: flights that fly by themselves or by hand, and come back after a loss."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.api.live_page import Message, Page, directions, flown, open_page
 from tests.api.networks import put_network, put_tour
+from tests.tools import eventually
 
 
 def names(frames: list[Message]) -> list[str]:
@@ -152,7 +152,7 @@ def test_pilots_begin_at_the_moment_that_is_asked_for(client: TestClient) -> Non
         assert page.until("ended")["episode"]["agent"] == "greedy"
 
 
-def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:
+def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock) -> None:
     # Looked for every 0.25 s; idle by the test's clock alone.
     app = create_app(Settings(data=tmp_path, idle_seconds=1), clock)
     with TestClient(app) as client:

@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 from drone_env.agents.tournet import TournetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TASKS
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import optimal
 from drone_env.planning.states import battery_range, charging_pads
@@ -28,18 +28,6 @@ def ask(client: TestClient, task: str, seed: int, actions: list[Direction], **mo
     answer = client.post("/values", json={"task": task, "seed": seed, "actions": actions, **more})
     assert answer.status_code == 200, answer.text
     return answer.json()
-
-
-@pytest.fixture
-def registered(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Adds a task for the time of the test."""
-
-    def register(**changes: Any) -> TaskConfig:
-        task = replace(TOY, **changes)
-        monkeypatch.setitem(TASKS, task.id, task)
-        return task
-
-    return register
 
 
 @pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("skyline_medium", "greedy")])
@@ -135,8 +123,11 @@ def test_which_network_is_asked(tmp_path: Path) -> None:
         assert asked(client) == "trained-tournet"
 
 
-def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(client: TestClient, registered: Any) -> None:
-    registered(width=20, height=20, deliveries=16, max_steps=600, battery_capacity=600)
+def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    large = replace(TOY, width=20, height=20, deliveries=16, max_steps=600, battery_capacity=600)
+    monkeypatch.setitem(TASKS, large.id, large)
     answer = ask(client, "toy", 1, ["UP"])
     assert "GB are allowed" in answer["unsolved"]
     assert [answer[name] for name in ("value", "optimum", "regret", "q_values", "best_actions")] == [None] * 5

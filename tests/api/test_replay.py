@@ -6,42 +6,40 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.agents import make_agent
 from drone_env.core.actions import Action, Outcome
 from drone_env.core.cells import CELL_KINDS
-from drone_env.core.episode import Episode, rollout
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.results.store import Store
+from tests.api.live_page import flown
 
 JSON = {"Content-Type": "application/json"}
 
 
 def record(task: str = "hard", seed: int = 7, agent: str = "greedy", steps: int | None = None) -> EpisodeRecord:
-    episode, pilot = Episode(task, "tiered", seed), make_agent(agent, task)
-    pilot.reset(seed)
-    return record_of(episode.fly(rollout(episode.copy(), pilot.act).actions[:steps]), agent)
+    return record_of(flown(task, agent, steps, seed), agent)
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_record_is_shown_frame_by_frame(shared_client: TestClient, task: str) -> None:
-    flown = record(task)
-    shown = shared_client.post("/replay", content=flown.to_json(), headers=JSON).json()
+    flight = record(task)
+    shown = shared_client.post("/replay", content=flight.to_json(), headers=JSON).json()
     frames = shown["frames"]
-    assert [frame["action"] for frame in frames] == [None, *flown.actions]
-    assert [frame["reward"] for frame in frames[1:]] == flown.rewards
-    assert (frames[-1]["score"], frames[-1]["done"]) == (flown.score, True)
-    assert frames[-1]["deliveries_done"] == len(frames[-1]["delivered"]) == flown.deliveries
+    assert [frame["action"] for frame in frames] == [None, *flight.actions]
+    assert [frame["reward"] for frame in frames[1:]] == flight.rewards
+    assert (frames[-1]["score"], frames[-1]["done"]) == (flight.score, True)
+    assert frames[-1]["deliveries_done"] == len(frames[-1]["delivered"]) == flight.deliveries
     assert all((frame["q_values"] is None) == (not task.endswith("_delivery") or frame["done"]) for frame in frames)
     assert (shown["opening"]["pilot"], shown["opening"]["session"]) == ("greedy", None)
 
 
 def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(shared_client: TestClient) -> None:
-    flown = record(steps=5)
-    assert len(shared_client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]) == 6
-    refused = shared_client.post("/annotate", content=flown.to_json(), headers=JSON)
+    flight = record(steps=5)
+    assert len(shared_client.post("/replay", content=flight.to_json(), headers=JSON).json()["frames"]) == 6
+    refused = shared_client.post("/annotate", content=flight.to_json(), headers=JSON)
     assert (refused.status_code, refused.json()["code"]) == (409, "in_flight")
 
 
@@ -60,11 +58,11 @@ def test_a_record_that_does_not_fit_its_flight_is_refused(
 
 @pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("skyline_easy", "greedy")])
 def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestClient, task: str, agent: str) -> None:
-    flown = record(task, agent=agent)
-    told = shared_client.post("/annotate", content=flown.to_json(), headers=JSON).json()
-    analysis = analyse_flight(flown)
+    flight = record(task, agent=agent)
+    told = shared_client.post("/annotate", content=flight.to_json(), headers=JSON).json()
+    analysis = analyse_flight(flight)
     assert [move["regret"] for move in told["moves"]] == [move.regret for move in analysis.moves]
-    assert (told["score"], told["optimal_score"], told["regret"]) == (flown.score, analysis.optimum, analysis.regret)
+    assert (told["score"], told["optimal_score"], told["regret"]) == (flight.score, analysis.optimum, analysis.regret)
     start = Episode(task, "tiered", 7)
     best = start.copy().fly([Action[action] for action in told["optimal_actions"]])
     assert told["optimal_path"] == [list(start.position), *([at.x, at.y] for at in best.path)]
@@ -100,12 +98,12 @@ def test_a_failed_flight_says_why_and_from_where_it_could_still_be_won(
 def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(
     client: TestClient, settings: dict[str, Any]
 ) -> None:
-    flown = [("greedy", 0), ("greedy", 1), ("greedy", 2), ("random", 0), ("random", 1)]
+    flights = [("greedy", 0), ("greedy", 1), ("greedy", 2), ("random", 0), ("random", 1)]
     with Store(settings["data"]) as store:
-        for agent, seed in flown:
+        for agent, seed in flights:
             store.add_episode(record("easy", seed, agent))
     rows = client.get("/episodes").json()
-    assert [(row["agent"], row["seed"]) for row in rows["episodes"]] == flown[::-1]
+    assert [(row["agent"], row["seed"]) for row in rows["episodes"]] == flights[::-1]
     assert rows["next"] is None
     for row in rows["episodes"]:
         assert row["optimal_score"] == solve(TASKS["easy_delivery"], row["seed"]).score

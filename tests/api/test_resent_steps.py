@@ -16,13 +16,6 @@ def step(client: TestClient, session: Header, direction: str, after: object) -> 
     return client.post("/step", json={"direction": direction}, headers={**session, "X-Step-Count": str(after)})
 
 
-def test_a_step_that_is_sent_again_is_flown_once_and_answered_as_before(client: TestClient, session: Header) -> None:
-    first = step(client, session, "UP", 0)
-    assert first.json()["step_count"] == 1
-    assert step(client, session, "UP", 0).content == first.content
-    assert step(client, session, "UP", 1).json()["step_count"] == 2
-
-
 @pytest.mark.parametrize("body", [{"direction": "UP"}, {"action": {"direction": "UP"}}], ids=["flat", "openenv"])
 def test_it_is_answered_alike_by_both_ways_through_the_server(
     client: TestClient, session: Header, body: dict[str, Any]

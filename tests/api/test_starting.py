@@ -76,26 +76,20 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
         assert store.count_sessions() == 1
 
 
-class TestErrors:
-    """The command prints one line, and creates no files."""
-
-    @pytest.fixture(autouse=True)
-    def environment(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-        # All that the command itself sets, so that it is put back.
-        for name, value in {"DATA": tmp_path / "data", "PORT": reserved_port(), "HOST": "", "WORKERS": ""}.items():
-            monkeypatch.setenv(f"DRONE_ENV_{name}", str(value))
-
-    def test_it_prints_one_line(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        with pytest.raises(SystemExit, match=rf"^server: [^\n]*{__file__}[^\n]*$"):
-            app.main(["--data", __file__, "--workers", "2"])
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            message = r"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
-            with pytest.raises(SystemExit, match=message):
-                app.main(["--port", str(taken.getsockname()[1]), "--workers", "2"])
-        monkeypatch.setenv("DRONE_ENV_IDLE_SECONDS", "-1")
-        with pytest.raises(SystemExit, match=r"^server: DRONE_ENV_IDLE_SECONDS: [^\n]*$"):
-            app.main([])
-        assert not (tmp_path / "data").exists()
+def test_an_error_is_one_line_and_creates_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # All that the command itself sets, so that it is put back.
+    for name, value in {"DATA": tmp_path / "data", "PORT": reserved_port(), "HOST": "", "WORKERS": ""}.items():
+        monkeypatch.setenv(f"DRONE_ENV_{name}", str(value))
+    with pytest.raises(SystemExit, match=rf"^server: [^\n]*{__file__}[^\n]*$"):
+        app.main(["--data", __file__, "--workers", "2"])
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        message = r"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
+        with pytest.raises(SystemExit, match=message):
+            app.main(["--port", str(taken.getsockname()[1]), "--workers", "2"])
+    monkeypatch.setenv("DRONE_ENV_IDLE_SECONDS", "-1")
+    with pytest.raises(SystemExit, match=r"^server: DRONE_ENV_IDLE_SECONDS: [^\n]*$"):
+        app.main([])
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.feature("H14")

@@ -3,7 +3,7 @@
 import asyncio
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from drone_env.server.exceptions import RequestError
 from drone_env.server.settings import Settings
 from drone_env.server.state import AppState
 from drone_env.server.workers import Job, Workers
+from tests.tools import eventually
 from tests.toy import TOY
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
@@ -53,10 +54,6 @@ def fail(error: Exception) -> None:
     raise error
 
 
-def die(number: int) -> None:
-    os.kill(os.getpid(), number)
-
-
 def spin() -> None:
     while True:
         pass
@@ -80,10 +77,6 @@ def allocate(megabytes: int) -> int:
 def hoard(megabytes: int) -> int:
     jobs.HOARD = np.ones(megabytes << 20, np.uint8)  # type: ignore[attr-defined]
     return os.getpid()
-
-
-def deliveries_of(task: str) -> int:
-    return get_task(task).deliveries
 
 
 def test_a_result_and_an_error_come_back(pool: Workers) -> None:
@@ -121,12 +114,10 @@ def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) ->
     os.kill(after, signal.SIGKILL)
     assert pool.submit(abs, -3, caller="a").result() == 3, "the process died before the job"
     with pytest.raises(RequestError, match="the server failed"):
-        pool.submit(die, signal.SIGKILL, caller="a").result()
+        pool.submit(signal.raise_signal, signal.SIGKILL, caller="a").result()
 
 
-def test_callers_take_turns_and_dropped_jobs_do_not_run(
-    pool: Workers, gate: Path, tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Path, tmp_path: Path) -> None:
     notes = tmp_path / "notes"
     first = pool.submit(wait_at, gate, caller="a")
     eventually(first.running)
@@ -141,9 +132,7 @@ def test_callers_take_turns_and_dropped_jobs_do_not_run(
     assert submitted["c1"].cancelled()
 
 
-def test_a_running_job_is_dropped_with_its_worker(
-    pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_running_job_is_dropped_with_its_worker(pool: Workers, gate: Path) -> None:
     job = pool.submit(wait_at, gate, caller="a")
     eventually(lambda: job.process is not None)
     job.cancel()
@@ -160,7 +149,7 @@ def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None
 
 
 def test_too_many_jobs_are_refused_by_caller_and_in_all(
-    pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
+    pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers, "WAITING", 3)
     monkeypatch.setattr(workers, "WAITING_PER_CALLER", 2)
@@ -177,7 +166,7 @@ def test_too_many_jobs_are_refused_by_caller_and_in_all(
     assert [job.result() for job in waiting] == [3] * 3
 
 
-def test_closing_drops_everything(pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]) -> None:
+def test_closing_drops_everything(pool: Workers, gate: Path) -> None:
     running, waiting = (pool.submit(wait_at, gate, caller="a") for _ in range(2))
     eventually(running.running)
     pool.close()
@@ -190,7 +179,7 @@ def test_closing_drops_everything(pool: Workers, gate: Path, eventually: Callabl
 
 def test_workers_know_the_tasks_that_the_server_has(pool: Workers, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASKS, "toy", TOY)
-    assert pool.submit(deliveries_of, "toy", caller="a").result() == TOY.deliveries
+    assert pool.submit(get_task, "toy", caller="a").result() == TOY
 
 
 def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
@@ -209,9 +198,7 @@ def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypa
     assert context.solver_of(task, 2) is not second
 
 
-def test_a_job_is_dropped_when_its_caller_leaves(
-    tmp_path: Path, gate: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_job_is_dropped_when_its_caller_leaves(tmp_path: Path, gate: Path) -> None:
     shared, gone = AppState(Settings(data=tmp_path / "data")), asyncio.Event()
 
     async def receive() -> dict[str, Any]:

@@ -4,7 +4,6 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,12 +12,11 @@ import pytest
 
 from drone_env.client import DroneEnvClient
 from tests.api.serving import serving
+from tests.tools import eventually
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
-def test_workers_fly_one_session_and_end_with_the_first_process_however_that_ends(
-    tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_workers_fly_one_session_and_end_with_the_first_process_however_that_ends(tmp_path: Path) -> None:
     with serving(tmp_path / "data", WORKERS="2") as server:
         workers = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children").read_text().split()
         assert len(workers) >= 2

@@ -1,13 +1,9 @@
 """Finished flights for a store, flown by the agents themselves."""
 
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
-from drone_env.core.tasks import TaskConfig
 from drone_env.files import EVALUATIONS
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
 from drone_env.results.folder import ResultsFolder
@@ -20,11 +16,6 @@ from tests.api.serving import Server
 def flown(task: str, seed: int, agent: str, label: str | None = None, profile: str = "tiered") -> EpisodeRecord:
     """The record of a whole flight, under the agent's own name or another."""
     return record_of(live_page.flown(task, agent, seed=seed, profile=profile), label or agent)
-
-
-def by_hand(task: str | TaskConfig, seed: int, actions: Iterable[Action]) -> Episode:
-    """A flight of these actions."""
-    return Episode(task, "tiered", seed).fly(actions)
 
 
 def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:

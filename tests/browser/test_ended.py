@@ -7,9 +7,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import by_hand, flown, frames, get, posted
+from tests.browser.flights import flown, frames, get, posted
 from tests.browser.shown import (
     expect_flying,
     expect_frame,
@@ -47,8 +48,7 @@ def expect_efficiency(page: Page, done: float, left: float) -> None:
     )
 
 
-@pytest.mark.feature("D2")
-@pytest.mark.feature("D5")
+@pytest.mark.feature("D2", "D5")
 def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the_graph(
     page: Page, server: Server
 ) -> None:
@@ -116,8 +116,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(page).to_have_url(re.compile(f"fork={worst - 1}&of=random"))
 
 
-@pytest.mark.feature("D2")
-@pytest.mark.feature("D3")
+@pytest.mark.feature("D2", "D3")
 def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard_to_easy(page: Page) -> None:
     over(page, 0, "/?task=easy&seed=0&pilots=random,optimal")
     fly(page)
@@ -167,7 +166,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
     expect(page.locator("#standings")).to_be_hidden()
     choice.select_option(index=5)
     expect(standings(page).and_(page.locator(".selected"))).to_contain_text("Greedy (6)")
-    open_file(page, "flight.json", record_of(by_hand("easy", 5, [Action.UP]), "me").to_json(2))
+    open_file(page, "flight.json", record_of(Episode("easy", "tiered", 5).fly([Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight.")
     expect(page.locator(".strip")).to_contain_text("This flight is not finished")
     page.keyboard.press("End")

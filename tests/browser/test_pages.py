@@ -8,13 +8,14 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
-from tests.browser.flights import by_hand, flown, get
+from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
 from tests.browser.stage import at_speed, fly, press, view
 from tests.browser.test_several import KEYS
@@ -35,7 +36,7 @@ def test_what_the_lessons_say_of_their_maps_is_true(page: Page) -> None:
     assert f"optimum of this map is {points(lost.optimum)}; Greedy scores {points(lost.score)}," in blunder
     assert f"holds {get_task(PADS[0]).battery_capacity} units" in pads
     without = replace(get_task(PADS[0]), charge_rate=0)
-    assert by_hand(without, PADS[1], solve(without, PADS[1]).actions).deliveries_done == 2
+    assert Episode(without, seed=PADS[1]).fly(solve(without, PADS[1]).actions).deliveries_done == 2
     assert "more than two of the three parcels" in pads
 
 

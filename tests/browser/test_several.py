@@ -5,10 +5,11 @@ from collections.abc import Callable
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import by_hand, fill, flown, get, posted
+from tests.browser.flights import fill, flown, get, posted
 from tests.browser.shown import expect_step, painted, points
 from tests.browser.stage import fly, over, pilot, press, show, standings
 
@@ -83,7 +84,8 @@ def standing(page: Page, name: str) -> Locator:
 
 def test_a_fork_has_its_values_and_link(page: Page, beside: Callable[..., Page], server: Server) -> None:
     of, other = flown("hard", 7, "pathqnet").actions[:20], ["WAIT", "LEFT", "UP"]
-    values = analyse_flight(record_of(by_hand("hard", 7, (Action[name] for name in (*of, *other))), "human")).values
+    flight = Episode("hard", "tiered", 7).fly(Action[name] for name in (*of, *other))
+    values = analyse_flight(record_of(flight, "human")).values
     show(page, "/?task=hard&seed=7&pilot=pathqnet&step=20")
     expect_step(page, 20, 160)
     press(page, "Play WAIT")

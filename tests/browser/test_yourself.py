@@ -6,9 +6,10 @@ from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.planning.optimal import solve
 from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import by_hand, frames, newest
+from tests.browser.flights import frames, newest
 from tests.browser.shown import counter, expect_flying, expect_frame, expect_step, painted, pictures
 from tests.browser.stage import (
     FASTEST,
@@ -24,17 +25,15 @@ from tests.browser.stage import (
     standings,
     until,
 )
+from tests.browser.test_several import KEYS
 
 DASH = "\u2013"
 """Stands where the page shows no number."""
 
 
 def to_the_parcel(seed: int) -> list[str]:
-    """Keys that fly to the only parcel of an easy map, over whatever lies between."""
-    episode = Episode("easy", "tiered", seed)
-    (x, y), ((px, py, _),) = episode.position, episode.parcels
-    across = ["ArrowRight" if px > x else "ArrowLeft"] * abs(px - x)
-    return across + ["ArrowDown" if py > y else "ArrowUp"] * abs(py - y)
+    """Keys that fly to the only parcel of an easy map, those to the left last."""
+    return sorted((KEYS[action.name] for action in solve("easy", seed).actions), key=lambda key: key == "ArrowLeft")
 
 
 def question(page: Page) -> Locator:
@@ -42,8 +41,8 @@ def question(page: Page) -> Locator:
 
 
 def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server: Server) -> None:
-    flown = ("RIGHT", "LEFT", "DOWN", "RIGHT", "WAIT", "UP")
-    flight = iter(frames(server, record_of(by_hand("easy", 7, (Action[name] for name in flown)), "me"))[1:])
+    flown = (Action.RIGHT, Action.LEFT, Action.DOWN, Action.RIGHT, Action.WAIT, Action.UP)
+    flight = iter(frames(server, record_of(Episode("easy", "tiered", 7).fly(flown), "me"))[1:])
     over(page, 7, "/?task=easy&seed=7&pilot=greedy")
     expect_step(page, 0, 60)
     # At once: the key comes before the server has answered.
@@ -98,7 +97,7 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
 def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Server) -> None:
     over(page, 5, "/?task=easy&seed=5&pilot=human")
     expect_step(page, 0, 60)
-    way = to_the_parcel(5)[::-1]  # the last move is to the left, a key that looks back, too
+    way = to_the_parcel(5)  # the last move is to the left, a key that looks back, too
     page.keyboard.press(way[0])
     expect_step(page, 1, 60)
     thoughts, possible = page.get_by_role("table", name="Each move from here"), page.locator("#score")

@@ -16,7 +16,6 @@ _HOMES = {
     "Level": "openenv.validation",
     "MCPToolClient": "openenv.core.mcp_client",
     "McpClient": "fastmcp:Client",
-    "ProviderCapability": "openenv.validation.types",
     "create_fastapi_app": "openenv.core.env_server",
     "push": "openenv.cli.commands",
     "run_validation": "openenv.validation",

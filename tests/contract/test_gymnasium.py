@@ -10,8 +10,6 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.rendering import draw_picture
@@ -116,14 +114,6 @@ def test_what_a_specification_says_is_made_again() -> None:
     assert str(twin) == str(env)
     assert fly_optimally(twin, "hard", 3)[1]["regret"] == 0
     assert twin.unwrapped.episode.reward_profile.id == "score"
-
-
-@pytest.mark.parametrize("profile", REWARD_PROFILES)
-def test_the_reward_profile_is_an_option_of_make(profile: str) -> None:
-    episode = Episode("easy", profile, 5)
-    for action in solve("easy", 5).actions:
-        episode.step(action)
-    assert fly_optimally(make(reward_profile=profile), "easy", 5)[0] == episode.reward_total
 
 
 @pytest.mark.parametrize(

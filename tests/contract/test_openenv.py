@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import uuid
-from collections.abc import Generator
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,16 +22,10 @@ from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.map_choice import TaskApi
 from drone_env.server.settings import Settings
-from tests.api.serving import ROOT, Server, serving
+from tests.api.serving import ROOT, Server
 from tests.contract import official
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
-    with serving(tmp_path_factory.mktemp("openenv") / "data") as running:
-        yield running
 
 
 def best_actions(task: str, seed: int) -> list[DroneAction]:

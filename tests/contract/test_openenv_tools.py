@@ -96,6 +96,10 @@ def test_a_client_of_text_flies_where_the_url_names_task_and_prompt(server: Serv
         assert (result.reward, result.done) == (solve("hard", 7).score, True)
         again = env.step("[UP]").observation["messages"][0]["content"]
         assert again == told
+        env.reset()
+        best = solve("hard", env.state()["seed"])
+        result = env.step(f"[{' '.join(action.name for action in best.actions)}]")
+        assert (result.reward, result.done) == (best.score, True)
     for path in ("none/minimal", "hard/none", "hard/minimal-2.toml"):
         # OpenEnv's client does not close a connection that the server has refused.
         with connect(f"{server.url.replace('http', 'ws', 1)}/{path}/ws") as socket:

@@ -4,10 +4,8 @@ import itertools
 import json
 import os
 import re
-import subprocess
 import tempfile
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -42,15 +40,6 @@ def whole_lines(path: Path) -> list[str]:
 def json_lines(path: Path) -> list[dict[str, Any]]:
     """What each whole line of a file holds."""
     return [json.loads(line) for line in whole_lines(path)]
-
-
-def wait_until(holds: Callable[[], bool], process: "subprocess.Popen[Any] | None" = None, seconds: float = 240) -> None:
-    """Wait for a condition, while the process runs that is to bring it about."""
-    deadline = time.monotonic() + seconds
-    while not holds():
-        assert process is None or process.poll() is None, f"the process ended with {process.returncode}"
-        assert time.monotonic() < deadline, f"waited for {seconds} seconds"
-        time.sleep(0.02)
 
 
 @dataclass

@@ -66,12 +66,6 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start) -> None:
     verified(done)
 
 
-def test_connections_are_used_again(endpoint: Start) -> None:
-    scripted = endpoint(pilot="WAIT")
-    assert scripted.infer("--seeds", "14:15").turns == {"ok": 60}
-    assert len({request["port"] for request in scripted.requests()}) == 1
-
-
 @pytest.mark.parametrize("form", ["json", "tool"])
 def test_structured_output_and_tool_calls(endpoint: Start, form: str) -> None:
     done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer("--seeds", "14:15", "--answers", form)
@@ -119,6 +113,7 @@ def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(endpoint
     assert done.status == 0, done.err
     assert done.turns == {"illegal": 60}
     assert len(scripted.requests()) == 120
+    assert len({request["port"] for request in scripted.requests()}) == 1, "the connection is used again"
     (flight,) = done.flights
     assert (flight["waits"], flight["score"], flight["success"]) == (60, 0.01, False)
     (lines,) = blocks(done.out)

@@ -9,8 +9,9 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.transcript import Transcript
+from tests.tools import eventually
 
-from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, verified, wait_until
+from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, verified
 
 Start = Callable[..., Endpoint]
 
@@ -48,7 +49,7 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
-        wait_until(lambda: len(scripted.requests()) == 10, process)
+        eventually(lambda: len(scripted.requests()) == 10 or process.poll() is not None)
         second = scripted.infer(*flights, "--resume", folder=folder)
         assert (second.status, second.out) == (2, "")
         assert "another process is working on the run" in second.err
