@@ -11,7 +11,8 @@ export function actionsOf(context, fleet) {
 
   async function givingUp(act, yes = "Give up") {
     const { own } = fleet;
-    if (own && !(await ask(`${yes} your flight at step ${own.steps}?`, yes, "Keep flying"))) return;
+    const question = yes === "Give up" ? yes : `${yes}, and give up`;
+    if (own && !(await ask(`${question} your flight at step ${own.steps}?`, yes, "Keep flying"))) return;
     act();
     const behavior = lessMotion() ? "instant" : "smooth";
     document.querySelector(".plan-bar").scrollIntoView({ block: "nearest", behavior });

@@ -5,7 +5,7 @@ import { points } from "./format.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
-export const UNLISTED = "Flights with Undo, values or a fork are not listed, nor your best.";
+export const UNLISTED = "Flights with Undo, values or a fork are not listed and not kept as your best.";
 /** Maps whose best score is kept. */
 const KEPT = 200;
 /** @type {Intl.DateTimeFormatOptions} */
