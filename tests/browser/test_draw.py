@@ -70,7 +70,8 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     assert f"task={file.stem}&seed=0&pilot=human" in page.url
     expect(page.locator(".plan-head")).to_have_text(f"Drawn map {file.stem[6:10]} · You")
     expect(page.get_by_role("button", name="New map")).to_be_hidden()
-    choices(page).get_by_role("link", name="Edit this map").click()
+    with page.expect_response("**/maps/worth"):
+        choices(page).get_by_role("link", name="Edit this map").click()
     expect(score).to_have_text(shown)
     expect(paint.get_by_role("radio", name="Move")).to_be_checked()
     # While a slow server computes, the page shows no optimum of another map.
