@@ -144,7 +144,6 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         (["train", "--reward-profile", "generous"], "allowed: aligned"),
         (["train", "--replay-size", "1000000000000000"], "out of memory"),
         (["train", "--network", "tournet", "--preset", "original"], "--preset"),
-        (["sweep", "--set", "gamma=0.9", "--set", "gamma=0.8"], "set twice"),
         ([], "name a command, such as fly"),
     ],
 )

@@ -175,3 +175,8 @@ def test_two_processes_share_a_sweep_and_a_trial_that_fails_is_reported(
     assert len(finished["test"]["seed_scores"]) == 2
     assert main([*command[:-1], "1"]) == 1
     assert (out / "report.md").read_text() == report  # nothing is trained again
+
+
+def test_a_setting_is_set_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "--set", "gamma=0.9", "--set", "gamma=0.8", "--out", str(tmp_path)]) == 2
+    assert "set twice" in capsys.readouterr().err
