@@ -89,8 +89,8 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
             expect(banner).to_be_hidden()
             expect(dot).to_contain_text("Live")
             ended(page)
-            # The visitor still looks back.
-            expect(page).to_have_url(re.compile(f"step={seen - 1}$"))
+            # The visitor still looks back, and a link to this moment says that the flight has ended.
+            expect(page).to_have_url(re.compile(f"step={seen - 1}&ended={len(flight.actions)}$"))
             press(page, "Last step")
             expect(page).to_have_url(re.compile(f"seed=7&.*step={len(flight.actions)}$"))
             page.reload()
