@@ -182,8 +182,8 @@ class Campaign:
 
         Args:
             path: The WebSocket; empty to send requests.
-            frame: What is sent again and again.
-            first: What is sent before.
+            frame: The bytes to repeat.
+            first: Bytes to send before them.
             callers: How many send it.
             reads: Whether they read the answers.
             is_abuse: Whether the server closes the connection; then the cost is counted for each connection.

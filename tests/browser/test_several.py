@@ -33,7 +33,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
         now = {name: value[min(at, len(value) - 1)] for name, value in values.items()}
         expect(names).to_have_text(sorted(now, key=now.__getitem__, reverse=True))
         row = standings(page).filter(has_text="Random").get_by_role("cell")
-        # What is still possible is not mistaken for a score.
+        # The standings tell possible scores from final ones.
         flies = "up to " if at < len(values["Random"]) - 1 else ""
         expect(row.nth(2)).to_have_text(f"{flies}{points(now['Random'])}")
         expect(row.last).to_have_text(points(best - now["Random"]))

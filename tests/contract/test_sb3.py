@@ -64,7 +64,7 @@ def test_it_does_what_sb3s_own_vectorisation_of_single_drones_does(task: Any, fo
             assert info["is_success"] is (expected["outcome"] == "delivered")
             flown[i] = next_seed(flown[i])
     assert ended > N
-    # What was returned stays as it is.
+    # Later steps do not change returned arrays.
     assert all(np.array_equal(array, copy) for array, copy in kept)
 
 

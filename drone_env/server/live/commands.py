@@ -114,12 +114,9 @@ def parse_command(data: bytes | None) -> Command:
         InvalidValueError: if it is not a valid command.
     """
     value: Any = parse_json(data)
-    if (
-        data is not None
-        and len(data) > SMALL
-        and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start")
-    ):
-        raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {len(data)}")
+    size, kind = len(data or b""), cast(dict[str, Any], value).get("type") if isinstance(value, dict) else None
+    if size > SMALL and kind != "start":
+        raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {size}")
     try:
         return _COMMAND.validate_python(value)
     except ValidationError as error:

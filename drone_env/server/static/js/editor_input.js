@@ -6,7 +6,7 @@ const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowR
 
 /**
  * @param {HTMLElement} grid Contains the canvas. @param {Context} context Of the editor. @param {Drawing} drawing
- * @param {(i: number) => boolean} choose Chooses a tool; false if there are not so many.
+ * @param {(i: number) => boolean} choose Chooses a tool; false if there is no such tool.
  * @returns {(cell?: number[]|null) => void} Moves the cursor to a cell, or hides it; without one, keeps it if the map still contains its cell.
  */
 export function mountInput(grid, context, drawing, choose) {

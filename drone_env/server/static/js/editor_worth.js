@@ -1,4 +1,4 @@
-// What a drawn map is worth: the server computes its optimum after each change.
+// The optimum of a drawn map, which the server computes after each change.
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
 import { el, setText } from "./dom.js";

@@ -80,7 +80,7 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     const now = JSON.stringify([title, shown, day?.best]);
     if (now === drawn) return;
     drawn = now;
-    // Who has flown the map may see how others flew it.
+    // A visitor who has flown the map may open the flights of others.
     const look = (id, text) => (best ? el("a", { href: `?episode=${id}`, text }) : text);
     const row = ({ id, name, score, steps }) => el("li", look(id, name ?? "A person"), ` ${points(score)}, ${steps} steps`);
     head.textContent = title;
