@@ -1,8 +1,8 @@
 // Compare: leaderboard, pairs, runs over the same maps, training curves and newest flights.
 import { el, keepFocus } from "./dom.js";
 import { Flights } from "./flights.js";
-import { title, who } from "./format.js";
-import { leaderboard, mapsOf, paired, runsOf, unflown } from "./rankings.js";
+import { title } from "./format.js";
+import { leaderboard, paired, runsOf, unflown } from "./rankings.js";
 import { Training } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
@@ -39,6 +39,12 @@ class Compare {
     this.timer = 0;
     this.failed = false;
     this.task = this.board = this.runs = null;
+    /** The row that shows its maps, the boxes that are ticked, and whether all people are listed. */
+    this.opened = null;
+    this.ticked = [];
+    this.everyone = false;
+    /** The newest answers for these. */
+    this.maps = this.pairing = null;
     const option = (task) => el("option", { value: task.short_name, text: title(task.short_name) });
     const group = ([family, tasks]) => el("optgroup", { label: title(family) }, ...tasks.map(option));
     this.choice = el(
@@ -71,13 +77,30 @@ class Compare {
     return this.context.router.address.pilots.slice(0, MOST);
   }
 
-  /** Those of them that have not flown the task. */
-  get missing() {
-    return this.pilots.filter((pilot) => !this.board.rows.some(({ agent }) => agent === pilot));
+  hasFlown(pilot) {
+    return this.board.rows.some(({ agent }) => agent === pilot);
   }
 
   go(pilots, task = this.task.short_name) {
     this.context.router.go({ view: "compare", task, pilots });
+  }
+
+  open(agent) {
+    this.go(this.opened === agent ? [] : [agent]);
+  }
+
+  /** A single tick is not in the address, and moves nothing. A third one replaces the first. */
+  tick(agent, ticked) {
+    const others = this.ticked.filter((one) => one !== agent);
+    this.ticked = ticked ? [...others, agent].slice(-MOST) : others;
+    const pilots = this.ticked.length === MOST ? this.ticked : this.opened ? [this.opened] : [];
+    if (String(pilots) === String(this.pilots)) this.draw();
+    else this.go(pilots);
+  }
+
+  showEveryone() {
+    this.everyone = !this.everyone;
+    this.draw();
   }
 
   look() {
@@ -112,7 +135,9 @@ class Compare {
       this.board = board;
       if (this.task?.id !== board.task) {
         this.task = this.known(board.task);
-        this.runs = null;
+        this.runs = this.maps = this.pairing = null;
+        this.ticked = [];
+        this.everyone = false;
         this.ranked.hidden = true;
       }
       this.choice.value = this.task.short_name;
@@ -130,30 +155,36 @@ class Compare {
   }
 
   async choose(request) {
-    const { api } = this.context;
-    const [a, b] = this.missing.length ? [] : this.pilots;
-    const path = b ? `paired/${this.board.task}` : `leaderboard/${this.board.task}/maps`;
-    const shown = JSON.stringify([this.board.task, a, b]);
-    // Hides the previous choice until the new one is loaded.
-    if (this.shown !== shown) this.draw(null);
-    this.shown = shown;
+    const { api, router } = this.context;
+    const { task } = this.board;
+    const { address } = router;
+    const flown = this.pilots.filter((pilot) => this.hasFlown(pilot));
+    if (this.pilots.length === MOST) this.ticked = flown;
+    else {
+      this.opened = flown[0] ?? null;
+      if (this.ticked.length === MOST) this.ticked = [];
+    }
+    this.draw();
+    const [a, b] = this.ticked;
     await this.trying(request, async () => {
-      const answer = a ? await api.get(path, b ? { a, b } : { agent: a }) : null;
-      if (request === this.request && this.shown === shown) this.draw(answer);
+      const [maps, pairing] = await Promise.all([
+        this.opened && api.get(`leaderboard/${task}/maps`, { agent: this.opened }),
+        b && api.get(`paired/${task}`, { a, b }),
+      ]);
+      if (request !== this.request || address !== router.address) return;
+      [this.maps, this.pairing] = [maps, pairing && { ...pairing, pilots: [a, b] }];
+      this.draw();
     });
   }
 
-  draw(answer) {
-    const { context, task, board, pilots, missing } = this;
-    const drawn = JSON.stringify([board, pilots, answer]);
+  draw() {
+    const { context, task, board, pilots, opened, ticked, everyone, maps, pairing } = this;
+    const drawn = JSON.stringify([board, pilots, opened, ticked, everyone, maps, pairing]);
     if (this.drawn === drawn) return;
     this.drawn = drawn;
-    const two = pilots.length === 2;
-    const maps = !two && answer ? mapsOf(context, who(context, pilots[0]), answer.maps) : null;
-    const flown = pilots.filter((pilot) => !missing.includes(pilot));
-    const table = leaderboard(context, board, flown, maps, (chosen) => this.go(chosen));
-    keepFocus(this.rows, () => this.rows.replaceChildren(table));
-    const pair = two && answer ? paired(context, task, answer, pilots, board.rows) : [];
+    keepFocus(this.rows, () => this.rows.replaceChildren(leaderboard(context, board, this)));
+    const missing = pilots.filter((pilot) => !this.hasFlown(pilot));
+    const pair = ticked.length === MOST && pairing ? paired(context, task, pairing, board.rows) : [];
     this.chosen.replaceChildren(...(missing.length ? unflown(context, task, missing, pilots) : pair));
     this.chosen.hidden = !this.chosen.childElementCount;
   }

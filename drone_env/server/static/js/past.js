@@ -72,7 +72,7 @@ export class Past {
   async flown(record) {
     await this.context.meet(record?.task);
     const flown = await this.context.api.post("replay", record);
-    const track = new Track(flown, this.fleet.look(flown.opening.pilot));
+    const track = new Track(flown, this.fleet.look(flown.opening.pilot, true));
     track.record = record;
     return track;
   }

@@ -51,14 +51,12 @@ export function mountStrip(root, context, fleet, acts) {
       setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
     }
     setText(efficiency, efficiencyOf(last));
-    worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
+    worst = annotation?.moves[annotation.worst_step - 1] ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
     tryIt.hidden = !again.hidden;
     if (worst) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
-      // After the last parcel, nothing but charge can gain.
-      const first = worst.step === track.steps && last.outcome === "delivered" ? ", to charge first" : "";
-      const best = `best: ${worst.best_actions.join(" or ")}${first}`;
+      const best = `best: ${worst.best_actions.join(" or ")}, ${annotation.worst_why}`;
       setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${best}`);
     }
     const after = nextTask(context.families, stage.world.task);

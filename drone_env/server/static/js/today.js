@@ -55,8 +55,8 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
-  function keep({ annotation, unnamed, pilot }) {
-    if (!annotation || unnamed !== pilot || best?.[1] >= annotation.score) return;
+  function keep({ annotation, unnamed, pilot, brought }) {
+    if (!annotation || brought || unnamed !== pilot || best?.[1] >= annotation.score) return;
     best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
     remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }

@@ -9,11 +9,13 @@ export class Track {
     this.pilot = opening.pilot;
     /** The agent of the record: one pilot, or several in sequence. */
     this.by = opening.by;
-    /** In flights of this page the visitor is "You". */
-    this.called = (live ? null : opening.by.match(PERSON)?.[1]) ?? name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
+    /** Whether it was over when the page met it: a flight from the store or a link. */
+    this.brought = !live || this.done;
+    /** In flights of this page the visitor is "You". */
+    this.called = (this.brought && opening.by.match(PERSON)?.[1]) || name;
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
