@@ -64,7 +64,7 @@ class AnalysedFlight(Message):
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
     worst_step: Count | None = Field(description="The move that lost most, the first of equals; null if none lost.")
-    worst_why: str = Field(description="What the best moves there gain, as in `which saves 2 steps`; empty if none lost.")
+    worst_why: str = Field(description="What the best moves there gain: `which saves 2 steps`; empty if none lost.")
     why: str = Field(description="Why it failed, in one sentence; empty if it delivered all parcels.")
     rescue_step: Count | None = Field(
         description="The last step after which all parcels could still be delivered; null if there is none, or if all "
@@ -131,9 +131,10 @@ def _annotated(record: EpisodeRecord) -> str:
 def better(analysis: FlightAnalysis, move: Move) -> str:
     """What the best actions gain over a move that lost something, where all further moves are best ones."""
     task, solver = analysis.task, job_context().solver_of(analysis.task, analysis.seed)
+    before = [one.action for one in analysis.moves[: move.step - 1]]
 
     def end(action: Action) -> Episode:
-        flight = Episode(task, seed=analysis.seed).fly([*(one.action for one in analysis.moves[: move.step - 1]), action])
+        flight = Episode(task, seed=analysis.seed).fly([*before, action])
         while not flight.ended:
             flight.step(solver.optimal_actions(flight)[0])
         return flight

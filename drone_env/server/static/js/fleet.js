@@ -149,6 +149,12 @@ export class Fleet extends Emitter {
     return { name: past ? who(this.context, id) : name, colour: `--pilot-${colour}` };
   }
 
+  /** A pilot of the newest start: who opens the link to a finished flight is not the person who flew it. */
+  called(id) {
+    const track = this.starting ? undefined : this.tracks.find(({ pilot }) => pilot === id);
+    return track?.called ?? this.pilot(id).name;
+  }
+
   task(name = this.setup.task) {
     return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
   }
