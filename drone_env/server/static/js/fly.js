@@ -15,7 +15,7 @@ import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
 import { explain, mountFiles, mountRecord, Past } from "./past.js";
 import { mountPlan } from "./plan.js";
-import { says } from "./router.js";
+import { linkOf, says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
@@ -83,11 +83,12 @@ export function mountFly(root, context) {
     }
   }
 
-  /** The moment and the moves, as the address contains them: the newest step of a flight with moves is its default. */
-  function moment() {
+  /** What is shown, as the address contains it: a stored flight and one with moves are shown at their newest step by default. */
+  function present() {
     const { cursor, following } = stage.clock;
-    const moves = fleet.linkParts;
-    return { ...moves, step: (moves.actions ? following : cursor === 0 && !moves.ended) ? null : cursor };
+    const flights = fleet.shown ? { ...fleet.setup, ...fleet.linkParts } : {};
+    const atEnd = flights.actions || !fleet.shown || (flights.episode && !fleet.forked);
+    return { ...flights, step: (atEnd ? following : cursor === 0 && !flights.ended) ? null : cursor };
   }
 
   // The bare address shows a recorded flight above the map, which waits to be flown.
@@ -102,7 +103,7 @@ export function mountFly(root, context) {
 
   function writeAddress() {
     if (!fleet.shown || context.view !== "fly" || (greets() && waits())) return;
-    router.flies({ ...fleet.setup, ...moment() }, greets());
+    router.flies(present(), greets());
     if (greeting) greeting.hidden = true;
   }
   fleet.on("begun", () => {
@@ -116,7 +117,10 @@ export function mountFly(root, context) {
     explain(context, track);
     // From now on the address names the stored flight of the visitor.
     const alone = fleet.tracks.length === 1 && fleet.human === 0 && !fleet.forked;
-    if (alone && isShown()) router.moment({ episode: (fleet.setup.episode = track.episode.id) });
+    if (alone && isShown()) {
+      fleet.setup.episode = track.episode.id;
+      router.moment(present());
+    }
   });
   context.on("view", follow);
 
@@ -124,6 +128,7 @@ export function mountFly(root, context) {
     const { address } = router;
     // A stored flight that is still loading for an earlier address is dropped.
     past.request += 1;
+    problem.clear();
     if (address.lesson)
       lessons ??= import("./lessons.js").then(
         ({ mountLesson }) => mountLesson(lesson, context),
@@ -137,8 +142,11 @@ export function mountFly(root, context) {
       fleet.pause();
       stage.clock.stop();
     } else if (address.episode && address.fork === null) {
-      if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.cursor);
-      else await open(() => past.open(address.episode, address.step ?? 0));
+      if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
+      else await open(() => past.open(address.episode, address.step ?? Infinity));
+    } else if (fleet.tracks.length && router.bare && !greeting) {
+      // Only a load brings the recorded flight of the bare address.
+      location.replace(linkOf({}));
     } else await fly(address);
   }
 
@@ -146,7 +154,7 @@ export function mountFly(root, context) {
     const unknown = address.task && !fleet.task(address.task);
     if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
     const wanted = greets() ? greeted() : fleet.complete(address);
-    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(wanted, fleet.setup));
+    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(wanted, fleet.setup) && (address.actions ?? "") === (fleet.actions ?? ""));
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) fleet.show(address.step, address.selected - 1);
     else if (!address.episode) fleet.start(wanted);
@@ -162,12 +170,12 @@ export function mountFly(root, context) {
   /** Whether the stage shows the flight of the address. */
   function isShown() {
     const { address } = router;
-    if (context.view !== "fly") return false;
+    if (context.view !== "fly" || greets()) return false;
     if (fleet.shown) return !fleet.starting && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
-  stage.on("change", () => isShown() && router.moment(moment()));
+  stage.on("change", () => isShown() && router.moment(present()));
 }
 
 /** An error above the map; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
@@ -176,7 +184,7 @@ function mountProblem(root, context, fleet) {
   root.append(text);
   const another = el("button.button.small", {
     text: "Fly another map",
-    press: () => fleet.another(),
+    press: () => fleet.start({ seed: null }),
   });
   const problem = {
     show(message) {

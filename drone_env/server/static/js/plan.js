@@ -93,12 +93,12 @@ export function mountPlan(root, context, fleet, acts) {
     const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.called(id));
     const map = (past ? stage.world.seed : setup.seed) ?? "";
     fresh.hidden = label.hidden = seed.hidden = !variants(task);
-    const number = fresh.hidden ? [] : [`map ${map}`];
-    setText(heading, [task ? title(task.short_name) : setup.task, ...number, names.join(", ")].join(" · "));
+    const number = !fresh.hidden && map !== "" && `map ${map}`;
+    setText(heading, [task ? title(task.short_name) : setup.task, number, names.join(", ")].filter(Boolean).join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
     setText(note, task ? taskNote(task) : "");
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
-    copy.disabled = past && !stage.track.episode;
+    copy.disabled = !stage.track || (past && !stage.track.episode);
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const { pilot, row, name, box, about } of rows) {
       const able = fleet.flies(pilot.id, task);
