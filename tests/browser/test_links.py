@@ -155,7 +155,7 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     show(page, "/?view=compare&task=zzz")
     expect(problem.filter(has_text="unknown task 'zzz'; allowed: ")).to_be_visible()
     for link, why in (
-        (f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}", "pilots: List should have at most 8 items"),
+        (f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}", "pilots: must have at most 8 items"),
         ("/?episode=nothing", "nothing"),
     ):
         page.goto(link)

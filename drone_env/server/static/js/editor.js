@@ -67,9 +67,9 @@ export function mount(root, context) {
   const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
   const acts = el(
     "div.draw-acts",
-    act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
-    act("race-map", "Race", () => go(null)),
-    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await storeTask()).id, seed: 0 }).href, "Link copied.")),
+    act("fly-map", "Fly it", async () => router.go(await byHand()), "button.button.primary"),
+    act("race-map", "Race", race),
+    act("link-map", "Copy link", async () => copyText(linkOf(await byHand()).href, "Link copied.")),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
@@ -198,16 +198,17 @@ export function mount(root, context) {
     }
   }
 
-  async function storeTask() {
+  /** Stores the map; the address where the visitor flies it. */
+  async function byHand() {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
-    return answer.task;
+    return { task: answer.task.id, seed: 0, pilots: context.pilots.filter(({ automatic }) => !automatic).map(({ id }) => id) };
   }
 
-  async function go(pilots) {
-    const { id } = await storeTask();
-    const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(id)).map((pilot) => pilot.id);
-    router.go({ task: id, seed: 0, pilots: pilots ?? able.slice(0, context.most) });
+  async function race() {
+    const { pilots, ...map } = await byHand();
+    const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(map.task)).map(({ id }) => id);
+    router.go({ ...map, pilots: [...pilots, ...able].slice(0, context.most) });
   }
 
   async function save() {

@@ -2,7 +2,7 @@
 import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
 import { NEXT } from "./fleet_states.js";
-import { who } from "./format.js";
+import { sentence, who } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
@@ -407,6 +407,6 @@ export class Fleet extends Emitter {
       Object.assign(this, this.tracks.length ? this.left : { setup: known });
       this.emit("setup");
     }
-    this.emit("refused", detail);
+    this.emit("refused", sentence(detail));
   }
 }

@@ -143,7 +143,7 @@ export function mountFly(root, context) {
       stage.clock.stop();
     } else if (address.episode && address.fork === null) {
       if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
-      else await open(() => past.open(address.episode, address.step ?? Infinity));
+      else await open(() => past.open(address.episode, address.step));
     } else if (fleet.tracks.length && router.bare && !greeting) {
       // Only a load brings the recorded flight of the bare address.
       location.replace(linkOf({}));
@@ -188,6 +188,8 @@ function mountProblem(root, context, fleet) {
   });
   const problem = {
     show(message) {
+      // The open choices would cover it.
+      root.parentElement.querySelector("details").open = false;
       text.replaceChildren(message, " ", ...(context.stage.tracks.length ? [] : [another]));
       text.hidden = false;
     },

@@ -1,7 +1,7 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { ApiError } from "./api.js";
 import { download, el, toast } from "./dom.js";
-import { flightName } from "./format.js";
+import { flightName, sentence } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -28,7 +28,7 @@ export class Past {
     if (request !== this.request) return;
     this.episode = id;
     this.records = [];
-    this.show([track], { step });
+    this.show([track], step);
     this.askForCalls(track);
   }
 
@@ -43,7 +43,11 @@ export class Past {
   async openFile(file) {
     const request = ++this.request;
     const records = await readFlights(file);
-    if (request === this.request) await this.openRecord(0, records);
+    if (request !== this.request) return;
+    await this.openRecord(0, records).catch((error) => {
+      if (error.code !== "invalid_request") throw error;
+      throw new Error(`${file.name} is not a flight file. ${sentence(error.message.replaceAll("body.", ""))}.`);
+    });
   }
 
   /** Shows a flight of the file, beside the others over the same map: as many as may fly together. */
@@ -60,7 +64,7 @@ export class Past {
     tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
     this.episode = null;
     this.records = records;
-    this.show(tracks, { selected: at - first });
+    this.show(tracks, null, at - first);
   }
 
   leave() {
@@ -77,10 +81,11 @@ export class Past {
     return track;
   }
 
-  show(tracks, moment) {
+  /** Shows the end unless a step is named: the results are beside it. */
+  show(tracks, step, selected = 0) {
     const { stage, tasks } = this.context;
     this.tracks = tracks;
-    stage.show(worldOf(tracks[0].opening, tasks), tracks, moment);
+    stage.show(worldOf(tracks[0].opening, tasks), tracks, { step: step ?? Infinity, selected });
     for (const track of tracks) explain(this.context, track);
   }
 
@@ -178,6 +183,8 @@ export function mountFiles(root, past, open) {
     on: {
       change: async () => {
         const [file] = input.files;
+        // What the file holds, or why it is refused, is below the choices.
+        root.closest("details").open = false;
         if (file) await open(() => past.openFile(file));
         input.value = "";
       },
