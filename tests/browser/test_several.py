@@ -29,7 +29,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     boards = page.get_by_role("img", name="City map")
 
     def expect_ranked(at: int) -> None:
-        """Nobody stands before others for what is only possible; at the end the best first, of equals as they are named."""
+        """Nobody is first for what is only possible; at the end the best is, and equals are as they are named."""
         now = {name: value[min(at, len(value) - 1)] for name, value in values.items()}
         ended = at >= len(values["Random"]) - 1
         expect(names).to_have_text(sorted(now, key=now.__getitem__, reverse=True) if ended else list(NAMES.values()))
