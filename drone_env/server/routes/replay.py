@@ -129,7 +129,7 @@ def _annotated(record: EpisodeRecord) -> str:
 
 
 def better(analysis: FlightAnalysis, move: Move) -> str:
-    """What the best actions gain over a move that lost something, where all further moves are best ones."""
+    """What the best actions gain over a move that lost something, if all further moves are best ones."""
     task, solver = analysis.task, job_context().solver_of(analysis.task, analysis.seed)
     before = [one.action for one in analysis.moves[: move.step - 1]]
 
