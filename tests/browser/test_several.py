@@ -29,10 +29,10 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     boards = page.get_by_role("img", name="City map")
 
     def expect_ranked(at: int) -> None:
-        """Nobody is first for what is only possible; at the end the best is, and equals are as they are named."""
+        """The best first, at the end; before, nobody stands before others for what is only possible."""
         now = {name: value[min(at, len(value) - 1)] for name, value in values.items()}
-        ended = at >= len(values["Random"]) - 1
-        expect(names).to_have_text(sorted(now, key=now.__getitem__, reverse=True) if ended else list(NAMES.values()))
+        best_first = sorted(now, key=now.__getitem__, reverse=True)
+        expect(names).to_have_text(best_first if at >= len(values["Random"]) - 1 else list(NAMES.values()))
         row = standings(page).filter(has_text="Random").get_by_role("cell")
         # The standings tell possible scores from final ones.
         flies = "up to " if at < len(values["Random"]) - 1 else ""

@@ -58,6 +58,7 @@ class Compare {
     this.chosen = el("section.compare-part", { hidden: true });
     this.ranked = el("section.compare-part", { hidden: true });
     this.flights = new Flights(context);
+    this.parts = el("div.compare-parts", this.rows, this.chosen, this.ranked, this.flights.root);
     root.append(
       el(
         "div.view-head",
@@ -65,10 +66,7 @@ class Compare {
         el("div.filters", el("label", { for: "compare-task" }, el("span", { text: "Task" }), this.choice)),
       ),
       this.problem,
-      this.rows,
-      this.chosen,
-      this.ranked,
-      this.flights.root,
+      this.parts,
     );
   }
 
@@ -98,43 +96,28 @@ class Compare {
     else this.go(pilots);
   }
 
-  showEveryone() {
-    this.everyone = !this.everyone;
-    this.draw();
-  }
-
   look() {
     const { task } = this.context.router.address;
-    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.request);
+    if (this.task && (task === null || this.context.task(task) === this.task)) this.choose(this.request);
     else if (task !== this.wanted) this.load();
-  }
-
-  known(name) {
-    return this.context.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name));
   }
 
   async load() {
     const request = ++this.request;
     const { api, router, stage, tasks } = this.context;
     this.wanted = router.address.task ?? stage.world?.task.short_name ?? null;
-    await this.trying(request, () => this.context.meet(this.wanted));
-    if (request !== this.request) return;
-    // An unknown task shows only the error.
-    const nowhere = this.wanted !== null && !this.known(this.wanted);
-    for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
-    if (nowhere) {
-      this.choice.value = "";
-      this.chosen.hidden = this.ranked.hidden = true;
-      this.task = this.drawn = null;
-    }
     await this.trying(request, async () => {
       const named = this.wanted ?? (await api.get("episodes", { limit: 1 })).episodes[0]?.task ?? tasks[0].id;
       await this.context.meet(named);
+      if (request !== this.request) return;
+      // An unknown task shows only the error.
+      this.parts.hidden = !this.context.task(named);
+      if (this.parts.hidden) this.task = this.choice.value = null;
       const board = await api.get(`leaderboard/${encodeURIComponent(named)}`);
       if (request !== this.request) return;
       this.board = board;
       if (this.task?.id !== board.task) {
-        this.task = this.known(board.task);
+        this.task = this.context.task(board.task);
         this.runs = this.maps = this.pairing = null;
         this.ticked = [];
         this.everyone = false;
@@ -177,8 +160,9 @@ class Compare {
     });
   }
 
-  draw() {
-    const { context, task, board, pilots, opened, ticked, everyone, maps, pairing } = this;
+  draw(everyone = this.everyone) {
+    this.everyone = everyone;
+    const { context, task, board, pilots, opened, ticked, maps, pairing } = this;
     const drawn = JSON.stringify([board, pilots, opened, ticked, everyone, maps, pairing]);
     if (this.drawn === drawn) return;
     this.drawn = drawn;

@@ -17,6 +17,7 @@ export function createContext(parts) {
     view: "fly",
     byHand: () => false,
     secret: () => false,
+    task: (name) => parts.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name)),
     shows(id) {
       const { name, on } = LAYERS.find((layer) => layer.id === id);
       return chosen.get(id) ?? (!name || (on?.(context) ?? false));

@@ -1,10 +1,10 @@
 // Draw: a map editor. The server computes the optimum, stores the map as a task and writes its file.
-import { ApiError } from "./api.js";
+import { ApiError, tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { copyText, download, el, icon, setText, toast } from "./dom.js";
+import { copyText, download, el, icon, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
@@ -64,12 +64,12 @@ export function mount(root, context) {
   const opening = el("div.field", input, el("label.button.small", { for: "map-file", text: "Open a file…" }));
   const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
   const credit = el("p.note");
-  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
+  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => tried(press) });
   const acts = el(
     "div.draw-acts",
-    act("fly-map", "Fly it", async () => router.go(await byHand()), "button.button.primary"),
-    act("race-map", "Race", race),
-    act("link-map", "Copy link", async () => copyText(linkOf(await byHand()).href, "Link copied.")),
+    act("fly-map", "Fly it", async () => router.go(await stored()), "button.button.primary"),
+    act("race-map", "Race", async () => router.go(await stored(true))),
+    act("link-map", "Copy link", async () => copyText(linkOf(await stored()).href, "Link copied.")),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
@@ -189,26 +189,13 @@ export function mount(root, context) {
     worth.ask();
   }
 
-  async function trying(press) {
-    try {
-      await press();
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      toast(error.message);
-    }
-  }
-
-  /** Stores the map; the address where the visitor flies it. */
-  async function byHand() {
+  /** Stores the map; the address where the visitor flies it, in a race with all others who can. */
+  async function stored(race = false) {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
-    return { task: answer.task.id, seed: 0, pilots: context.pilots.filter(({ automatic }) => !automatic).map(({ id }) => id) };
-  }
-
-  async function race() {
-    const { pilots, ...map } = await byHand();
-    const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(map.task)).map(({ id }) => id);
-    router.go({ ...map, pilots: [...pilots, ...able].slice(0, context.most) });
+    const { id } = answer.task;
+    const flying = context.pilots.filter(({ automatic, tasks }) => (race ? tasks.includes(id) : !automatic));
+    return { task: id, seed: 0, pilots: flying.map((pilot) => pilot.id).slice(0, context.most) };
   }
 
   async function save() {
@@ -218,7 +205,7 @@ export function mount(root, context) {
 
   async function choose() {
     const [file] = input.files;
-    if (file) await trying(() => openMap(file, context));
+    if (file) await tried(() => openMap(file, context));
     input.value = "";
   }
 

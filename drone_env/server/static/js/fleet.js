@@ -10,7 +10,6 @@ import { Track } from "./track.js";
 
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
-export const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
  * `setup` describes the flights as an `Address` of router.js.
@@ -84,10 +83,14 @@ export class Fleet extends Emitter {
     return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
   }
 
+  /** The flight by hand while it is shown, or null. */
+  get own() {
+    return (this.shown && this.tracks[this.human]) || null;
+  }
+
   /** The visitor's flight while it is shown and unfinished, or null. */
   get mine() {
-    const track = this.tracks[this.human];
-    return track && this.shown && !track.done ? track : null;
+    return this.own?.done === false ? this.own : null;
   }
 
   get atHand() {
@@ -96,7 +99,7 @@ export class Fleet extends Emitter {
   }
 
   /** The visitor's flight once it contains a move that another start would discard, or null. */
-  get own() {
+  get begun() {
     const { mine } = this;
     return mine && mine.steps > (mine === this.forked ? this.setup.fork : 0) ? mine : null;
   }
@@ -117,7 +120,7 @@ export class Fleet extends Emitter {
   }
 
   get actions() {
-    return this.way ? lettersOf(this.way.actionsTo(this.way.steps)) : null;
+    return this.way ? this.way.lettersTo(this.way.steps) : null;
   }
 
   /** The part of the address from which a fork or the visitor's flight continues, and the choice among the flights. */
@@ -158,14 +161,8 @@ export class Fleet extends Emitter {
     return { name: past ? who(this.context, id) : name, colour: `--pilot-${colour}` };
   }
 
-  /** A pilot of the newest start: who opens the link to a finished flight is not the person who flew it. */
-  called(id) {
-    const track = this.starting ? undefined : this.tracks.find(({ pilot }) => pilot === id);
-    return track?.called ?? this.pilot(id).name;
-  }
-
   task(name = this.setup.task) {
-    return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
+    return this.context.task(name);
   }
 
   flies(id, task = this.task()) {
@@ -234,7 +231,7 @@ export class Fleet extends Emitter {
     // Automatic pilots repeat their flights when the link is opened; any other flight must be stored.
     const again = left.filter((one) => this.pilot(one.pilot).automatic && !one.past && one.forkedAt === null);
     const along = again.filter((one) => !one.done);
-    const [stored = null] = left.filter((one) => !again.includes(one));
+    const stored = left.find((one) => !again.includes(one));
     const idsOf = (tracks) => [...tracks.map((one) => one.pilot), pilot];
     const change = {
       task: world.task.short_name,
@@ -243,13 +240,12 @@ export class Fleet extends Emitter {
       pilots: idsOf([...again.filter((one) => one.done), ...along]),
       episode: stored?.episode?.id ?? null,
       fork: step,
-      actions: lettersOf(track.actionsTo(step)),
+      actions: track.lettersTo(step),
       of: track.by,
     };
-    const moves = action ? [action] : [];
     const play = this.pilot(pilot).automatic;
     const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
-    this.start(change, { play, beside, flown: idsOf(along), moves });
+    this.start(change, { play, beside, flown: idsOf(along), moves: action ? [action] : [] });
   }
 
   play(speed = this.stage.clock.speed) {
@@ -291,7 +287,7 @@ export class Fleet extends Emitter {
   }
 
   undo() {
-    if (this.own) this.context.live.send({ type: "undo", flight: this.human });
+    if (this.begun) this.context.live.send({ type: "undo", flight: this.human });
   }
 
   /** Shows values to a visitor who flies; the record notes it. */

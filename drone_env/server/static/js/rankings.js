@@ -1,5 +1,5 @@
 // Tables of Compare: the leaderboard, the maps of a pilot, runs over the same maps, and pairs.
-import { el, fact, table } from "./dom.js";
+import { el, fact, scroller, table } from "./dom.js";
 import { fixed, percent, points, shortened, signed, title, who } from "./format.js";
 
 /**
@@ -16,11 +16,7 @@ export function grid(caption, columns, rows, below = () => false) {
     ];
   };
   const names = columns.map(([name, , number]) => [name, number]);
-  return el(
-    "div.scroller",
-    { tabindex: "0", role: "region", "aria-label": caption },
-    table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))),
-  );
+  return scroller(caption, table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))));
 }
 
 function scoreBar(score, ci, colour) {
@@ -101,7 +97,7 @@ export function leaderboard(context, board, compare) {
   return el(
     "div",
     grid("Leaderboard, smallest loss first", columns, rows, below),
-    more.length ? opener(everyone, "people", () => compare.showEveryone(), `More people: ${more.length}`) : "",
+    more.length ? opener(everyone, "people", () => compare.draw(!everyone), `More people: ${more.length}`) : "",
     el("p.note.below", {
       text: `Means over the maps of each pilot, times 100, ± 95 %. Ranked by the points lost against the optimum of each map. Few: under ${ENOUGH} maps. ${how}${forks}`,
     }),

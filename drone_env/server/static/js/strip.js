@@ -1,6 +1,5 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
 import { announce, el, leaveFocus, setText } from "./dom.js";
-import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
 
@@ -131,7 +130,7 @@ function tryAgain({ stage }, fleet, acts) {
   else {
     // The record notes that moves were taken back.
     const of = by.includes("undo") ? by : by.includes("values") ? `${by} and undo` : `${by} with undo`;
-    acts.start({ of, actions: lettersOf(stage.track.actionsTo(step)) });
+    acts.start({ of, actions: stage.track.lettersTo(step) });
   }
 }
 

@@ -74,6 +74,11 @@ export class Track {
     return this.frames.slice(1, step + 1).map((frame) => frame.action);
   }
 
+  /** The same as links write them. */
+  lettersTo(step) {
+    return this.actionsTo(step).map(([letter]) => letter).join("");
+  }
+
   /** [x, y] at a position between two steps. */
   at(position) {
     const k = Math.min(Math.floor(position), this.steps);
