@@ -31,13 +31,6 @@ function keep(key, map) {
   remember(key, JSON.stringify(map), "sessionStorage");
 }
 
-/** Opens a city file as a new drawing. @throws {ApiError} If it is invalid. */
-async function openMap(file, { api, router }) {
-  const address = { view: "draw" };
-  keep(keyOf(address), await api.post("maps/file", { toml: await file.text() }));
-  router.go(address);
-}
-
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { api, router, kinds } = context;
@@ -205,7 +198,11 @@ export function mount(root, context) {
 
   async function choose() {
     const [file] = input.files;
-    if (file) await tried(() => openMap(file, context));
+    if (!file) return;
+    await tried(async () => {
+      keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
+      router.go({ view: "draw" });
+    });
     input.value = "";
   }
 

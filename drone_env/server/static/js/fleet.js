@@ -114,20 +114,13 @@ export class Fleet extends Emitter {
     return this.forked ?? this.tracks[this.human] ?? this.beside[0] ?? this.tracks[0];
   }
 
-  /** The flight whose moves the address contains; a stored one needs none. */
-  get way() {
-    return this.forked ?? (this.setup.episode ? null : this.tracks[this.human]);
-  }
-
-  get actions() {
-    return this.way ? this.way.lettersTo(this.way.steps) : null;
-  }
-
   /** The part of the address from which a fork or the visitor's flight continues, and the choice among the flights. */
   get linkParts() {
     if (!this.shown) return {};
     const { selected, clock, over } = this.stage;
-    const { way: track, actions } = this;
+    // The address of a stored flight needs no moves.
+    const track = this.forked ?? (this.setup.episode ? undefined : this.tracks[this.human]);
+    const actions = track ? track.lettersTo(track.steps) : null;
     const flown = over ? clock.end() : clock.newest();
     const chosen = {
       actions,

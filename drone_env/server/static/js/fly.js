@@ -73,12 +73,11 @@ export function mountFly(root, context) {
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
     fleet.rest();
-    problem.clear();
     try {
       await load();
       return true;
     } catch (error) {
-      problem.show(error.message);
+      problem(error.message);
       return false;
     }
   }
@@ -106,21 +105,18 @@ export function mountFly(root, context) {
     router.flies(present(), greets());
     if (greeting) greeting.hidden = true;
   }
-  fleet.on("begun", () => {
-    if (fleet.shown) problem.clear();
-    writeAddress();
-  });
+  fleet.on("begun", writeAddress);
   stage.on("frames", () => greets() && writeAddress());
-  stage.on("load", () => root.classList.remove("empty"));
+  stage.on("load", () => {
+    root.classList.remove("empty");
+    problem(null);
+  });
   root.classList.add("empty");
   fleet.on("ended", (track) => {
     explain(context, track);
     // From now on the address names the stored flight of the visitor.
     const alone = fleet.tracks.length === 1 && fleet.human === 0 && !fleet.forked;
-    if (alone && isShown()) {
-      fleet.setup.episode = track.episode.id;
-      router.moment(present());
-    }
+    if (alone && isShown()) router.moment({ episode: (fleet.setup.episode = track.episode.id) });
   });
   context.on("view", follow);
 
@@ -128,13 +124,13 @@ export function mountFly(root, context) {
     const { address } = router;
     // A stored flight that is still loading for an earlier address is dropped.
     past.request += 1;
-    problem.clear();
+    problem(null);
     if (address.lesson)
       lessons ??= import("./lessons.js").then(
         ({ mountLesson }) => mountLesson(lesson, context),
         ({ message }) => {
           lessons = null;
-          problem.show(`The lesson could not be loaded: ${message}`);
+          problem(`The lesson could not be loaded: ${message}`);
         },
       );
     if (greeting) greeting.hidden = !greets();
@@ -154,7 +150,9 @@ export function mountFly(root, context) {
     const unknown = address.task && !fleet.task(address.task);
     if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
     const wanted = greets() ? greeted() : fleet.complete(address);
-    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(wanted, fleet.setup) && (address.actions ?? "") === (fleet.actions ?? ""));
+    const { actions } = fleet.linkParts;
+    const goesOn = () => says(wanted, fleet.setup) && (address.actions ?? "") === (actions ?? "");
+    const flown = fleet.tracks.length > 0 && (greets() ? waits() : goesOn());
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) fleet.show(address.step, address.selected - 1);
     else if (!address.episode) fleet.start(wanted);
@@ -178,25 +176,19 @@ export function mountFly(root, context) {
   stage.on("change", () => isShown() && router.moment(present()));
 }
 
-/** An error above the map; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-function mountProblem(root, context, fleet) {
+/** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
+function mountProblem(root, { stage }, fleet) {
   const text = el("p.problem", { role: "alert", hidden: true });
+  const another = el("button.button.small", { text: "Fly another map", press: () => fleet.start({ seed: null }) });
   root.append(text);
-  const another = el("button.button.small", {
-    text: "Fly another map",
-    press: () => fleet.start({ seed: null }),
-  });
-  const problem = {
-    show(message) {
-      // The open choices would cover it.
-      root.parentElement.querySelector("details").open = false;
-      text.replaceChildren(message, " ", ...(context.stage.tracks.length ? [] : [another]));
-      text.hidden = false;
-    },
-    clear() {
-      text.hidden = true;
-    },
-  };
-  fleet.on("refused", problem.show);
-  return problem;
+  /** @param {string|null} message */
+  function show(message) {
+    text.hidden = message === null;
+    if (message === null) return;
+    // The open choices would cover it.
+    root.parentElement.querySelector("details").open = false;
+    text.replaceChildren(message, " ", ...(stage.tracks.length ? [] : [another]));
+  }
+  fleet.on("refused", show);
+  return show;
 }

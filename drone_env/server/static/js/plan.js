@@ -79,12 +79,8 @@ export function mountPlan(root, context, fleet, acts) {
 
   const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
-  /** Drops pilots that cannot fly the task; their rows state why. */
-  function chooseTask(task) {
-    const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
-    const pilots = able.length ? able : fleet.able(task).slice(0, 1);
-    acts.start({ task: task.short_name, seed: null, pilots }).finally(update);
-  }
+  /** The same pilots; the rows of those that cannot fly the task say why. */
+  const chooseTask = (task) => acts.start({ task: task.short_name, seed: null, pilots: [] }).finally(update);
 
   function update() {
     const { setup } = fleet;
