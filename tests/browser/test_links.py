@@ -198,9 +198,11 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     )
     expect_step(page, 0, 160)
     expect(page).to_have_url(re.compile(r"\?task=hard&seed=6&pilots=greedy,human$"))
-    show(page, "/?task=hard&seed=6&pilots=greedy,human&fork=20&of=greedy&actions=UX")
-    expect(page.locator("#toasts .toast").last).to_contain_text("ignored: actions=UX.")
-    expect_step(page, 0, 160)
+    # Nor do moves that are none, or too few.
+    for fork, moves in ((2, "UX"), (3, "UL")):
+        show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork={fork}&of=greedy&actions={moves}")
+        expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: actions={moves}.")
+        expect_step(page, 0, 160)
     problem, start = page.locator(".problem"), page.get_by_role("button", name="Start", exact=True)
     # What is refused leaves the flights that are shown; the way back leads to them.
     shown, heading = page.url, page.locator(".plan-head").inner_text()
