@@ -78,10 +78,6 @@ class Compare {
     return this.context.router.address.pilots.slice(0, MOST);
   }
 
-  hasFlown(pilot) {
-    return this.board.rows.some(({ agent }) => agent === pilot);
-  }
-
   go(pilots, task = this.task.short_name) {
     this.context.router.go({ view: "compare", task, pilots });
   }
@@ -140,9 +136,10 @@ class Compare {
 
   async choose(request) {
     const { api, router } = this.context;
-    const { task } = this.board;
+    const { task, rows } = this.board;
     const { address } = router;
-    const flown = this.pilots.filter((pilot) => this.hasFlown(pilot));
+    const agents = rows.map(({ agent }) => agent);
+    const flown = this.pilots.filter((pilot) => agents.includes(pilot));
     if (this.pilots.length === MOST) this.ticked = flown;
     else {
       this.opened = flown[0] ?? null;
@@ -170,7 +167,7 @@ class Compare {
     if (this.drawn === drawn) return;
     this.drawn = drawn;
     keepFocus(this.rows, () => this.rows.replaceChildren(leaderboard(context, board, this)));
-    const missing = pilots.filter((pilot) => !this.hasFlown(pilot));
+    const missing = pilots.filter((pilot) => !board.rows.some(({ agent }) => agent === pilot));
     const pair = ticked.length === MOST && pairing ? paired(context, task, pairing, board.rows) : [];
     this.chosen.replaceChildren(...(missing.length ? unflown(context, task, missing, pilots) : pair));
     this.chosen.hidden = !this.chosen.childElementCount;
