@@ -38,13 +38,8 @@ class Compare {
     this.request = 0;
     this.timer = 0;
     this.failed = false;
-    this.task = this.board = this.runs = null;
-    /** The row that shows its maps, the boxes that are ticked, and whether all people are listed. */
-    this.opened = null;
-    this.ticked = [];
-    this.everyone = false;
-    /** The newest answers for these. */
-    this.maps = this.pairing = null;
+    this.task = this.board = null;
+    this.reset();
     const option = (task) => el("option", { value: task.short_name, text: title(task.short_name) });
     const group = ([family, tasks]) => el("optgroup", { label: title(family) }, ...tasks.map(option));
     this.choice = el(
@@ -70,13 +65,17 @@ class Compare {
     );
   }
 
+  /** The row that shows its maps, the boxes that are ticked, the answers for these, and who is listed whatever the rank. */
+  reset() {
+    this.opened = this.runs = this.maps = this.pairing = null;
+    this.ticked = [];
+    this.everyone = false;
+    this.listed = new Set();
+  }
+
   /** The pilots of the address: one shows its maps, two are compared. */
   get pilots() {
     return this.context.router.address.pilots.slice(0, MOST);
-  }
-
-  hasFlown(pilot) {
-    return this.board.rows.some(({ agent }) => agent === pilot);
   }
 
   go(pilots, task = this.task.short_name) {
@@ -118,9 +117,7 @@ class Compare {
       this.board = board;
       if (this.task?.id !== board.task) {
         this.task = this.context.task(board.task);
-        this.runs = this.maps = this.pairing = null;
-        this.ticked = [];
-        this.everyone = false;
+        this.reset();
         this.ranked.hidden = true;
       }
       this.choice.value = this.task.short_name;
@@ -139,9 +136,10 @@ class Compare {
 
   async choose(request) {
     const { api, router } = this.context;
-    const { task } = this.board;
+    const { task, rows } = this.board;
     const { address } = router;
-    const flown = this.pilots.filter((pilot) => this.hasFlown(pilot));
+    const agents = rows.map(({ agent }) => agent);
+    const flown = this.pilots.filter((pilot) => agents.includes(pilot));
     if (this.pilots.length === MOST) this.ticked = flown;
     else {
       this.opened = flown[0] ?? null;
@@ -163,11 +161,13 @@ class Compare {
   draw(everyone = this.everyone) {
     this.everyone = everyone;
     const { context, task, board, pilots, opened, ticked, maps, pairing } = this;
+    // Who was chosen stays listed: no row may move when a box is unticked.
+    for (const pilot of [opened, ...ticked]) this.listed.add(pilot);
     const drawn = JSON.stringify([board, pilots, opened, ticked, everyone, maps, pairing]);
     if (this.drawn === drawn) return;
     this.drawn = drawn;
     keepFocus(this.rows, () => this.rows.replaceChildren(leaderboard(context, board, this)));
-    const missing = pilots.filter((pilot) => !this.hasFlown(pilot));
+    const missing = pilots.filter((pilot) => !board.rows.some(({ agent }) => agent === pilot));
     const pair = ticked.length === MOST && pairing ? paired(context, task, pairing, board.rows) : [];
     this.chosen.replaceChildren(...(missing.length ? unflown(context, task, missing, pilots) : pair));
     this.chosen.hidden = !this.chosen.childElementCount;

@@ -64,7 +64,7 @@ const PEOPLE = 3;
 /** @param {Answer<"Leaderboard">} board From `GET /leaderboard/{task_name}`. @param {any} compare What is open and ticked. */
 export function leaderboard(context, board, compare) {
   if (!board.rows.length) return el("p.note", { text: "No flights of this task yet. Fly it to add one." });
-  const { opened, ticked, everyone, maps } = compare;
+  const { opened, ticked, everyone, listed, maps } = compare;
   const isOpen = ({ agent }) => agent === opened;
   const pick = ({ agent, name }) =>
     el("input", {
@@ -80,7 +80,7 @@ export function leaderboard(context, board, compare) {
   };
   const below = (row) => isOpen(row) && maps?.agent === opened && mapsOf(context, row.name, maps.maps);
   const people = board.rows.filter(({ kind, maps }) => kind === "person" && maps < ENOUGH);
-  const more = people.slice(PEOPLE).filter(({ agent }) => ![opened, ...ticked].includes(agent));
+  const more = people.slice(PEOPLE).filter(({ agent }) => !listed.has(agent));
   const rows = everyone ? board.rows : board.rows.filter((row) => !more.includes(row));
   const columns = [
     ["Pair", pick],
