@@ -44,7 +44,7 @@ export class Past {
     if (request !== this.request) return;
     await this.openRecord(0, records).catch((error) => {
       if (error.code !== "invalid_request") throw error;
-      throw new Error(`${file.name} is not a flight file. ${sentence(error.message.replaceAll("body.", ""))}.`);
+      throw new Error(`${file.name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
     });
   }
 
