@@ -98,6 +98,15 @@ def test_the_tasks_of_a_family_are_shown_side_by_side_as_the_server_states_them(
         for event, row in {"delivery": "Delivery", "wait": "Wait", "battery_dead": "Battery empty"}.items():
             pays = (task["rewards"]["tiered"][event] for task in levels)
             assert [row, *(" / ".join(map(fixed, pay)) for pay in pays)] in rows
+    legend = page.get_by_role("region", name="Legend")
+    kinds = [kind for kind in get(server, "kinds")["kinds"] if kind["name"] != "unknown"]
+    expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
+    # Figures of the map, not emoji, which need a font; and kinds have no rewards.
+    assert legend.inner_text().isascii()
+    assert "reward" not in legend.inner_text().lower()
+    empty = """all => all.map(one => one.getContext("2d").getImageData(0, 0, one.width, one.height).data)
+        .filter(pixels => !pixels.some(Boolean)).length"""
+    assert legend.locator("canvas").evaluate_all(empty) == 1, "only a road has no figure"
 
 
 @pytest.mark.feature("D1")

@@ -2,6 +2,7 @@
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
 import { Camera } from "./camera.js";
+import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 import { Stage } from "./stage.js";
 
@@ -45,7 +46,7 @@ async function meet(context, name) {
   try {
     add(context, await context.api.get(`tasks/${encodeURIComponent(name)}`));
   } catch (error) {
-    // If the map is unknown, the start request reports it.
     if (!(error instanceof ApiError && error.status === 404)) throw error;
+    throw new Error(`This server does not have ${title(name)}. Open its file in Draw.`);
   }
 }

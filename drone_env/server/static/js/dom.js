@@ -104,10 +104,14 @@ export function keepFocus(root, draw) {
   if (key) root.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
 }
 
-/** A short message at the top of the page, also for screen readers. */
+/** A short message, also for screen readers: over the map, where it covers no button, or else above the view. */
 export function toast(text) {
   const node = el("div.toast", { text });
   const toasts = document.getElementById("toasts");
+  const map = document.querySelector(".view:not([hidden], :has(.plan-details[open])) .boards-field");
+  const top = map ? map.getBoundingClientRect().top : -1;
+  const place = top >= 0 && top < window.innerHeight / 2 ? map : document.getElementById("main");
+  if (toasts.parentElement !== place) place.prepend(toasts);
   [...toasts.children].find(({ textContent }) => textContent === text)?.remove();
   toasts.append(node);
   announce(text);

@@ -55,7 +55,7 @@ export function mount(root, context) {
 
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
-  const clear = () => (drawing.map ? drawing.edit(() => (drawing.map = empty())) : router.go({ view: "draw" }));
+  const clear = () => (isOpen() ? drawing.edit(() => (drawing.map = empty())) : become(keyOf(router.address), empty()));
   const blank = el("button.button.small", { text: "Empty map", press: clear });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
   const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
@@ -229,36 +229,33 @@ export function mount(root, context) {
     drawing.undo();
   });
 
+  /** Whether the editor has the map of the address. */
+  const isOpen = () => key === keyOf(router.address) && drawing.map === drawings.get(key);
+
   // The address selects the map.
   async function look() {
-    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
-    // On a new map there is nothing to move.
-    paints[PALETTE.indexOf(address.task ? "move" : "building")].click();
+    const { view, task, seed } = address;
     const wanted = keyOf(address);
-    const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
-    await load(wanted, left ?? (() => origin(address)));
+    if (view !== "draw" || isOpen()) return;
+    // On a new map there is nothing to move.
+    paints[PALETTE.indexOf(task ? "move" : "building")].click();
+    let found = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage")) ?? (task ? null : empty());
+    let wrong = null;
+    try {
+      found ??= await api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      wrong = error.message;
+    }
+    // Meanwhile the visitor may have gone elsewhere, or begun an empty map.
+    if (wanted !== keyOf(router.address) || isOpen()) return;
+    become(wanted, found);
+    if (wrong !== null) worth.show(null, wrong);
   }
-
-  const origin = ({ task, seed }) => (task ? api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`) : empty());
 
   function empty() {
     return { cells: drawing.empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
-  }
-
-  async function load(wanted, from) {
-    try {
-      const found = typeof from === "function" ? await from() : from;
-      if (wanted !== keyOf(router.address)) return;
-      become(wanted, found);
-      show();
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      if (wanted !== keyOf(router.address)) return;
-      become(wanted, null);
-      stage.show(null, []);
-      worth.show(null, error.message);
-    }
   }
 
   function become(wanted, found) {
@@ -266,6 +263,8 @@ export function mount(root, context) {
     worth.answer = null;
     drawing.become(found);
     point(null);
+    if (found) show();
+    else stage.show(null, []);
     turns();
   }
 

@@ -124,13 +124,13 @@ function mountViews(context) {
   const links = document.querySelectorAll(".views a");
 
   function show({ view, unread }) {
-    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     const first = !document.body.dataset.view;
     // Each view subscribes to its own topics.
     if (context.view !== view) live.subscribe([]);
     context.view = view;
     document.body.dataset.view = view;
     for (const section of sections) section.hidden = section.id !== `view-${view}`;
+    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");
