@@ -3,7 +3,7 @@ import { el, keepFocus } from "./dom.js";
 import { Flights } from "./flights.js";
 import { title, who } from "./format.js";
 import { leaderboard, mapsOf, paired, runsOf, unflown } from "./rankings.js";
-import { Training } from "./training.js";
+import { mountTraining } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
 /** Milliseconds between the end of a flight and the reload, which may cover several flights. */
@@ -14,7 +14,7 @@ const MOST = 2;
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
-  const training = new Training(root);
+  const train = mountTraining(root);
   let shown = false;
   const look = () => {
     const before = shown;
@@ -26,7 +26,7 @@ export function mount(root, context) {
     }
   };
   router.on("address", look);
-  live.on("training", ({ curve }) => shown && training.show(curve));
+  live.on("training", ({ curve }) => shown && train(curve));
   live.on("episodes", ({ episodes }) => shown && compare.onEpisodes(episodes));
   live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
   look();
@@ -82,12 +82,8 @@ class Compare {
 
   look() {
     const { task } = this.context.router.address;
-    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.request);
+    if (this.task && (task === null || this.context.task(task) === this.task)) this.choose(this.request);
     else if (task !== this.wanted) this.load();
-  }
-
-  known(name) {
-    return this.context.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name));
   }
 
   async load() {
@@ -97,7 +93,7 @@ class Compare {
     await this.trying(request, () => this.context.meet(this.wanted));
     if (request !== this.request) return;
     // An unknown task shows only the error.
-    const nowhere = this.wanted !== null && !this.known(this.wanted);
+    const nowhere = this.wanted !== null && !this.context.task(this.wanted);
     for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
     if (nowhere) {
       this.choice.value = "";
@@ -111,7 +107,7 @@ class Compare {
       if (request !== this.request) return;
       this.board = board;
       if (this.task?.id !== board.task) {
-        this.task = this.known(board.task);
+        this.task = this.context.task(board.task);
         this.runs = null;
         this.ranked.hidden = true;
       }

@@ -18,6 +18,7 @@ export function createContext(parts) {
     view: "fly",
     byHand: () => false,
     secret: () => false,
+    task: (name) => context.tasks.find((task) => [task.short_name, task.id, task.grader].includes(name)),
     shows(id) {
       const { name, on } = LAYERS.find((layer) => layer.id === id);
       return chosen.get(id) ?? (!name || (on?.(context) ?? false));

@@ -61,15 +61,6 @@ export function icon(...paths) {
   return el("svg:svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, ...drawn);
 }
 
-/** Adds a style sheet to the page. @returns {Promise<void>} Resolves when it is loaded. */
-export function loaded(element) {
-  return new Promise((resolve, reject) => {
-    element.addEventListener("load", () => resolve());
-    element.addEventListener("error", () => reject(new Error(`cannot load ${element.href}`)));
-    document.head.append(element);
-  });
-}
-
 export function download(name, blob) {
   const url = URL.createObjectURL(blob);
   const link = el("a", { href: url, download: name });

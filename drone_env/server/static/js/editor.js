@@ -4,13 +4,13 @@ import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { copyText, download, el, icon, setText, toast } from "./dom.js";
+import { download, el, icon, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
 import { cellName } from "./format.js";
 import { drawSign } from "./legend.js";
-import { linkOf } from "./router.js";
+import { copyLink } from "./router.js";
 import { Stage } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -29,13 +29,6 @@ const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`
 function keep(key, map) {
   drawings.set(key, map);
   remember(key, JSON.stringify(map), "sessionStorage");
-}
-
-/** Opens a city file as a new drawing. @throws {ApiError} If it is invalid. */
-async function openMap(file, { api, router }) {
-  const address = { view: "draw" };
-  keep(keyOf(address), await api.post("maps/file", { toml: await file.text() }));
-  router.go(address);
 }
 
 /** @param {HTMLElement} root @param {Context} context */
@@ -69,7 +62,7 @@ export function mount(root, context) {
     "div.draw-acts",
     act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
     act("race-map", "Race", () => go(null)),
-    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await storeTask()).id, seed: 0 }).href, "Link copied.")),
+    act("link-map", "Copy link", async () => copyLink({ task: (await storeTask()).id, seed: 0 })),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
@@ -217,7 +210,11 @@ export function mount(root, context) {
 
   async function choose() {
     const [file] = input.files;
-    if (file) await trying(() => openMap(file, context));
+    if (!file) return;
+    await trying(async () => {
+      keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
+      router.go({ view: "draw" });
+    });
     input.value = "";
   }
 

@@ -145,7 +145,7 @@ export class Fleet extends Emitter {
   }
 
   task(name = this.setup.task) {
-    return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
+    return this.context.task(name);
   }
 
   flies(id, task = this.task()) {

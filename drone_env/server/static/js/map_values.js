@@ -112,5 +112,4 @@ export function mountSwitches(root, context, acts) {
 
   stage.on("change", draw);
   context.on("layers", draw);
-  draw();
 }

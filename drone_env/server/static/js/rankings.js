@@ -59,9 +59,6 @@ export const named = (context, agent, remark = "") =>
 const ENOUGH = 30;
 const counted = ({ maps }) => el("span", String(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
 
-const opener = (open, key, ...contents) =>
-  el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
-
 /**
  * @param {Answer<"Leaderboard">} board From `GET /leaderboard/{task_name}`.
  * @param {string[]} chosen One pilot has its maps open; two are compared.
@@ -83,9 +80,9 @@ export function leaderboard(context, board, chosen, maps, choose) {
   };
   const pilot = (row) => {
     const remark = row.kind === "model" ? " language model" : "";
-    const button = opener(isOpen(row), `open ${row.agent}`, named(context, row.agent, remark));
-    button.addEventListener("click", () => choose(isOpen(row) ? [] : [row.agent]));
-    return button;
+    const press = () => choose(isOpen(row) ? [] : [row.agent]);
+    const props = { "aria-expanded": String(isOpen(row)), data: { key: `open ${row.agent}` }, press };
+    return el("button.opener", props, named(context, row.agent, remark));
   };
   const columns = [
     ["Pair", pick],

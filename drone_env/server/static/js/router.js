@@ -72,10 +72,6 @@ export class Router extends Emitter {
     history.replaceState(null, "", linkOf(this.address));
   }
 
-  copy() {
-    copyText(linkOf(this.address).href, "Link copied.");
-  }
-
   show(address) {
     // A pending update of the entry that Back has left is dropped.
     this.stale = false;
@@ -155,6 +151,9 @@ function read({ search }) {
     unread,
   };
 }
+
+/** @param {Partial<Address>} address */
+export const copyLink = (address) => copyText(linkOf(address).href, "Link copied.");
 
 const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 

@@ -7,12 +7,11 @@ import { placeOf } from "./standings.js";
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
-  let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
   const place = el("p.strip-reason");
   const counts = el("p.note");
-  const before = () => stage.clock.goTo(worst.step - 1);
+  const before = () => stage.clock.goTo(stage.track.worst.step - 1);
   const see = el("button.link", { id: "worst", title: "Show the step before this move", press: before });
   const tryIt = el("button.button.small", {
     id: "try-worst",
@@ -37,7 +36,7 @@ export function mountStrip(root, context, fleet, acts) {
     const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
-    const { last, annotation } = track;
+    const { last, annotation, worst } = track;
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
@@ -51,7 +50,6 @@ export function mountStrip(root, context, fleet, acts) {
       setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
     }
     setText(efficiency, efficiencyOf(last));
-    worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
     tryIt.hidden = !again.hidden;
     if (worst) {

@@ -54,6 +54,11 @@ export class Track {
     return this.frames.at(-1);
   }
 
+  /** The move that lost most, once the flight is annotated; or null. */
+  get worst() {
+    return this.annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), this.annotation.moves[0]) ?? null;
+  }
+
   get done() {
     return this.last.done;
   }
