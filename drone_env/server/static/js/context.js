@@ -20,8 +20,8 @@ export function createContext(parts) {
     secret: () => false,
     task: (name) => context.tasks.find((task) => [task.short_name, task.id, task.grader].includes(name)),
     shows(id) {
-      const { name, on } = LAYERS.find((layer) => layer.id === id);
-      return chosen.get(id) ?? (!name || (on?.(context) ?? false));
+      const { name, on, when } = LAYERS.find((layer) => layer.id === id);
+      return (when?.(context.stage) ?? true) && (chosen.get(id) ?? (!name || (on?.(context) ?? false)));
     },
     showLayer(id, shown) {
       chosen.set(id, shown);
