@@ -28,7 +28,6 @@ export function mountStrip(root, context, fleet, acts) {
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
   root.append(head, place, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
-  root.hidden = true;
   let announced = null;
 
   function draw() {
