@@ -18,7 +18,7 @@ export function createContext(parts) {
     view: "fly",
     byHand: () => false,
     secret: () => false,
-    task: (name) => context.tasks.find((task) => [task.short_name, task.id, task.grader].includes(name)),
+    task: (name) => parts.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name)),
     shows(id) {
       const { name, on, when } = LAYERS.find((layer) => layer.id === id);
       return (when?.(context.stage) ?? true) && (chosen.get(id) ?? (!name || (on?.(context) ?? false)));

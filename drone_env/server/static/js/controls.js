@@ -46,7 +46,7 @@ export function mountControls(root, context, fleet, acts) {
     last.disabled = clock.following;
     forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
     undo.hidden = fleet.human < 0 || !fleet.shown;
-    undo.disabled = fleet.own === null;
+    undo.disabled = fleet.begun === null;
     fork.hidden = !track || fleet.atHand;
     fork.disabled = !track || track.frameAt(clock.cursor).done;
     reset.disabled = !track;

@@ -47,6 +47,9 @@ export function table(tag, props, caption, columns, ...bodies) {
   );
 }
 
+/** A place that a wide or long table scrolls in. */
+export const scroller = (name, table) => el("div.scroller", { tabindex: "0", role: "region", "aria-label": name }, table);
+
 /** Sets the text of a node if it differs, to avoid a layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;

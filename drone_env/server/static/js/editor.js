@@ -1,10 +1,10 @@
 // Draw: a map editor. The server computes the optimum, stores the map as a task and writes its file.
-import { ApiError } from "./api.js";
+import { ApiError, tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { download, el, icon, setText, toast } from "./dom.js";
+import { download, el, icon, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
@@ -57,7 +57,7 @@ export function mount(root, context) {
   const opening = el("div.field", input, el("label.button.small", { for: "map-file", text: "Open a file…" }));
   const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
   const credit = el("p.note");
-  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
+  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => tried(press) });
   const acts = el(
     "div.draw-acts",
     act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
@@ -182,15 +182,6 @@ export function mount(root, context) {
     worth.ask();
   }
 
-  async function trying(press) {
-    try {
-      await press();
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      toast(error.message);
-    }
-  }
-
   async function storeTask() {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
@@ -211,7 +202,7 @@ export function mount(root, context) {
   async function choose() {
     const [file] = input.files;
     if (!file) return;
-    await trying(async () => {
+    await tried(async () => {
       keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
       router.go({ view: "draw" });
     });

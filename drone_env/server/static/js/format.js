@@ -52,12 +52,13 @@ export function moment(iso) {
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };
 
-/** The agent of a record in words: `human from step 3 of greedy` -> `A person from step 3 of Greedy`. */
+/** The agent of a record in words: `human (Ada) from step 3 of greedy` -> `Ada from step 3 of Greedy`; without a name `A person`. */
 export function who({ pilots }, agent) {
   const called = ({ name, automatic }) => (automatic ? name : "A person");
-  return String(agent).replace(/(^| from step \d+ of )([^ ]+)/g, (whole, before, id) => {
+  return String(agent).replace(/(^| from step \d+ of )([^ ]+)( \([^ ]+\))?/g, (whole, before, id, name = "") => {
     const pilot = pilots.find((one) => one.id === id);
-    return pilot ? before + called(pilot) : whole;
+    if (!pilot) return whole;
+    return before + (name && !pilot.automatic ? name.slice(2, -1) : called(pilot) + name);
   });
 }
 

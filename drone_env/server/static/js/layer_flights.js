@@ -13,7 +13,7 @@ const SMALLEST_PARCEL = 15;
 const ASIDE = 0.09;
 
 /** The middle of a cell in device pixels. @returns {[number, number]} @param {Layout} layout @param {number[]} cell */
-const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
+export const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
 
 /** The size of a drone: about a cell, within limits. */
 const droneSize = ({ cell, scale }) =>
@@ -121,7 +121,8 @@ export function drawThoughts(ctx, { track, layout, clock }) {
   ctx.globalAlpha = 1;
 }
 
-function pointTo(ctx, action, x, y, from, length, width) {
+/** An arrow from beside a point in the direction of an action. */
+export function pointTo(ctx, action, x, y, from, length, width) {
   const [dx, dy] = STEP[action];
   const to = from + length;
   drawArrow(ctx, x + dx * from, y + dy * from, x + dx * to, y + dy * to, width);

@@ -91,7 +91,7 @@ export function mountPlan(root, context, fleet, acts) {
     const { setup } = fleet;
     const past = isPast();
     const task = past ? stage.world.task : fleet.task();
-    const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.pilot(id).name);
+    const names = fleet.starting ? setup.pilots.map((id) => fleet.pilot(id).name) : stage.tracks.map(({ name }) => name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
     fresh.hidden = label.hidden = seed.hidden = !variants(task);
     const number = fresh.hidden ? [] : [`map ${map}`];

@@ -1,6 +1,5 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
 import { announce, el, leaveFocus, setText } from "./dom.js";
-import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
 
@@ -53,9 +52,7 @@ export function mountStrip(root, context, fleet, acts) {
     tryIt.hidden = !again.hidden;
     if (worst) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
-      // After the last parcel, nothing but charge can gain.
-      const first = worst.step === track.steps && last.outcome === "delivered" ? ", to charge first" : "";
-      const best = `best: ${worst.best_actions.join(" or ")}${first}`;
+      const best = `best: ${worst.best_actions.join(" or ")}, ${annotation.worst_why}`;
       setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${best}`);
     }
     const after = nextTask(context.families, stage.world.task);
@@ -130,7 +127,7 @@ function tryAgain({ stage }, fleet, acts) {
   else {
     // The record notes that moves were taken back.
     const of = by.includes("undo") ? by : by.includes("values") ? `${by} and undo` : `${by} with undo`;
-    acts.start({ of, actions: lettersOf(stage.track.actionsTo(step)) });
+    acts.start({ of, actions: stage.track.lettersTo(step) });
   }
 }
 
