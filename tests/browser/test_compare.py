@@ -72,6 +72,11 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     compare(page)
     page.get_by_role("checkbox", name=f"Compare {MARKUP}").check()
     page.get_by_role("checkbox", name="Compare Random").check()
+    # A long name is broken into lines within its column.
+    assert page.evaluate(
+        """[...document.querySelectorAll("#view-compare td .named")].every(
+            one => one.getBoundingClientRect().right <= one.closest("td").getBoundingClientRect().right)"""
+    )
     # The third pilot takes the place of the first.
     page.get_by_role("checkbox", name="Compare Greedy").check()
     expect(page.get_by_role("checkbox", name=f"Compare {MARKUP}")).not_to_be_checked()

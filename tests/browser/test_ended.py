@@ -107,6 +107,9 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect_frame(page, flight[worst], 60)
     lost = f"Lost {points(move['regret'], 2)}. Best move: {best}."
     expect(page.locator("#move-detail")).to_contain_text(lost)
+    listed = page.locator("#moves").bounding_box()
+    assert listed
+    assert listed["height"] > 200, "most moves are seen without scrolling"
     page.keyboard.press("ArrowRight")  # the line of the moment is beside the mark
     expect_frame(page, flight[worst + 1], 60)
     pictures(page)  # drawn

@@ -97,6 +97,14 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     expect(phone.locator(".plan-choices")).to_be_in_viewport(ratio=1)
     expect_no_wider(phone)
     flight.click()
+    show(phone, "/?view=draw&task=skyline_easy&seed=7")
+    expect(phone.locator("#map-note")).to_contain_text("All 3 parcels")
+    drawn = phone.locator("#drawing .map-air")
+    expect(drawn).to_be_in_viewport(ratio=1)
+    box = drawn.bounding_box()
+    assert box
+    assert min(box["width"], box["height"]) > 0.75 * 390
+    expect_no_wider(phone)
     phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
 
 

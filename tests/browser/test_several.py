@@ -50,6 +50,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     names = standings(page).get_by_role("rowheader")
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     expect(names).to_have_text(list(NAMES.values()))
+    page.keyboard.press("q")  # hides the arrows of the network, which have the colour of its pilot
     # Brackets in the colour of the pilot that is looked at surround its target.
     for number, agent in enumerate(NAMES, 1):
         page.keyboard.press(str(number))
@@ -74,6 +75,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     expect(page.locator("#standings")).to_be_hidden()
     assert painted(boards, *colours.values()) == [colours["random"]]
     expect(page.locator(".pilot", has_text="Random")).to_have_attribute("style", f"--lane: var({colours['random']});")
+    page.keyboard.press("q")
 
 
 KEYS = {"UP": "ArrowUp", "DOWN": "ArrowDown", "LEFT": "ArrowLeft", "RIGHT": "ArrowRight", "WAIT": " "}

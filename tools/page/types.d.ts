@@ -37,6 +37,8 @@ interface Context extends Emitter {
   /** The socket. */
   live: import("../../drone_env/server/static/js/live.js").Live;
   tasks: Answer<"TaskInfo">[];
+  /** A task by its short name, id or grader. */
+  task(name: string | null): Answer<"TaskInfo"> | undefined;
   /** The tasks by family. */
   families: Map<string, Answer<"TaskInfo">[]>;
   pilots: Answer<"PilotInfo">[];

@@ -3,7 +3,7 @@ import { el, keepFocus } from "./dom.js";
 import { Flights } from "./flights.js";
 import { title } from "./format.js";
 import { leaderboard, paired, runsOf, unflown } from "./rankings.js";
-import { Training } from "./training.js";
+import { mountTraining } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
 /** Milliseconds between the end of a flight and the reload, which may cover several flights. */
@@ -14,7 +14,7 @@ const MOST = 2;
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
-  const training = new Training(root);
+  const train = mountTraining(root);
   let shown = false;
   const look = () => {
     const before = shown;
@@ -26,7 +26,7 @@ export function mount(root, context) {
     }
   };
   router.on("address", look);
-  live.on("training", ({ curve }) => shown && training.show(curve));
+  live.on("training", ({ curve }) => shown && train(curve));
   live.on("episodes", ({ episodes }) => shown && compare.onEpisodes(episodes));
   live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
   look();

@@ -58,7 +58,6 @@ export function mountControls(root, context, fleet, acts) {
   stage.on("change", update);
   for (const event of ["playing", "setup", "begun"]) fleet.on(event, update);
   context.live.on("state", update);
-  update();
 }
 
 /** The present step: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */

@@ -125,7 +125,6 @@ export function mountHuman(root, context, fleet) {
   fleet.on("setup", update);
   context.stage.on("change", update);
   listenToSwipes(document.getElementById("boards"), fleet);
-  update();
 }
 
 function listenToSwipes(boards, fleet) {

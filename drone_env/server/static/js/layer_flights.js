@@ -98,7 +98,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
 /** The network's values as arrows: the longer, the better. The best one is highlighted; WAIT is a ring. */
 export function drawThoughts(ctx, { track, layout, clock }) {
   const values = track.frameAt(clock.cursor).q_values;
-  if (!values || !track.ours) return;
+  if (!values) return;
   const { cell } = layout;
   const [x, y] = middle(layout, track.at(clock.position));
   const size = droneSize(layout);
@@ -108,7 +108,7 @@ export function drawThoughts(ctx, { track, layout, clock }) {
   for (const [action, value] of Object.entries(values)) {
     const strength = (value - (best - spread)) / spread;
     ctx.fillStyle = ctx.strokeStyle = colourOf(value === best ? "--network" : "--ink");
-    ctx.globalAlpha = value === best ? 0.95 : 0.12 + 0.4 * strength;
+    ctx.globalAlpha = value === best ? 1 : 0.12 + 0.4 * strength;
     const width = Math.max(3, cell * 0.11);
     if (action !== "WAIT") pointTo(ctx, action, x, y, size * 0.56, cell * (0.18 + 0.62 * strength), width);
     else if (value === best) {

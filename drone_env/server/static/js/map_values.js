@@ -18,9 +18,9 @@ export function mountMapValues(context) {
 
   /** "range" is all that a visitor sees who flies without values, "moves" fills their table; null for nothing. */
   function wanted() {
-    const { track, world, frame, clock } = stage;
+    const { track, frame, clock } = stage;
     if (!track) return null;
-    const range = world.task.pads > 0 && context.shows("range");
+    const range = context.shows("range");
     if (context.secret(track)) return range ? "range" : null;
     const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
     if (track.showsValues || track.forkedAt !== null || range || values) return "values";
@@ -104,5 +104,4 @@ export function mountSwitches(root, context, acts) {
 
   stage.on("change", draw);
   context.on("layers", draw);
-  draw();
 }

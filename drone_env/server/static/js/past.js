@@ -126,16 +126,12 @@ async function readFlights(file) {
   try {
     return [JSON.parse(text)];
   } catch {
-    const lines = text
-      .split("\n")
-      .map((line, i) => ({ line, number: i + 1 }))
-      .filter(({ line }) => line.trim());
-    if (!lines.length) throw new Error(`${file.name} is empty.`);
-    return lines.map(({ line, number }) => {
+    if (!text.trim()) throw new Error(`${file.name} is empty.`);
+    return text.split("\n").flatMap((line, i) => {
       try {
-        return JSON.parse(line);
+        return line.trim() ? [JSON.parse(line)] : [];
       } catch (error) {
-        throw new Error(`${file.name}, line ${number} is not JSON: ${error.message}.`);
+        throw new Error(`${file.name}, line ${i + 1} is not JSON: ${error.message}.`);
       }
     });
   }

@@ -1,6 +1,7 @@
 // The flight plan: task, map and pilots.
 import { el, leaveFocus, setText } from "./dom.js";
 import { title, variants } from "./format.js";
+import { copyLink } from "./router.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
 export function mountPlan(root, context, fleet, acts) {
@@ -145,7 +146,7 @@ function mapForm({ router, stage }, fleet, acts, update) {
     "aria-label": "Copy link to this moment",
     title: "Copy link to this moment",
     text: "Copy link",
-    press: () => router.copy(),
+    press: () => copyLink(router.address),
   });
   const edit = el("a.button.small", { id: "edit-map", text: "Edit this map" });
   // Enter triggers the change event of the number, which opens the map.

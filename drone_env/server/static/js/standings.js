@@ -1,5 +1,5 @@
 // The ranking of the flights over the map.
-import { el, setText, table } from "./dom.js";
+import { el, keepFocus, setText, table } from "./dom.js";
 import { points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Lost", true]];
@@ -15,7 +15,7 @@ export function mountStandings(root, { stage }) {
   function build() {
     rows = stage.tracks.map((track, i) => {
       const cells = COLUMNS.slice(1).map(() => el("td.num"));
-      const name = el("button.standing-name", { press: () => stage.select(i) }, el("span", { text: track.name }));
+      const name = el("button.standing-name", { data: { key: i }, press: () => stage.select(i) }, el("span", { text: track.name }));
       const node = el("tr", { style: { "--lane": `var(${track.colour})` } }, el("th", { scope: "row" }, name), ...cells);
       return { track, cells, node };
     });
@@ -42,9 +42,7 @@ export function mountStandings(root, { stage }) {
     const rank = ({ track }) => (over ? track.last.score : earned(track, cursor));
     const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
-      const focused = document.activeElement;
-      body.replaceChildren(...ranked.map(({ node }) => node));
-      if (focused instanceof HTMLElement && body.contains(focused)) focused.focus();
+      keepFocus(body, () => body.replaceChildren(...ranked.map(({ node }) => node)));
     }
     const place = placeOf(stage);
     const result = cursor < stage.clock.end() && place ? `At the end: ${place}` : place;

@@ -6,12 +6,11 @@ import { placeOf } from "./standings.js";
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
-  let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
   const place = el("p.strip-reason");
   const counts = el("p.note");
-  const before = () => stage.clock.goTo(worst.step - 1);
+  const before = () => stage.clock.goTo(stage.track.worst.step - 1);
   const see = el("button.link", { id: "worst", title: "Show the step before this move", press: before });
   const tryIt = el("button.button.small", {
     id: "try-worst",
@@ -28,7 +27,6 @@ export function mountStrip(root, context, fleet, acts) {
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
   root.append(head, place, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
-  root.hidden = true;
   let announced = null;
 
   function draw() {
@@ -36,7 +34,7 @@ export function mountStrip(root, context, fleet, acts) {
     const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
-    const { last, annotation } = track;
+    const { last, annotation, worst } = track;
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
@@ -50,7 +48,6 @@ export function mountStrip(root, context, fleet, acts) {
       setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
     }
     setText(efficiency, efficiencyOf(last));
-    worst = annotation?.moves[annotation.worst_step - 1] ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
     tryIt.hidden = !again.hidden;
     if (worst) {

@@ -97,5 +97,4 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   stage.on("load", () => (best = results().find(([one]) => one === map()) ?? null));
   stage.on("change", draw);
   for (const event of ["begun", "ended"]) fleet.on(event, ask);
-  draw();
 }

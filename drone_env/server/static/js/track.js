@@ -56,6 +56,11 @@ export class Track {
     return this.frames.at(-1);
   }
 
+  /** The move that lost most, once the flight is annotated; or null. */
+  get worst() {
+    return this.annotation?.moves[this.annotation.worst_step - 1] ?? null;
+  }
+
   get done() {
     return this.last.done;
   }
