@@ -53,6 +53,7 @@ def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, serv
         expect_frame(page, flight[9], 100)
     press(page, "Step")
     expect_frame(page, flights[0][10], 100)
+    expect(page).to_have_url(re.compile("&step=10$"))
     page.wait_for_timeout(500)  # a browser limits how often an address may change
     slider(page).fill("4")
     expect_frame(page, flights[0][4], 100)
@@ -209,6 +210,7 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
         expect_step(page, 0, 160)
     problem, start = page.locator(".problem"), page.get_by_role("button", name="Start", exact=True)
     # What is refused leaves the flights that are shown; the way back leads to them.
+    expect(page).to_have_url(re.compile(r"pilots=greedy,human$"))
     shown, heading = page.url, page.locator(".plan-head").inner_text()
     show(page, "/?task=easy&seed=-4")
     expect(problem).to_have_text("The number of the map: must be greater than or equal to 0")
