@@ -101,7 +101,8 @@ export function mountFly(root, context) {
   const waits = () => says(greeted(), fleet.setup) && stage.clock.end() === 0;
 
   function writeAddress() {
-    if (!fleet.shown || context.view !== "fly" || (greets() && waits())) return;
+    // Values of the flights that a start replaces may still arrive.
+    if (!fleet.shown || fleet.starting || context.view !== "fly" || (greets() && waits())) return;
     router.flies(present(), greets());
     if (greeting) greeting.hidden = true;
   }
