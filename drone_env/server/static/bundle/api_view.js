@@ -1,5 +1,5 @@
 
-import{E as e,S as t,l as n,w as r}from"./main.js";const i=[`requests`,`training`],a=e=>[[`HTTP, by curl`,`curl --silent --cookie-jar jar --json '{"task_name": "easy", "seed": 7}' ${e}/reset
+import{E as e,S as t,u as n,w as r}from"./main.js";const i=[`requests`,`training`],a=e=>[[`HTTP, by curl`,`curl --silent --cookie-jar jar --json '{"task_name": "easy", "seed": 7}' ${e}/reset
 curl --silent --cookie jar --json '{"direction": "RIGHT"}' ${e}/step
 curl --silent --cookie jar ${e}/grade/easy
 curl --silent --cookie jar --request DELETE ${e}/session`],[`OpenEnv, in Python`,`from drone_env.client import DroneDeliveryClient

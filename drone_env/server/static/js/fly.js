@@ -72,16 +72,26 @@ export function mountFly(root, context) {
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
-    fleet.rest();
+    fleet.pause();
+    fleet.turn("rest");
     problem.clear();
     try {
       await load();
+      lookUp();
       return true;
     } catch (error) {
       problem.show(error.message);
       return false;
     }
   }
+
+  /** Shows the map and the top of the panel, unless the visitor corrects a name there. */
+  function lookUp() {
+    if (document.activeElement?.id === "name") return;
+    side.scrollTop = 0;
+    if (bar.getBoundingClientRect().top < 0) bar.scrollIntoView();
+  }
+  fleet.on("setup", () => fleet.starting && lookUp());
 
   /** The moment and the moves, as the address contains them: the newest step of a flight with moves is its default. */
   function moment() {

@@ -1,6 +1,6 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { ApiError } from "./api.js";
-import { download, el, toast } from "./dom.js";
+import { download, el, fileField, toast } from "./dom.js";
 import { flightName } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
@@ -171,21 +171,10 @@ async function saveRecord(context) {
 
 /** The file field, and the choice of a flight if the file contains several. */
 export function mountFiles(root, past, open) {
-  const input = el("input.visually-hidden", {
-    type: "file",
-    id: "flight-file",
-    accept: ".json,.jsonl",
-    on: {
-      change: async () => {
-        const [file] = input.files;
-        if (file) await open(() => past.openFile(file));
-        input.value = "";
-      },
-    },
-  });
+  const field = fileField("flight-file", ".json,.jsonl", (file) => open(() => past.openFile(file)));
   const change = () => open(() => past.openRecord(flights.selectedIndex));
   const flights = el("select", { id: "flight-of-file", "aria-label": "Flight of the file", hidden: true, on: { change } });
-  root.append(el("div.field", input, el("label.button.small", { for: "flight-file", text: "Open a file…" }), flights));
+  root.append(el("div.field", ...field, flights));
 
   let offered = past.records;
   const { stage } = past.context;

@@ -1,6 +1,7 @@
 // The flight plan: task, map and pilots.
-import { el, leaveFocus, setText } from "./dom.js";
-import { title, variants } from "./format.js";
+import { copyText, el, leaveFocus, setText } from "./dom.js";
+import { counted, title, variants } from "./format.js";
+import { linkOf } from "./router.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
 export function mountPlan(root, context, fleet, acts) {
@@ -120,9 +121,8 @@ export function mountPlan(root, context, fleet, acts) {
 }
 
 function taskNote(task) {
-  const parcels = task.deliveries === 1 ? "one parcel" : `${task.deliveries} parcels`;
   const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
-  return `Deliver ${parcels} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
+  return `Deliver ${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
 
 function mapForm({ router, stage }, fleet, acts, update) {
@@ -149,7 +149,7 @@ function mapForm({ router, stage }, fleet, acts, update) {
     "aria-label": "Copy link to this moment",
     title: "Copy link to this moment",
     text: "Copy link",
-    press: () => router.copy(),
+    press: () => copyText(linkOf(router.address).href, "Link copied."),
   });
   const edit = el("a.button.small", { id: "edit-map", text: "Edit this map" });
   // Enter triggers the change event of the number, which opens the map.

@@ -1,6 +1,5 @@
 // The address is the state of the page: the view, the flight and its moment. Back, Forward and Reload restore it.
 import { Emitter } from "./base.js";
-import { copyText } from "./dom.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 
@@ -63,10 +62,6 @@ export class Router extends Emitter {
     clearTimeout(this.timer);
     this.timer = 0;
     history.replaceState(null, "", linkOf(this.address));
-  }
-
-  copy() {
-    copyText(linkOf(this.address).href, "Link copied.");
   }
 
   show(address) {

@@ -1,5 +1,7 @@
 // The flight of one drone.
 
+import { isLost } from "./format.js";
+
 const PERSON = /^human \((.+?)\)/;
 
 export class Track {
@@ -48,6 +50,12 @@ export class Track {
   /** Whether a pilot of this page flies it, not another agent such as a language model. */
   get ours() {
     return this.colour !== "--pilot-other";
+  }
+
+  /** The move that lost most, or null. */
+  get worst() {
+    const [worst] = [...(this.annotation?.moves ?? [])].sort((a, b) => b.regret - a.regret);
+    return worst && isLost(worst.regret) ? worst : null;
   }
 
   get last() {
