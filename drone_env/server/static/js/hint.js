@@ -1,23 +1,24 @@
-// Below the map: how to fly, until the first move; what decides there, or what starts a race; how fingers move the map.
+// Below the map: what decides there, or what starts a race; how fingers move the map; how to fly, until the first move.
 import { TOUCH } from "./base.js";
-import { el, setText } from "./dom.js";
 import { isJoined } from "./blocks.js";
+import { el, setText } from "./dom.js";
 
-const FLY = TOUCH ? "Swipe on the map to fly. " : "Fly with the arrow keys. ";
+const FLY = TOUCH ? " Swipe on the map to fly." : " Fly with the arrow keys.";
 const RACE = "Press Start (Enter) to start the race. Or just fly: then the others move when you move.";
 const FINGERS = " Two fingers move and zoom the map.";
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountHint(root, context, fleet) {
   const { stage, camera } = context;
-  const how = el("strong");
-  const what = el("span");
-  root.append(how, what);
+  const what = root.appendChild(el("span"));
+  const how = root.appendChild(el("strong"));
   function draw() {
-    const ready = fleet.mine?.steps === 0;
-    const rules = ready && fleet.automatic && !fleet.playing ? RACE : rule(stage.world);
-    setText(how, ready ? FLY : "");
-    setText(what, rules + (TOUCH && camera.zoom > 1 && fleet.mine ? FINGERS : ""));
+    const race = fleet.mine?.steps === 0 && fleet.automatic && !fleet.playing;
+    const fingers = TOUCH && camera.zoom > 1 && fleet.mine ? FINGERS : "";
+    setText(what, (race ? RACE : stage.world ? rule(stage.world) : "") + fingers);
+    setText(how, fleet.shown && fleet.human >= 0 ? FLY : "");
+    // It keeps its place: the map does not move at the first step.
+    how.classList.toggle("gone", fleet.mine?.steps !== 0);
   }
   stage.on("change", draw);
   context.on("camera", draw);

@@ -29,7 +29,7 @@ export function mountStrip(root, context, fleet, acts) {
     id: "watch",
     press: () => acts.start({ pilots: [stage.track.annotation.network] }, { play: true }),
   });
-  const undoes = el("p.note", { id: "undoes", text: "Trying again counts as Undo: the result is not listed." });
+  const undoes = el("p.note", { id: "undoes", text: "Trying again counts as Undo: not listed, not kept as your best." });
   const next = el("button.button.primary", { id: "next", press: () => goOn(context, fleet, acts) });
   const efficiency = el("p.note.strip-efficiency", { id: "efficiency-parts" });
   const analysis = el("p.note.strip-analysis");
