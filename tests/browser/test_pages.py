@@ -17,7 +17,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
-from tests.browser.stage import at_speed, fly, press, view
+from tests.browser.stage import at_speed, fly, press, slider, view
 from tests.browser.test_several import KEYS
 
 ALONE = ("easy", 18)
@@ -61,6 +61,7 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(0)
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy finish"])
+    expect(slider(page)).to_be_in_viewport(ratio=1)
     # The button of the next task would leave the lesson.
     expect(page.locator("#again")).to_be_visible()
     expect(page.locator("#next")).to_be_hidden()

@@ -69,9 +69,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
         return cls(
             **{name: getattr(task, name) for name in _PLAIN},
             name=task.id,
-            drain={
-                CELL_KINDS[one].name: units for one, units in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()
-            },
+            drain={CELL_KINDS[cell].name: n for cell, n in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()},
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             score_weights=SCORE_WEIGHTS,
