@@ -32,7 +32,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     # The last parcel stays, and the page says so.
     paint.get_by_text("Road").click()
     drag(page, (11, 11))
-    expect(page.get_by_text("A map needs a parcel.")).to_be_visible()
+    expect(page.locator(".toast")).to_contain_text("A map needs a parcel.")
     paint.get_by_text("Move").click()
     drag(page, (11, 11), (5, 0))
     expect(note).to_have_text("The parcel in 5 steps")
