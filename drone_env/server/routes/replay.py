@@ -1,7 +1,7 @@
 """The routes for flights: replay frame by frame, analysis move by move, and the values of a flight after a step."""
 
 from contextlib import suppress
-from itertools import chain, pairwise
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 
 from drone_env.agents.base import BatchAgent
 from drone_env.core.actions import Action, Outcome
-from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rules import score
@@ -19,7 +19,7 @@ from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score, Seed
 from drone_env.planning.optimal import Solution, solve_episode
-from drone_env.results.analysis import Label, analyse_flight
+from drone_env.results.analysis import FlightAnalysis, Label, Move, analyse_flight
 from drone_env.results.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, frame_of, plan
@@ -63,6 +63,8 @@ class AnalysedFlight(Message):
     accuracy: float | None = Field(description="Fraction of best moves among moves with a margin.")
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
+    worst_step: Count | None = Field(description="The move that lost most, the first of equals; null if none lost.")
+    worst_why: str = Field(description="What the best moves there gain: `which saves 2 steps`; empty if none lost.")
     why: str = Field(description="Why it failed, in one sentence; empty if it delivered all parcels.")
     rescue_step: Count | None = Field(
         description="The last step after which all parcels could still be delivered; null if there is none, or if all "
@@ -105,8 +107,12 @@ def _annotated(record: EpisodeRecord) -> str:
     analysis = analyse_flight(record, lambda start: job_context().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
     why = why_failed(replay(record))
+    worst = max(analysis.moves, key=lambda move: move.regret)
+    lost = worst.regret > 0
     network, network_score = network_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
+        worst_step=worst.step if lost else None,
+        worst_why=better(analysis, worst) if lost else "",
         why=why,
         network=network,
         network_score=network_score,
@@ -122,6 +128,26 @@ def _annotated(record: EpisodeRecord) -> str:
     return answer.model_dump_json()
 
 
+def better(analysis: FlightAnalysis, move: Move) -> str:
+    """What the best actions gain over a move that lost something, if all further moves are best ones."""
+    task, solver = analysis.task, job_context().solver_of(analysis.task, analysis.seed)
+    before = [one.action for one in analysis.moves[: move.step - 1]]
+
+    def end(action: Action) -> Episode:
+        flight = Episode(task, seed=analysis.seed).fly([*before, action])
+        while not flight.ended:
+            flight.step(solver.optimal_actions(flight)[0])
+        return flight
+
+    best, flown = end(move.best_actions[0]), end(move.action)
+    if best.deliveries_done > flown.deliveries_done:
+        reach = f"{best.deliveries_done} of {task.deliveries}"
+        return f"which keeps {reach} parcels in reach, not {flown.deliveries_done}"
+    steps, units = flown.steps - best.steps, best.battery_units - flown.battery_units
+    gains = (("saves", steps, "step"), ("leaves", units, "more battery unit"))
+    return f"which {' and '.join(f'{gain} {n} {what}' + 's' * (n > 1) for gain, n, what in gains if n > 0)}"
+
+
 def why_failed(flown: Episode) -> str:
     """Why an ended flight failed, in one sentence; empty if it delivered all parcels: a job of a worker process."""
     # Loads Numba, which the process that serves does without.
@@ -132,19 +158,16 @@ def why_failed(flown: Episode) -> str:
         return f"The steps ran out: a flight has {task.max_steps}."
     if flown.outcome is not Outcome.BATTERY_DEAD:
         return ""
-    cells = FlightHeader.of(Episode(task, seed=flown.seed), "").cells
-    units = pairwise([task.battery_capacity, *(step.battery for step in flown.path)])
-    costly = {
-        CELL_KINDS[Cell(cells[step.y][step.x])].name: before - after
-        for step, (before, after) in zip(flown.path, units, strict=True)
-        if before - after > 1
-    }
+    grid = Episode(task, seed=flown.seed).grid()
+    below = {int(grid[step.y, step.x]) for step in flown.path}
+    costly = {CELL_KINDS[kind].name: units for kind, units in task.drain if units > 1 and kind in below}
     costs = " and ".join(f"{kind}s cost {units} units" for kind, units in costly.items()) or "each step costs a unit"
     x, y = flown.position
     away = min((abs(x - pad % task.width) + abs(y - pad // task.width) for pad in pads), default=None)
     if away is None:
         return f"{costs.capitalize()}."
-    end = f"a pad was {away} {'cell' if away == 1 else 'cells'} away" if away else "the pad came one unit too late"
+    distance = f"a pad was {away} {'cell' if away == 1 else 'cells'} away"
+    end = distance if away else "the drone reached a pad with an empty battery"
     return f"{costs.capitalize()}; {end}."
 
 

@@ -71,8 +71,6 @@ export function mountInput(grid, context, drawing, choose) {
         const to = drawing.stroke?.held ?? next;
         follow(to);
         point(to);
-        // A held item may not have followed.
-        if (drawing.stroke) drawing.stroke.cell = to;
       }
     } else if ((event.key === " " || event.key === "Enter") && cursor) {
       // A held item moves along until the next press.

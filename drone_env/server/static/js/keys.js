@@ -119,14 +119,13 @@ export function mountHuman(root, context, fleet) {
   root.append(pad);
 
   function update() {
-    root.hidden = fleet.mine === null;
+    root.hidden = !fleet.mine;
     document.body.classList.toggle("human-flies", !root.hidden);
   }
 
   fleet.on("setup", update);
   context.stage.on("change", update);
   listenToSwipes(document.getElementById("boards"), fleet);
-  update();
 }
 
 function listenToSwipes(boards, fleet) {

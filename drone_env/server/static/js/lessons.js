@@ -14,8 +14,9 @@ const charges = ({ frames }) =>
   frames.some(({ action, battery_units }, i) => action === "WAIT" && battery_units > frames[i - 1].battery_units);
 
 /** Whether the page shows the step before the worst move of this pilot, and does not play. */
-const beforeWorst = ({ track, clock }, pilot) =>
-  track?.pilot === pilot && track.worst !== null && !clock.playing && clock.cursor === track.worst.step - 1;
+function beforeWorst({ track, clock }, pilot) {
+  return track?.pilot === pilot && !clock.playing && clock.cursor === track.worst?.step - 1;
+}
 
 /** @type {Lesson[]} */
 export const LESSONS = [
