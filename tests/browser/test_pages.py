@@ -64,6 +64,7 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(0)
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy finish"])
+    expect(page.locator("#again")).to_be_visible()
     # The graph, which the lesson is about, is above the long explanation.
     tops = [
         part.evaluate("part => part.getBoundingClientRect().top") for part in (slider(page), page.locator("#again"))
