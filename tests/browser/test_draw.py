@@ -65,7 +65,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     drag(page, (2, 3), (2, 11))
     page.reload()
     problem = page.locator("#view-draw").get_by_role("alert")
-    expect(problem).to_contain_text("obstacles block every way from the start to parcel 1 [5, 0]")
+    expect(problem).to_contain_text("Obstacles block every way from the start to parcel 1 [5, 0]")
     # The saved file is opened again, stored and flown.
     open_file(page, file.name, file.read_text(encoding="utf-8"), "#map-file")
     expect(score).to_have_text(shown)
