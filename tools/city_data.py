@@ -17,7 +17,7 @@ CELLS = {"helsinki_8": 8.0, "helsinki_16": 16.0}
 def city_data() -> dict[str, str]:
     """The files, by name."""
     found = {name: import_city(EXTRACT, CENTRE, cell, (128, 128)) for name, cell in CELLS.items()}
-    return {name: terrain_text(city.grid, f"{city.attribution}, {city.licence}") for name, city in found.items()}
+    return {name: terrain_text(one.grid, f"Helsinki, {one.attribution}, {one.licence}") for name, one in found.items()}
 
 
 def main() -> None:

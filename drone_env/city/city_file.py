@@ -100,7 +100,7 @@ class City:
         if self.bbox is not None:
             check_bbox(self.bbox)
         _require(len(self.parcels) <= MAX_DELIVERIES, f"at most {MAX_DELIVERIES} parcels, got {len(self.parcels)}")
-        stops = {"start": self.start} if self.start is not None else {}
+        stops = {"the start": self.start} if self.start is not None else {}
         stops.update({f"parcel {i}": parcel for i, parcel in enumerate(self.parcels, 1)})
         _require(len({*stops.values()}) == len(stops), "start and parcels must be on distinct cells")
         connected = pieces(self.grid == Cell.OBSTACLE)
@@ -109,7 +109,7 @@ class City:
             _require(0 <= x < width and 0 <= y < height, f"{name} [{x}, {y}] is outside the {width} x {height} cells")
             _require(self.grid[y, x] == Cell.ROAD, f"{name} [{x}, {y}] must be on a road")
             reached = connected[y, x] == connected[stops[origin][1], stops[origin][0]]
-            _require(reached, f"{name} [{x}, {y}] cannot be reached from {origin}")
+            _require(reached, f"obstacles block every way from {origin} to {name} [{x}, {y}]")
 
 
 class Rows(BaseModel):

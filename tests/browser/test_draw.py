@@ -29,6 +29,10 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(note).to_have_text("The parcel in 22 steps")
     paint = page.get_by_role("group", name="Paint")
     expect(paint.get_by_role("radio", name="Building")).to_be_checked()
+    # The last parcel stays, and the page says so.
+    paint.get_by_text("Road").click()
+    drag(page, (11, 11))
+    expect(page.locator(".toast")).to_contain_text("A map needs a parcel.")
     paint.get_by_text("Move").click()
     drag(page, (11, 11), (5, 0))
     expect(note).to_have_text("The parcel in 5 steps")
@@ -61,7 +65,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     drag(page, (2, 3), (2, 11))
     page.reload()
     problem = page.locator("#view-draw").get_by_role("alert")
-    expect(problem).to_contain_text("cannot be reached from start")
+    expect(problem).to_contain_text("Obstacles block every way from the start to parcel 1 [5, 0]")
     # The saved file is opened again, stored and flown.
     open_file(page, file.name, file.read_text(encoding="utf-8"), "#map-file")
     expect(score).to_have_text(shown)

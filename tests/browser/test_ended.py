@@ -8,6 +8,7 @@ from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, get, posted
@@ -62,11 +63,12 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     score, optimum = points(annotation["score"]), points(annotation["optimal_score"])
     expect(strip.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
     expect(strip).to_contain_text(
-        f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcels, "
+        f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcel, "
         f"{60 - last} battery units after {last} steps, "
         f"a best flight ends with {annotation['optimal_battery']} after {annotation['optimal_steps']}."
     )
     expect(strip).to_contain_text("What counts: parcels (80 points), then battery left (10) and steps left (10).")
+    expect(strip).to_contain_text(f"The lowest score is {points(LOWEST)}, the highest {points(HIGHEST)}.")
     expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
     expect_efficiency(page, 1, 1 - last / 60)  # both the battery and the steps are 60
     analysis = get(server, "analyse/easy")
@@ -91,7 +93,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect_frame(page, flight[worst], 60)
     expect(page.locator("#score")).to_have_text(points(possible))
     expect(page.locator("#lost")).to_have_text(points(annotation["optimal_score"] - possible))
-    lost = f"{move['label']}: lost {points(move['regret'])}. {points(possible)} still possible."
+    lost = f"Lost {points(move['regret'], 2)}. Best move: {best}. {points(possible)} still possible."
     expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
     # The graph leads to each moment.
     page.keyboard.press("Home")
@@ -105,8 +107,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     moves(page).nth(worst - 1).click()
     expect(moves(page).nth(worst - 1)).to_have_attribute("aria-current", "step")
     expect_frame(page, flight[worst], 60)
-    lost = f"Lost {points(move['regret'], 2)}. Best move: {best}."
-    expect(page.locator("#move-detail")).to_contain_text(lost)
+    expect(page.locator("#move-detail")).to_have_text(f"{flight[worst]['message']} {lost}")
     listed = page.locator("#moves").bounding_box()
     assert listed
     assert listed["height"] > 200, "most moves are seen without scrolling"
@@ -128,7 +129,7 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
     fly(page)
     strip = ended(page)
     expect(strip.get_by_role("heading", name="Random: Battery empty.")).to_be_visible()
-    expect(strip).to_contain_text("0 of 1 parcels, 0 battery units after 60 steps")
+    expect(strip).to_contain_text("0 of 1 parcel, 0 battery units after 60 steps")
     expect(page.get_by_role("dialog")).to_be_hidden()
     expect_efficiency(page, 0, 0)
     # With several flights, the strip is about the one that is selected.

@@ -17,7 +17,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
-from tests.browser.stage import at_speed, ended, fly, press, view
+from tests.browser.stage import at_speed, ended, fly, press, slider, view
 from tests.browser.test_several import KEYS
 
 ALONE = ("easy", 18)
@@ -64,6 +64,12 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(0)
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy finish"])
+    expect(page.locator("#again")).to_be_visible()
+    # The graph, which the lesson is about, is above the long explanation.
+    tops = [
+        part.evaluate("part => part.getBoundingClientRect().top") for part in (slider(page), page.locator("#again"))
+    ]
+    assert tops == sorted(tops)
     # The blunder counts as found when the visitor looks at it, not while the flight plays.
     at_speed(page, "10")  # slow enough that the page shows each step
     press(page, "Replay")

@@ -90,8 +90,13 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     phone.set_viewport_size({"width": 844, "height": 390})
     show(phone, "/?task=easy&seed=18&pilot=human&lesson=1")
     expect_step(phone, 0, 60)
-    for part in ("#boards .map-air", "#battery", ".pad", "#undo"):
+    for part in ("#boards .map-air", "#battery", ".pad", "#undo", "#copy-link"):
         expect(phone.locator(part)).to_be_in_viewport(ratio=1)
+    # The buttons of the map cover none of its cells.
+    field, tools = (phone.locator(f"#view-fly {part}").bounding_box() for part in (".map", ".map-tools"))
+    assert field
+    assert tools
+    assert field["x"] + field["width"] <= tools["x"]
     flight = phone.get_by_text("Easy · map 18 · You")
     flight.click()
     expect(phone.locator(".plan-choices")).to_be_in_viewport(ratio=1)
@@ -106,6 +111,20 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     assert min(box["width"], box["height"]) > 0.75 * 390
     expect_no_wider(phone)
     phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
+
+
+def test_a_name_that_is_refused_stays_in_sight(phone: Page) -> None:
+    show(phone, "/?task=easy&seed=5&pilot=human")
+    expect_step(phone, 0, 60)
+    name = phone.locator("#name")
+    for refused in ("two words", "x" * 21):
+        name.fill(refused)
+        name.press("Enter")
+        expect(phone.get_by_role("alert").filter(has_text="at most 20 letters")).to_be_in_viewport(ratio=1)
+        expect(name).to_be_focused()
+    name.fill("Ada")
+    name.press("Enter")
+    expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
 
 
 def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) -> None:

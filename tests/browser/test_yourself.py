@@ -174,16 +174,36 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
 def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_could_be_won(page: Page) -> None:
     over(page, 7, "/?task=skyline_easy&seed=7&pilot=human")
     expect(page.locator(".hint")).to_contain_text("A step costs 1 battery unit, 3 above a building, 2 above a tree.")
+    keys, side = page.locator(".hint strong"), page.locator(".side")
+    expect(keys).to_have_text("Fly with the arrow keys.", use_inner_text=True)
+    side.evaluate("side => side.scrollTo(0, 999)")
     air = page.locator("#boards .map-air")
     size = air.bounding_box()
     for key in ["ArrowLeft", "ArrowRight"] * 6:
         page.keyboard.press(key)
     expect(ended(page)).to_contain_text("Each step costs a unit; a pad was 4 cells away.")
+    expect(keys).to_be_hidden()
+    for part in ("#results-title", "#again", "#undoes", "#start-over"):
+        expect(page.locator(part)).to_be_in_viewport(ratio=1)
     assert air.bounding_box() == size
     expect(page.locator("#next")).to_be_hidden()
     press(page, "Try again from step 6")
     expect_step(page, 6, 60, "RIGHT")
     expect(page).to_have_url(re.compile("pilot=human&of=human%20with%20undo&actions=LRLRLR$"))
+    for key in ["ArrowLeft", "ArrowRight"] * 3:
+        page.keyboard.press(key)
+    ended(page)
+    side.evaluate("side => side.scrollTo(0, 999)")
+    page.locator("#start-over").dispatch_event("click")
+    expect_step(page, 0, 60)
+    expect(page).to_have_url(re.compile("pilot=human$"))
+    assert side.evaluate("side => side.scrollTop") == 0
+    for key in ["ArrowLeft", "ArrowRight"] * 6:
+        page.keyboard.press(key)
+    press(page, "Watch Tournet")
+    expect_flying(page, "Tournet")
+    ended(page)
+    expect(page.locator("#watch, #start-over, #undoes").filter(visible=True)).to_have_count(0)
 
 
 def test_cells_show_what_they_cost_beside_the_drone_and_under_the_pointer(page: Page) -> None:

@@ -129,5 +129,5 @@ def test_the_shipped_cities_are_what_the_importer_makes_of_the_extract() -> None
         assert (FOLDER / f"{name}.txt").read_text("utf-8") == text
     city = get_task("city").terrain
     assert city is not None
-    assert (city.attribution, city.width) == ("© OpenStreetMap contributors, ODbL-1.0", 64)
+    assert (city.attribution, city.width) == ("Helsinki, © OpenStreetMap contributors, ODbL-1.0", 64)
     assert terrain_text(city.grid(), city.attribution) == city_data()["helsinki_16"]

@@ -12,11 +12,11 @@ from drone_env import __version__
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
-from drone_env.core.rules import score_of
+from drone_env.core.rules import HIGHEST, LOWEST, score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.errors import StoreError
-from drone_env.models import Count, Message
+from drone_env.models import Count, Message, Score
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.pilots import COLOURS, HUMAN, all_pilots
@@ -38,9 +38,8 @@ def _score_weights() -> dict[str, int]:
     """The weights in `score_of`, equal for all tasks."""
     task = TASKS["easy_delivery"]
     empty, full, steps = 0, task.battery_capacity, task.max_steps
-    tables = interpreted(task)
     parcels, charged, at_once = (
-        score_of(tables, task.deliveries, *left) for left in ((empty, steps), (full, steps), (empty, 0))
+        score_of(interpreted(task), task.deliveries, *left) for left in ((empty, steps), (full, steps), (empty, 0))
     )
     weights = {"parcels": parcels, "battery": charged - parcels, "steps": at_once - parcels}
     return {name: round(100 * weight) for name, weight in weights.items()}
@@ -64,6 +63,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
         "numbers if the drone moves: distance to the target grows, stays equal, shrinks. Otherwise one number."
     )
     score_weights: dict[str, int] = Field(description="Points, of 100, for all parcels, a full battery and no step.")
+    score_range: tuple[Score, Score] = Field(description="The lowest and the highest score.")
     published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
 
@@ -78,12 +78,11 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
             buildings=task.buildings if same else None,
             trees=task.trees if same else None,
             obstacles=task.obstacles if same else None,
-            drain={
-                CELL_KINDS[cell].name: units for cell, units in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()
-            },
+            drain={CELL_KINDS[cell].name: n for cell, n in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()},
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             score_weights=SCORE_WEIGHTS,
+            score_range=(LOWEST, HIGHEST),
             published=task.id in PUBLISHED,
             attribution=task.attribution,
         )

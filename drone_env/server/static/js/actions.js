@@ -1,5 +1,4 @@
 // The actions of Fly, for buttons and keys.
-import { lessMotion } from "./base.js";
 import { ask, leaveFocus, toast } from "./dom.js";
 import { variants } from "./format.js";
 import { SPEEDS } from "./stage.js";
@@ -14,8 +13,6 @@ export function actionsOf(context, fleet) {
     const question = yes === "Give up" ? yes : `${yes}, and give up`;
     if (begun && !(await ask(`${question} your flight at step ${begun.steps}?`, yes, "Keep flying"))) return;
     act();
-    const behavior = lessMotion() ? "instant" : "smooth";
-    document.querySelector(".plan-bar").scrollIntoView({ block: "nearest", behavior });
   }
   /** Whether the next step is a new one of the server. */
   const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();

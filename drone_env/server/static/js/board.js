@@ -1,7 +1,7 @@
 // Draws a map on three canvases: the city, the layers of its cells, and the moving parts.
 import { fit, lessMotion, nextFrame } from "./base.js";
 import { el } from "./dom.js";
-import { title } from "./format.js";
+import { counted, title } from "./format.js";
 import { LAYERS } from "./layers.js";
 
 const SPIN = 0.03;
@@ -118,6 +118,5 @@ export class Board {
 }
 
 function describe({ task, seed, width, height, parcels }) {
-  const many = `${parcels.length} ${parcels.length === 1 ? "parcel" : "parcels"}`;
-  return `City map of ${title(task.short_name)}, ${width} by ${height} cells, map ${seed}, ${many}. The list of moves describes each step.`;
+  return `City map of ${title(task.short_name)}, ${width} by ${height} cells, map ${seed}, ${counted(parcels.length, "parcel")}. The list of moves describes each step.`;
 }

@@ -1,6 +1,6 @@
 // The graph and the playback controls below the map.
 import { el, icon, setText } from "./dom.js";
-import { signed, title } from "./format.js";
+import { title } from "./format.js";
 import { SPEEDS } from "./stage.js";
 import { mountTimeline } from "./timeline.js";
 
@@ -21,7 +21,7 @@ export function mountControls(root, context, fleet, acts) {
   const named = (id, text, title, press) => el("button.button", { id, text, title, press });
   const undo = named("undo", "Undo", "Take back the last move (U)", acts.undo);
   const reset = named("reset", "Reset", "Restart this map (R)", acts.reset);
-  const fork = named("fork", "Try from here", "Fork the flight at this step and fly it yourself (F)", () => acts.fork());
+  const fork = named("fork", "Try from here", "Fly on from this step yourself (F)", () => acts.fork());
   const speed = el(
     "select",
     { id: "speed", "aria-label": "Speed", on: { change: () => fleet.setSpeed(Number(speed.value)) } },
@@ -60,14 +60,9 @@ export function mountControls(root, context, fleet, acts) {
   context.live.on("state", update);
 }
 
-/** The present step: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */
+/** The present step: `Step 12 of 35 · LEFT · Delivery`. */
 function sentence(track, step, { world }) {
-  const frame = track.frameAt(step);
-  const of = track.done ? track.steps : world.maxSteps;
-  const parts = [`Step ${frame.step} of ${of}`];
-  if (!frame.action) return parts[0];
-  parts.push(frame.action);
-  if (frame.event !== "wait") parts.push(title(frame.event));
-  parts.push(`reward ${signed(frame.reward)}`);
-  return parts.join(" · ");
+  const { step: at, action, event } = track.frameAt(step);
+  const happened = action && event !== "wait" ? title(event) : null;
+  return [`Step ${at} of ${track.done ? track.steps : world.maxSteps}`, action, happened].filter(Boolean).join(" · ");
 }

@@ -73,6 +73,17 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
+/** A file field, and the button that opens it. */
+export function fileField(id, accept, open) {
+  const input = el("input.visually-hidden", { type: "file", id, accept, on: { change } });
+  async function change() {
+    const [file] = input.files;
+    if (file) await open(file);
+    input.value = "";
+  }
+  return [input, el("label.button.small", { for: id, text: "Open a file…" })];
+}
+
 /** Asks a question with two answers. @returns {Promise<boolean>} Whether the visitor chose the first one. */
 export function ask(question, yes, no) {
   const dialog = document.getElementById("ask");
@@ -86,6 +97,16 @@ export function ask(question, yes, no) {
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
   });
+}
+
+let fingers = 0;
+for (const type of /** @type {const} */ (["touchstart", "touchend", "touchcancel"]))
+  document.addEventListener(type, ({ touches }) => (fingers = touches.length), { passive: true });
+
+/** Scrolls an element into sight, but not under a finger that moves the page. */
+export function bring(node) {
+  if (fingers) document.addEventListener("touchend", () => bring(node), { once: true });
+  else node.scrollIntoView({ block: "nearest" });
 }
 
 /** The next key is for the drone, not for the focused element. */

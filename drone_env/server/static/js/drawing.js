@@ -5,7 +5,8 @@ const UNDONE = 100;
 const same = (a, b) => a[0] === b[0] && a[1] === b[1];
 
 /**
- * Events: "stroke" a stroke goes on, "end" a stroke has changed the map, "map" the whole map is replaced. A cell is [x, y].
+ * Events: "stroke" a stroke goes on, "end" a stroke has changed the map, "map" the whole map is replaced, "last" the
+ * last parcel is not painted over. A cell is [x, y].
  */
 export class Drawing extends Emitter {
   /** @param {Answer<"KindInfo">[]} kinds */
@@ -77,7 +78,7 @@ export class Drawing extends Emitter {
     const parcel = this.parcelAt(cell);
     if (tool === "start") this.move(map.start, cell);
     else if (tool !== "parcel") {
-      if (parcel >= 0 && map.parcels.length === 1) return;
+      if (parcel >= 0 && map.parcels.length === 1) return this.emit("last");
       if (parcel >= 0) map.parcels.splice(parcel, 1);
       this.put(cell, this.idOf(tool));
     } else if (parcel < 0) {

@@ -4,7 +4,7 @@ import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { download, el, icon, setText } from "./dom.js";
+import { download, el, fileField, icon, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
@@ -53,9 +53,9 @@ export function mount(root, context) {
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
   const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
   const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
-  const input = el("input.visually-hidden", { type: "file", id: "map-file", accept: ".toml", on: { change: choose } });
-  const opening = el("div.field", input, el("label.button.small", { for: "map-file", text: "Open a file…" }));
+  const opening = el("div.field", ...fileField("map-file", ".toml", (file) => tried(() => openMap(file))));
   const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
+  const keys = el("p.note.keys-note", { text: "On the map, the arrow keys move a cursor and Space paints. 1 to 8 choose what." });
   const credit = el("p.note");
   const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => tried(press) });
   const acts = el(
@@ -67,7 +67,7 @@ export function mount(root, context) {
   );
   const middle = el("div.middle");
   root.append(
-    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, blank)),
+    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, blank), keys),
     middle,
     el(
       "aside.draw-side",
@@ -107,6 +107,7 @@ export function mount(root, context) {
 
   drawing.on("stroke", changed);
   drawing.on("map", show);
+  drawing.on("last", () => toast("A map needs a parcel. Move this one, or add another one first."));
   drawing.on("end", () => {
     keep(key, drawing.map);
     turns();
@@ -196,14 +197,9 @@ export function mount(root, context) {
     download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
   }
 
-  async function choose() {
-    const [file] = input.files;
-    if (!file) return;
-    await tried(async () => {
-      keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
-      router.go({ view: "draw" });
-    });
-    input.value = "";
+  async function openMap(file) {
+    keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
+    router.go({ view: "draw" });
   }
 
   const isNumber = (target) => target instanceof HTMLInputElement && target.type === "number";

@@ -2,7 +2,7 @@
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
 import { el, setText } from "./dom.js";
-import { points } from "./format.js";
+import { counted, points } from "./format.js";
 
 /** Milliseconds until the next request to a busy server. */
 const AGAIN = 2000;
@@ -72,7 +72,6 @@ function inWords(optimum, bounds, parcels) {
     const [least, most] = bounds.map((bound) => points(bound));
     return `This map is too large for the exact solver: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
   }
-  const steps = optimum.steps === 1 ? "step" : "steps";
-  if (optimum.success) return `${["The parcel", "Both parcels"][parcels - 1] ?? `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
+  if (optimum.success) return `${["The parcel", "Both parcels"][parcels - 1] ?? `All ${parcels} parcels`} in ${counted(optimum.steps, "step")}`;
   return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
 }

@@ -250,12 +250,6 @@ export class Fleet extends Emitter {
     if (this.playing) this.context.live.send({ type: "pause" });
   }
 
-  /** Pauses the flights because the stage shows something else. */
-  rest() {
-    this.pause();
-    this.turn("rest");
-  }
-
   step() {
     if (!this.playing && this.tracks.some(({ done }) => !done)) this.context.live.send({ type: "step" });
   }

@@ -72,15 +72,25 @@ export function mountFly(root, context) {
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
-    fleet.rest();
+    fleet.pause();
+    fleet.turn("rest");
     try {
       await load();
+      lookUp();
       return true;
     } catch (error) {
       problem(error.message);
       return false;
     }
   }
+
+  /** Shows the map and the top of the panel, unless the visitor corrects a name there. */
+  function lookUp() {
+    if (document.activeElement?.id === "name") return;
+    side.scrollTop = 0;
+    if (bar.getBoundingClientRect().top < 0) bar.scrollIntoView();
+  }
+  fleet.on("setup", () => fleet.starting && lookUp());
 
   /** What is shown, as the address contains it: a stored flight and one with moves are shown at their newest step by default. */
   function present() {

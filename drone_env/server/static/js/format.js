@@ -10,12 +10,12 @@ export const fixed = (number, digits = 2) => known(number, (value) => value.toFi
 
 export const signed = (number, digits = 2) => known(number, (value) => (value >= 0 ? "+" : "") + fixed(value, digits));
 
+export const counted = (count, thing) => `${count} ${thing}${count === 1 ? "" : "s"}`;
+
 /** A score of 0 to 1, times 100. */
 export const points = (score, digits = 1) => known(score, (value) => fixed(value * 100, digits));
 
 export const percent = (share, digits = 0) => known(share, (value) => `${fixed(value * 100, digits)} %`);
-
-const EMPTY = "Battery empty";
 
 const DRAWN = /^drawn_[0-9a-f]{12}$/;
 
@@ -24,7 +24,7 @@ export const variants = (task) => task?.family !== "drawn";
 
 /** `skyline_hard` -> `Skyline Hard`, `drawn_aadbbe374784` -> `Drawn map aadb`. */
 export function title(name) {
-  if (name === "battery_dead") return EMPTY;
+  if (name === "battery_dead") return OUTCOMES.battery_dead;
   if (DRAWN.test(name)) return `Drawn map ${name.slice(6, 10)}`;
   return name
     .split("_")
@@ -35,7 +35,7 @@ export function title(name) {
 const OUTCOMES = {
   flying: "In flight",
   delivered: "All parcels delivered",
-  battery_dead: EMPTY,
+  battery_dead: "Battery empty",
   out_of_steps: "Out of steps",
 };
 
@@ -77,7 +77,8 @@ export function flightName(context, { task, seed, agent }) {
 }
 
 /** What the score of a task counts. @param {Answer<"TaskInfo">} task */
-export function scoring({ score_weights: { parcels, battery, steps }, efficiency_needs_all: all }) {
+export function scoring({ score_weights: { parcels, battery, steps }, score_range: range, efficiency_needs_all: all }) {
   const rest = all ? ", these two only once all parcels are delivered" : "";
-  return `What counts: parcels (${parcels} points), then battery left (${battery}) and steps left (${steps})${rest}.`;
+  const [lowest, highest] = range.map((end) => points(end));
+  return `What counts: parcels (${parcels} points), then battery left (${battery}) and steps left (${steps})${rest}. The lowest score is ${lowest}, the highest ${highest}.`;
 }

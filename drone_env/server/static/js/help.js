@@ -20,7 +20,7 @@ const KEYS = [
   ["U", "Undo your last move"],
   ["← → Home End", "Previous, next, first, last step"],
   [".", "Next step"],
-  ["F", "Fork the flight at this step and fly it yourself"],
+  ["F", "Fly on from this step yourself"],
   ["N R", "New map; restart this map"],
   ["+ −", "Zoom in, zoom out"],
   ["Shift ↑ ↓ ← →", "Move the map while it is zoomed in"],

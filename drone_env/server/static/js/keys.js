@@ -1,5 +1,6 @@
 // Keyboard shortcuts, the pad of buttons, and swipes on the map.
 import { el, icon, leaveFocus } from "./dom.js";
+import { title } from "./format.js";
 import { STEP } from "./layer_flights.js";
 import { LAYERS } from "./layers.js";
 
@@ -103,16 +104,16 @@ const ARROW = {
   LEFT: "M19 12H6M11 6l-6 6 6 6",
   RIGHT: "M5 12h13M13 6l6 6-6 6",
 };
-const WORDS = { UP: "Up", DOWN: "Down", LEFT: "Left", RIGHT: "Right", WAIT: "Wait" };
 const SWIPE = 24;
 
 /** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountHuman(root, context, fleet) {
-  const buttons = Object.keys(WORDS).map((direction) => {
+  const buttons = [...Object.keys(ARROW), "WAIT"].map((direction) => {
     const drawing = ARROW[direction];
+    const word = title(direction.toLowerCase());
     const press = () => fleet.fly(direction);
-    const face = drawing ? icon(drawing) : WORDS[direction];
-    return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, face);
+    const face = drawing ? icon(drawing) : word;
+    return el("button.pad-button", { data: { direction }, "aria-label": word, press }, face);
   });
   const pad = el("div.pad", { role: "group", "aria-label": "Fly" }, ...buttons);
   root.append(pad);

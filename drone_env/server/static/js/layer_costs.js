@@ -1,7 +1,7 @@
 // What cells cost in battery units: beside the drone of a visitor who flies, and of the cell under the pointer.
 import { colourOf, font } from "./base.js";
 import { el } from "./dom.js";
-import { ARROWS, cellName, isLost, points } from "./format.js";
+import { ARROWS, cellName, counted, isLost, points } from "./format.js";
 import { STEP } from "./layer_flights.js";
 
 const LEAST_CELL = 16;
@@ -82,6 +82,5 @@ function movesIn(values) {
 
 function inWords({ kind, closed, units, charge }) {
   if (closed) return `${cellName(kind)}: closed`;
-  const cost = `costs ${units} ${units === 1 ? "unit" : "units"}`;
-  return `${cellName(kind)}: ${cost}${charge ? `, each wait charges ${charge}` : ""}`;
+  return `${cellName(kind)}: costs ${counted(units, "unit")}${charge ? `, each wait charges ${charge}` : ""}`;
 }

@@ -1,6 +1,6 @@
 // The list of moves, with marks as in chess once the flight is annotated.
 import { announce, el, setText } from "./dom.js";
-import { ARROWS, percent, points, signed } from "./format.js";
+import { ARROWS, percent, points } from "./format.js";
 
 /** From best to worst, with their plurals. */
 const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake: "mistakes", blunder: "blunders" };
@@ -85,14 +85,10 @@ function counts(annotation) {
   ];
 }
 
-function describe(track, step) {
-  const frame = track.frameAt(step);
-  const reward = frame.step ? ` Reward ${signed(frame.reward, 3)}.` : "";
-  const move = track.annotation?.moves[step - 1];
-  if (!move) return `${frame.message}${reward}`;
-  const loss =
-    move.label === "best"
-      ? "Best move."
-      : `Lost ${points(move.regret, 2)}. Best move: ${move.best_actions.join(" or ")}.`;
-  return `${frame.message} ${loss}${reward}`;
+/** A step in words: what happened, what the move lost, and what is still possible. */
+export function describe(track, step) {
+  const { message, value } = track.frameAt(step);
+  const { label, regret, best_actions: best = [] } = track.annotation?.moves[step - 1] ?? {};
+  const loss = label && (label === "best" ? "Best move." : `Lost ${points(regret, 2)}. Best move: ${best.join(" or ")}.`);
+  return [message, loss, value !== null && `${points(value)} still possible.`].filter(Boolean).join(" ");
 }

@@ -1,6 +1,6 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { tried } from "./api.js";
-import { download, el } from "./dom.js";
+import { download, el, fileField } from "./dom.js";
 import { flightName, sentence } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
@@ -155,23 +155,14 @@ async function saveRecord(context) {
 
 /** The file field, and the choice of a flight if the file contains several. */
 export function mountFiles(root, past, open) {
-  const input = el("input.visually-hidden", {
-    type: "file",
-    id: "flight-file",
-    accept: ".json,.jsonl",
-    on: {
-      change: async () => {
-        const [file] = input.files;
-        // What the file holds, or why it is refused, is below the choices.
-        root.closest("details").open = false;
-        if (file) await open(() => past.openFile(file));
-        input.value = "";
-      },
-    },
+  const field = fileField("flight-file", ".json,.jsonl", (file) => {
+    // What the file holds, or why it is refused, is below the choices.
+    root.closest("details").open = false;
+    return open(() => past.openFile(file));
   });
   const change = () => open(() => past.openRecord(flights.selectedIndex));
   const flights = el("select", { id: "flight-of-file", "aria-label": "Flight of the file", hidden: true, on: { change } });
-  root.append(el("div.field", input, el("label.button.small", { for: "flight-file", text: "Open a file…" }), flights));
+  root.append(el("div.field", ...field, flights));
 
   let offered = past.records;
   const { stage } = past.context;

@@ -1,6 +1,6 @@
 // The flight plan: task, map and pilots.
 import { el, leaveFocus, setText } from "./dom.js";
-import { title, variants } from "./format.js";
+import { counted, title, variants } from "./format.js";
 import { copyLink } from "./router.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
@@ -117,9 +117,8 @@ export function mountPlan(root, context, fleet, acts) {
 }
 
 function taskNote(task) {
-  const parcels = task.deliveries === 1 ? "one parcel" : `${task.deliveries} parcels`;
   const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
-  return `Deliver ${parcels} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
+  return `Deliver ${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
 
 function mapForm({ router, stage }, fleet, acts, update) {

@@ -93,13 +93,13 @@ export function leaderboard(context, board, compare) {
     ["Flights", (row) => String(row.flights), true],
   ];
   const how = "Click a name to open its maps. Tick two pilots to compare them over their common maps.";
-  const forks = board.forks ? ` Forks are not counted: ${board.forks}.` : "";
+  const forks = board.forks ? ` Flights that continue another flight do not count (${board.forks}).` : "";
   return el(
     "div",
     grid("Leaderboard, smallest loss first", columns, rows, below),
     more.length ? opener(everyone, "people", () => compare.draw(!everyone), `More people: ${more.length}`) : "",
     el("p.note.below", {
-      text: `Means over the maps of each pilot, times 100, ± 95 %. Ranked by the points lost against the optimum of each map. Few: under ${ENOUGH} maps. ${how}${forks}`,
+      text: `Each row gives means over the maps that the pilot flew; ± is a 95 % confidence interval. The pilot that loses the fewest of 100 points against the optimum of each map is first. “Few” means under ${ENOUGH} maps. ${how}${forks}`,
     }),
   );
 }

@@ -1,6 +1,7 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
-import { announce, el, leaveFocus, setText } from "./dom.js";
-import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
+import { nextFrame } from "./base.js";
+import { announce, bring, el, leaveFocus, setText } from "./dom.js";
+import { counted, fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
@@ -20,14 +21,22 @@ export function mountStrip(root, context, fleet, acts) {
     },
   });
   const worstLine = el("div.strip-worst", see, tryIt);
-  const again = el("button.button.primary", { id: "again", press: () => tryAgain(context, fleet, acts) });
+  const again = el("button.button.primary", { id: "again", "aria-describedby": "undoes", press: () => tryAgain(context, fleet, acts) });
+  const afresh = el("button.button", { id: "start-over", text: "Start over", press: acts.reset });
+  const watch = el("button.button", {
+    id: "watch",
+    press: () => acts.start({ pilots: [stage.track.annotation.network] }, { play: true }),
+  });
+  const undoes = el("p.note", { id: "undoes", text: "Trying again counts as Undo: not listed, not kept as your best." });
   const next = el("button.button.primary", { id: "next", press: () => goOn(context, fleet, acts) });
   const efficiency = el("p.note.strip-efficiency", { id: "efficiency-parts" });
   const analysis = el("p.note.strip-analysis");
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
-  root.append(head, place, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
+  const first = el("div.strip-first", head, place, reason, el("div.strip-actions", again, next, afresh, watch), undoes);
+  root.append(first, why, counts, worstLine, more);
   let announced = null;
+  fleet.on("ended", (track) => track === stage.track && nextFrame(() => bring(first)));
 
   function draw() {
     const { track } = stage;
@@ -47,6 +56,11 @@ export function mountStrip(root, context, fleet, acts) {
       const step = annotation.rescue_step ? `step ${annotation.rescue_step}` : "the start";
       setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
     }
+    const own = !fleet.pilot(track.pilot).automatic && track.forkedAt === null;
+    undoes.hidden = !own || !annotation?.rescue_step;
+    afresh.hidden = !own || (!again.hidden && undoes.hidden);
+    watch.hidden = !own || !annotation?.network;
+    if (!watch.hidden) setText(watch, `Watch ${fleet.pilot(annotation.network).name}`);
     setText(efficiency, efficiencyOf(last));
     worstLine.hidden = !worst || !isLost(worst.regret);
     tryIt.hidden = !again.hidden;
@@ -89,7 +103,7 @@ function summary({ world }, { last, annotation, steps, done }) {
   const optimum = annotation?.optimal_score ?? null;
   const parts = [`Score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
-  parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`);
+  parts.push(`${last.deliveries_done} of ${counted(world.parcels.length, "parcel")}`);
   parts.push(`${last.battery_units} battery units after ${steps} steps`);
   if (annotation) parts.push(`a best flight ends with ${annotation.optimal_battery} after ${annotation.optimal_steps}`);
   return `${parts.join(", ")}.`;
@@ -105,8 +119,7 @@ function inWords(figures, task) {
     `${fixed(figures.average_steps, 1)} steps`,
     `success ${percent(figures.success_rate)}${trend}`,
   ];
-  const flights = figures.episodes === 1 ? "1 flight" : `${figures.episodes} flights`;
-  return `${flights} of ${title(task.short_name)} here, on average: ${[...means, ...shares].join(", ")}.`;
+  return `${counted(figures.episodes, "flight")} of ${title(task.short_name)} here, on average: ${[...means, ...shares].join(", ")}.`;
 }
 
 /** The next task of the family: Easy, Medium, Hard, Easy. */

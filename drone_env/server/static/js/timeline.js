@@ -2,6 +2,7 @@
 import { colourOf, fit, font, labelColour, nextFrame } from "./base.js";
 import { el } from "./dom.js";
 import { points } from "./format.js";
+import { describe } from "./moves.js";
 
 const MARKED = { inaccuracy: 2.5, mistake: 4, blunder: 5.5 };
 const ROOM = { top: 15, bottom: 14, side: 2 };
@@ -54,7 +55,7 @@ export function mountTimeline(root, context) {
     slider.max = String(newest);
     slider.value = String(stage.clock.cursor);
     slider.disabled = newest === 0;
-    slider.setAttribute("aria-valuetext", tip(stage.track, stage.clock.cursor));
+    slider.setAttribute("aria-valuetext", `Step ${stage.clock.cursor}: ${describe(stage.track, stage.clock.cursor)}`);
     slider.style.width = `${(newest / wide()) * 100}%`;
     nextFrame(draw);
   }
@@ -69,16 +70,6 @@ function range(tracks) {
   const all = tracks.flatMap(({ frames }) => frames.map(({ value, score }) => value ?? score));
   const high = Math.min(1, Math.ceil(Math.max(...all) * 10) / 10);
   return [Math.max(0, Math.min(high - 0.2, Math.floor(Math.min(...all) * 10) / 10)), high];
-}
-
-/** A step in words, for screen readers. */
-function tip(track, step) {
-  const frame = track?.frames[step];
-  if (!frame) return `Step ${step}`;
-  const move = track.annotation?.moves[step - 1];
-  const gave = move && move.label !== "best" ? ` ${move.label}: lost ${points(move.regret)}.` : "";
-  const possible = frame.value === null ? "" : ` ${points(frame.value)} still possible.`;
-  return `Step ${step}: ${frame.message}${gave}${possible}`;
 }
 
 function drawScale(ctx, y, [low, high], width) {

@@ -1,11 +1,13 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
 import { recall, remember } from "./base.js";
-import { el, fact, toast } from "./dom.js";
+import { el, fact, setText, toast } from "./dom.js";
 import { points } from "./format.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
 export const UNLISTED = "Flights with Undo, values or a fork are not listed and not kept as your best.";
+const ABOUT = "Shown to all in the list of the map of the day.";
+const REFUSED = "Use at most 20 letters, digits, _ and -, without spaces. Your next flight has no name.";
 /** Maps whose best score is kept. */
 const KEPT = 200;
 /** @type {Intl.DateTimeFormatOptions} */
@@ -30,27 +32,29 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   const list = el("ol.best-today");
   const field = el("input.input", {
     id: "name",
-    maxlength: "20",
-    pattern: "[\\p{L}\\p{N}_\\-]*",
-    title: "Letters, digits, _ and -; used from your next flight on",
+    pattern: "[\\p{L}\\p{N}_\\-]{0,20}",
+    "aria-describedby": "about-name",
     autocomplete: "nickname",
     value: nameOf() ?? "",
     on: { change: rename },
   });
   const unlisted = el("p.note", { id: "unlisted", text: UNLISTED });
-  const refused = el("p.note", { role: "alert" });
-  root.append(head, figures, unlisted, list, el("label.name-field.eyebrow", "Your name", field), refused);
+  const about = el("p.note", { id: "about-name", role: "alert", text: ABOUT });
+  root.append(head, figures, unlisted, list, el("label.name-field.eyebrow", "Your name", field), about);
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
 
   function rename() {
     field.value = field.value.trim();
-    refused.textContent = field.checkValidity() ? "" : "Use letters, digits, _ and - without spaces. Your next flight has no name.";
+    const fits = field.checkValidity();
+    setText(about, fits ? ABOUT : REFUSED);
     // An invalid name is no name, rather than the one before.
     remember(NAME, field.value);
-    field.blur();
+    // A refused one stays in sight, to be corrected.
+    if (fits) field.blur();
     if (fleet.mine?.steps === 0) acts.reset();
-    else if (!refused.textContent) toast("Used from your next flight on.");
+    else if (fits) toast("Used from your next flight on.");
+    if (!fits) about.scrollIntoView({ block: "nearest" });
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
@@ -67,10 +71,10 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     if (root.hidden) return;
     if (fleet.own) keep(fleet.own);
     unlisted.hidden = !fleet.own || fleet.own.unnamed === fleet.own.pilot;
-    const { score, optimal_score: optimum, network, network_score } = track.annotation ?? {};
+    const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [
-      [track.name, score],
+      [fleet.own?.name, fleet.own?.annotation?.score],
       ["Your best", best?.[1]],
       ["Possible", optimum ?? best?.[2]],
       [fleet.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
