@@ -4,16 +4,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 
-from tests.tools import reserved_port
-
-ROOT = Path(__file__).parents[2]
+from tests.tools import ROOT, eventually, reserved_port
 
 
 class Server:
@@ -39,21 +36,17 @@ class Server:
                 [sys.executable, *command, "--port", str(port)], cwd=ROOT, env=environment, stdout=log, stderr=log
             )
         try:
-            self._wait()
+            eventually(self._answers, self.log.read_text)
         except BaseException:
             self.kill()
             raise
 
-    def _wait(self) -> None:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
-            assert self.process.poll() is None, self.log.read_text()
-            try:
-                if self.client.get("/health", timeout=1).status_code == 200:
-                    return
-            except httpx.HTTPError:
-                time.sleep(0.05)
-        raise AssertionError(f"the server did not answer: {self.log.read_text()}")
+    def _answers(self) -> bool:
+        assert self.process.poll() is None, self.log.read_text()
+        try:
+            return self.client.get("/health", timeout=1).status_code == 200
+        except httpx.HTTPError:
+            return False
 
     def kill(self) -> None:
         """Kill the process."""

@@ -4,7 +4,6 @@ import os
 import shlex
 import shutil
 import subprocess
-import time
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 
 import httpx
 
-from tests.api.serving import ROOT, Server
-from tests.tools import missing_tool, reserved_port
+from tests.api.serving import Server
+from tests.tools import ROOT, eventually, is_taken, missing_tool, reserved_port
 
 DEPLOY = ROOT / "deploy"
 COMMAND = ["-m", "drone_env.cli", "serve"]
@@ -48,21 +47,10 @@ class Nginx:
         self._draining: list[subprocess.Popen[bytes]] = []
         self.process = subprocess.Popen([*self.command, "-g", "daemon off;"])
         try:
-            self._wait(folder / "error.log")
+            eventually(lambda: is_taken(port), (folder / "error.log").read_text)
         except BaseException:
             self.close()
             raise
-
-    def _wait(self, log: Path) -> None:
-        deadline = time.monotonic() + 30
-        with httpx.Client() as client:
-            while time.monotonic() < deadline:
-                try:
-                    client.get(f"{self.url}/health")
-                    return
-                except httpx.HTTPError:
-                    time.sleep(0.05)
-        raise AssertionError(f"nginx did not answer: {log.read_text(encoding='utf-8')}")
 
     def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
         """`deploy/drain.sh out` or `in`, running."""

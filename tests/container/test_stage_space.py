@@ -10,8 +10,8 @@ import yaml
 
 from tests.contract import official
 from tests.package.installed import copy_tracked
+from tests.tools import tracked
 
-from .commands import ROOT
 from .test_dockerfile import START, instructions
 
 COLOURS = {"red", "yellow", "green", "blue", "indigo", "purple", "pink", "gray"}
@@ -68,8 +68,7 @@ def test_openenv_takes_it_and_leaves_the_page_and_the_start_as_they_are(space: P
 
 def test_all_sources_are_pushed(pushed: Path) -> None:
     sent = {file.relative_to(pushed) for file in (pushed / "drone_env").rglob("*") if file.is_file()}
-    tracked = subprocess.run(["git", "ls-files", "drone_env"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert sent == {Path(line) for line in tracked.stdout.splitlines()}
+    assert sent == {Path(name) for name in tracked("drone_env")}
 
 
 def test_the_front_matter_is_what_the_hub_takes(space: Path) -> None:

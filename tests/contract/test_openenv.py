@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 import sys
 import uuid
 from pathlib import Path
@@ -22,8 +21,9 @@ from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.map_choice import TaskApi
 from drone_env.server.settings import Settings
-from tests.api.serving import ROOT, Server
+from tests.api.serving import Server
 from tests.contract import official
+from tests.tools import ROOT, ran
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
 
@@ -163,8 +163,8 @@ def test_the_manifest_declares_what_a_client_discovers(server: Server) -> None:
 
 def test_the_oracle_reaches_the_optimum_and_the_canaries_stay_at_the_floor(server: Server) -> None:
     reward = yaml.safe_load((ROOT / "openenv.yaml").read_text(encoding="utf-8"))["validation"]["reward"]
-    command = [sys.executable, str(ROOT / "validation" / "solve.py"), "--url", server.url]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = ran(sys.executable, "validation/solve.py", "--url", server.url)
+    assert done.returncode == 0, done.stderr
     oracle, *canaries = [float(line.rpartition(" ")[2]) for line in done.stdout.splitlines()]
     high = reward["range"][1]
     assert oracle >= high - reward["oracle_tolerance"]

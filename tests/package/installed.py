@@ -26,16 +26,14 @@ sys.path.insert(0, str(ROOT))
 
 from drone_env import __version__  # noqa: E402
 from tests.stranger import background  # noqa: E402
-from tests.tools import path_of_python, reserved_port  # noqa: E402
+from tests.tools import path_of_python, reserved_port, tracked  # noqa: E402
 
 
 def copy_tracked(folder: Path) -> None:
     """Copy the tracked files into a new folder, as they are now."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
+    for name in tracked():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, folder / name)
 
 
 def build(folder: Path, *kinds: str) -> list[Path]:

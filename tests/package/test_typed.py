@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from tests.api.serving import serving
-from tests.package.installed import ROOT, copy_tracked
-from tests.tools import find_uv, missing_tool
+from tests.package.installed import copy_tracked
+from tests.tools import ROOT, find_uv, missing_tool, ran
 
 TRAIN = "train.py --task easy_delivery --episodes 500"
 JSON = "-H 'Content-Type: application/json'"
@@ -59,9 +59,7 @@ def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
     pytest.importorskip("torch")
 
     def train() -> str:
-        command = [sys.executable, *shlex.split(str(ROOT / TRAIN))]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        done = ran(sys.executable, *shlex.split(str(ROOT / TRAIN)), cwd=tmp_path)
         assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
         return done.stdout + done.stderr
 

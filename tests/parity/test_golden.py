@@ -19,9 +19,8 @@ from tests.parity.golden import (
     golden_hashes,
     golden_seeds,
 )
-from tests.tools import find_python, missing_tool
+from tests.tools import find_python, missing_tool, ran
 
-ROOT = Path(__file__).parents[2]
 GOLDEN: Hashes = json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))
 FIRST = {name: {**hashes, **hashes["first"]} for name, hashes in GOLDEN.items()}
 """The hashes over the first seeds alone."""
@@ -31,13 +30,7 @@ ELSEWHERE, EXPECTED = (N_SEEDS, GOLDEN) if THOROUGH else (N_FIRST, FIRST)
 
 def hashes_from_another_process(python: str) -> dict[str, Any]:
     """What `golden.py` prints under this interpreter."""
-    done = subprocess.run(
-        [python, "-W", "error", str(ROOT / "tests/parity/golden.py"), "--seeds", str(ELSEWHERE)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(python, "-W", "error", "tests/parity/golden.py", "--seeds", ELSEWHERE)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

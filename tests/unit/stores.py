@@ -1,9 +1,7 @@
 """What the tests of the store share."""
 
 import json
-import time
 from pathlib import Path
-from typing import Any
 
 from drone_env.core.episode import Episode
 from drone_env.planning.optimal import solve
@@ -40,10 +38,3 @@ def view(folder: Path) -> list[StoredEpisode]:
     content = json.loads((folder / "memory.json").read_bytes())
     assert (content["format"], content["format_version"]) == ("drone_env/memory", 1)
     return [StoredEpisode.model_validate_json(json.dumps(episode)) for episode in content["episodes"]]
-
-
-def eventually(holds: Any) -> None:
-    deadline = time.monotonic() + 100
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)

@@ -11,7 +11,8 @@ from drone_env.planning.optimal import Solution, solve
 from drone_env.results import optima
 from drone_env.results.finished import EpisodeSummary, analyse
 from drone_env.results.store import Store
-from tests.unit.stores import eventually, flown
+from tests.tools import eventually
+from tests.unit.stores import flown
 
 
 def test_an_analysis_looks_at_the_newest(store: Store) -> None:
