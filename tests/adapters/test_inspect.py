@@ -1,7 +1,6 @@
 """The drone as a task of Inspect, flown through Inspect's own evaluation: `tools/verify.sh adapters`."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,9 @@ from drone_env.core.seeds import SPLITS
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.record import EpisodeRecord, replay
-from tests.llm.conftest import Endpoint
+from tests.llm.conftest import Endpoint, Start
 from tests.tools import ran
 
-Start = Callable[..., Endpoint]
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 

@@ -4,7 +4,7 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,9 @@ from drone_env.llm.limiter import Options
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 
-from .conftest import ROOT, TOKEN, Endpoint, blocks, environment, verified
+from .conftest import ROOT, TOKEN, Start, blocks, environment, verified
 from .stored_run import Scripted, fly
 
-Start = Callable[..., Endpoint]
 ROUTES = int(os.environ.get("DRONE_ENV_LLM_ROUTES", "30"))
 """Number of flights with one call each."""
 

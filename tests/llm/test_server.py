@@ -3,7 +3,6 @@
 import asyncio
 import json
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +17,10 @@ from drone_env.results.store import FILE_NAME, Store
 from tests.api.serving import Server
 from tests.tools import reserved_port
 
-from .conftest import Endpoint
+from .conftest import Start
 
 
-def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path) -> None:
+def test_a_server_flies_along(endpoint: Start, tmp_path: Path) -> None:
     async def follow(episode: Episode) -> None:
         with following(server.url, "mine") as on_step:
             assert on_step is not None
@@ -40,7 +39,7 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         server.kill()
 
 
-def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Callable[..., Endpoint]) -> None:
+def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Start) -> None:
     waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
     scripted = endpoint(pilot="greedy", faults=[[0, 0, waiting]])
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--max-calls", "5")
@@ -62,7 +61,7 @@ def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoin
 
 
 def test_a_store_that_fails_costs_no_paid_flight(
-    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    endpoint: Start, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scripted = endpoint(pilot="greedy")
 
@@ -79,7 +78,7 @@ def test_a_store_that_fails_costs_no_paid_flight(
 
 
 def test_without_a_server_or_docker_nothing_is_sent(
-    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    endpoint: Start, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scripted = endpoint(pilot="greedy")
     done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{reserved_port()}")
