@@ -85,6 +85,9 @@ def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
     analysis = analyse(TASKS["easy_delivery"], 5, rows)
     assert (analysis.episodes_total, analysis.episodes, analysis.regret_episodes) == (5, 3, 1)
     assert analysis.mean_regret == pytest.approx(0.9375 - 0.9)
+    averages = (analysis.average_reward, analysis.average_score, analysis.average_steps, analysis.average_deliveries)
+    assert averages == pytest.approx((1, 2.3 / 3, 20 / 3, 2 / 3))
+    assert (analysis.deliveries, analysis.success_rate) == (2, pytest.approx(2 / 3))
     # The middle one of three belongs to neither half.
     assert analysis.success_trend == -1
     assert analysis.action_distribution["WAIT"] == 12 / 20
