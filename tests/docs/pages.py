@@ -85,9 +85,5 @@ def _apply(block: Block, marks: list[tuple[str, str, str]]) -> None:
     for kind, command, text in marks:
         if kind == "not run" and command:
             block.skipped[command] = text
-        elif kind == "not run":
-            block.not_run = text
-        elif kind == "output of":
-            block.output_of = text
         else:
-            block.file = text
+            setattr(block, kind.replace(" ", "_"), text)

@@ -112,13 +112,7 @@ def test_the_prompt_asks_for_one_word_and_tells_the_last_steps(endpoint: Start) 
     for told in ("delivery drone", "Goal: deliver every parcel", "exactly one", "in uppercase"):
         assert told in system["content"]
     assert re.findall(r"\b[A-Z]{2,}\b", system["content"]) == ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
-    assert user["content"].split("\n") == [
-        "Position: (6, 3)",
-        "Battery: 100% (60 units)",
-        "Target: (5, 1)",
-        "Distance: 3",
-        "Step: 0 of 60",
-    ]
+    assert user["content"].startswith("Position: (6, 3)\nBattery: 100% (60 units)\nTarget: (5, 1)\n")
     assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")
     assert last["content"].endswith("Last steps:\n2. UP -> (5, 2). On the way.")
 

@@ -16,13 +16,14 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import urllib.request
 import venv
 import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
+
+import httpx  # noqa: E402
 
 from drone_env import __version__  # noqa: E402
 from tests.stranger import background  # noqa: E402
@@ -103,23 +104,17 @@ class Installed:
     def check_server(self, files: list[str]) -> None:
         """Check the page with all its files, and a step over HTTP."""
         port = reserved_port()
-        url, command = f"http://127.0.0.1:{port}", [str(self.bin / "drone-env"), "serve", "--port", str(port)]
-        with background(command, port, self.place, self.environment):
-            assert json.loads(get(f"{url}/health"))["status"] == "healthy"
+        command = [str(self.bin / "drone-env"), "serve", "--port", str(port)]
+        with (
+            background(command, port, self.place, self.environment),
+            httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client,
+        ):
+            assert client.get("/health").json()["status"] == "healthy"
             for file in files:
-                assert get(f"{url}/static/{file}"), file
-            body = json.dumps({"task_name": "hard_delivery", "seed": 7}).encode()
-            request = urllib.request.Request(f"{url}/reset", body, {"Content-Type": "application/json"})
-            assert len(json.loads(get(request))["grid"]) == 18
+                assert client.get(f"/static/{file}").raise_for_status().content, file
+            assert len(client.post("/reset", json={"task_name": "hard_delivery", "seed": 7}).json()["grid"]) == 18
             # Last, because the server compiles the first solver for it.
-            assert b"<title>" in get(f"{url}/")
-
-
-def get(request: "str | urllib.request.Request") -> bytes:
-    """Return the body of a response with status 200."""
-    with urllib.request.urlopen(request, timeout=60) as answer:
-        assert answer.status == 200, answer.status
-        return answer.read()
+            assert "<title>" in client.get("/").raise_for_status().text
 
 
 def contents(wheel: Path) -> dict[str, bytes]:
@@ -138,7 +133,7 @@ def check(file: Path, page: list[str], python: str | None = None) -> None:
     """Install a wheel or a source distribution, and check it.
 
     Raises:
-        AssertionError, OSError, RuntimeError: if something does not work.
+        AssertionError, OSError, RuntimeError, httpx.HTTPError: if something does not work.
         subprocess.CalledProcessError: if it cannot be installed.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -163,7 +158,7 @@ def main() -> int:
             try:
                 check(file, page_files(wheel), python)
                 print(f"{version} {file.name}: works", flush=True)
-            except (AssertionError, OSError, RuntimeError, subprocess.CalledProcessError) as error:
+            except (AssertionError, OSError, RuntimeError, httpx.HTTPError, subprocess.CalledProcessError) as error:
                 failed = 1
                 print(f"{version} {file.name}: failed: {error}", flush=True)
     return failed
