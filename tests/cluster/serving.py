@@ -4,12 +4,9 @@ import os
 import shlex
 import shutil
 import subprocess
-from collections.abc import Generator, Iterable
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
-
-import httpx
 
 from tests.api.serving import Server
 from tests.tools import ROOT, eventually, is_taken, missing_tool, reserved_port
@@ -83,18 +80,15 @@ class Cluster:
         settings: Of each server, without the prefix.
     """
 
-    def __init__(self, folder: Path, count: int, settings: dict[str, str]) -> None:
+    def __init__(self, folder: Path, count: int, **settings: str) -> None:
         self.folder = folder
         self.settings = settings
         self.servers: dict[int, Server] = {}
-        # Kept connections would count as sessions of the server when it is drained.
-        self._direct = httpx.Client(limits=httpx.Limits(max_keepalive_connections=0))
-        ports = {reserved_port() for _ in range(count)}
-        assert len(ports) == count
-        self.nginx = Nginx(folder, sorted(ports))
+        ports = sorted(reserved_port() for _ in range(count))
+        self.nginx = Nginx(folder, ports)
         self.url = self.nginx.url
         try:
-            for port in sorted(ports):
+            for port in ports:
                 self.start(port)
         except BaseException:
             self.close()
@@ -111,7 +105,8 @@ class Cluster:
         return sum(request["path"] == path for request in requests)
 
     def _requests(self, port: int) -> list[dict[str, Any]]:
-        return self._direct.get(f"{self.servers[port].url}/terminal_logs").json()["requests"]
+        # Its client keeps no connection, which would count as a session of the server when it is drained.
+        return self.servers[port].client.get("/terminal_logs").json()["requests"]
 
     def start(self, port: int) -> Server:
         """Start the server of a port, also again."""
@@ -120,18 +115,7 @@ class Cluster:
 
     def close(self) -> None:
         """End all of it."""
-        self._direct.close()
         for server in self.servers.values():
             if server.process.poll() is None:
                 server.kill()
         self.nginx.close()
-
-
-@contextmanager
-def cluster(folder: Path, count: int, **settings: str) -> Generator[Cluster, None, None]:
-    """Servers behind nginx for the time of the block."""
-    running = Cluster(folder, count, settings)
-    try:
-        yield running
-    finally:
-        running.close()

@@ -15,7 +15,7 @@ from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import InvalidValueError, UnknownNameError
 from tests.contract.test_vector import N, actions_of
-from tests.property.test_vector import assert_same
+from tests.same import assert_same
 
 PAGE = Path(__file__).parents[2] / "docs" / "sb3.md"
 

@@ -14,7 +14,7 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import following
 from drone_env.results.store import FILE_NAME, Store
-from tests.api.serving import Server
+from tests.api.serving import serving
 from tests.tools import reserved_port
 
 from .conftest import Start
@@ -26,8 +26,7 @@ def test_a_server_flies_along(endpoint: Start, tmp_path: Path) -> None:
             assert on_step is not None
             await on_step(episode)
 
-    server = Server(["-m", "drone_env.cli", "serve"], tmp_path / "data", reserved_port(), {})
-    try:
+    with serving(tmp_path / "data", ("-m", "drone_env.cli", "serve")) as server:
         done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
         assert (done.status, done.turns) == (0, {"ok": 3}), done.err
         (stored,) = server.client.get("/memory_logs", timeout=30).json()["episodes"]
@@ -35,8 +34,6 @@ def test_a_server_flies_along(endpoint: Start, tmp_path: Path) -> None:
         # Here the battery is smaller than the server's.
         with pytest.raises(InvalidValueError, match=r"other rules: map 14, step 0: battery_steps.* is 60, must be 25"):
             asyncio.run(follow(Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14)))
-    finally:
-        server.kill()
 
 
 def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Start) -> None:

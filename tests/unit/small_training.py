@@ -58,19 +58,3 @@ def finished(trainer: AnyTrainer) -> AnyTrainer:
 
 def parameters(network: nn.Module) -> list[torch.Tensor]:
     return [parameter.detach().clone() for parameter in network.parameters()]
-
-
-def assert_same(a: Any, b: Any) -> None:
-    """Bit for bit, tensors and plain values."""
-    if isinstance(a, torch.Tensor):
-        assert torch.equal(a, b)
-    elif isinstance(a, dict):
-        assert a.keys() == b.keys()
-        for key in a:
-            assert_same(a[key], b[key])
-    elif isinstance(a, (list, tuple)):
-        assert len(a) == len(b)
-        for x, y in zip(a, b, strict=True):
-            assert_same(x, y)
-    else:
-        assert a == b or (a != a and b != b)  # NaN is equal to NaN here

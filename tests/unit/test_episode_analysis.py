@@ -12,7 +12,7 @@ from drone_env.results import optima
 from drone_env.results.finished import EpisodeSummary, analyse
 from drone_env.results.store import Store
 from tests.tools import eventually
-from tests.unit.stores import flown
+from tests.unit.stores import failing, flown
 
 
 def test_an_analysis_looks_at_the_newest(store: Store) -> None:
@@ -59,13 +59,10 @@ def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     store.add_episode(flown(), "someone")
-    with store._database.writing() as connection:
-        connection.execute("CREATE TRIGGER full BEFORE INSERT ON optima BEGIN SELECT RAISE(ABORT, 'disk is full'); END")
-    analysis = store.analysis("easy", patience=240)
+    with failing(store.folder, "INSERT ON optima"):
+        analysis = store.analysis("easy", patience=240)
     assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
     assert caplog.text.count("optima of easy_delivery could not be solved or stored: store ") == 1
-    with store._database.writing() as connection:
-        connection.execute("DROP TRIGGER full")
     assert store.listed(9, patience=240)[0].optimal_score == solve("easy", 7).score
 
 

@@ -18,7 +18,8 @@ from drone_env.errors import InvalidValueError
 from drone_env.rl.run import load_checkpoint, save_checkpoint
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
-from tests.unit.small_training import SMALL_TOUR, assert_same, finished
+from tests.same import assert_same
+from tests.unit.small_training import SMALL_TOUR, finished
 
 # That it goes on
 
@@ -32,11 +33,9 @@ def state_of(trainer: TourTrainer) -> dict[str, Any]:
     return state
 
 
-def assert_equal_windows(a: TourTrainer, b: TourTrainer) -> None:
-    for x, y in zip(a._windows, b._windows, strict=True):
-        assert len(x) == len(y)
-        for one, other in zip(x, y, strict=True):
-            assert all(map(np.array_equal, (*one.features, one.values), (*other.features, other.values)))
+def windows(trainer: TourTrainer) -> list[Any]:
+    """The lessons that it holds."""
+    return list(map(list, trainer._windows))
 
 
 def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None:
@@ -46,7 +45,7 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
     list(islice(whole.train(), 8))
     for updates in (1, 3, 4):
         list(islice(parts.train(), updates))
-    assert_equal_windows(whole, parts)
+    assert_same(windows(whole), windows(parts))
     save_checkpoint(tmp_path / "run.pth", parts.get_state())
     # Another seed, for what the checkpoint fails to bring with it; its configuration is the same.
     other = TourTrainer(replace(config, seed=1))
@@ -54,7 +53,7 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
     other.set_state(load_checkpoint(tmp_path / "run.pth"))
     for trainer in (whole, parts, other):
         next(iter(trainer.train()))
-    assert_equal_windows(whole, other)
+    assert_same(windows(whole), windows(other))
     assert max(len(window) for window in whole._windows) == config.window
     assert_same(state_of(whole), state_of(parts))
     assert_same(state_of(whole), state_of(other))
