@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from drone_env.agents.weights_file import write_weights
 from drone_env.results.store import Store
-from tests.api.networks import put_tour
 
 
 @pytest.fixture
@@ -18,4 +18,12 @@ def store(tmp_path: Path) -> Iterator[Store]:
 @pytest.fixture(scope="session")
 def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a tour network of random weights."""
-    return put_tour(tmp_path_factory.mktemp("network") / "tour.safetensors")
+    import torch  # slow to load
+
+    from drone_env.rl.models import TourNet
+
+    torch.manual_seed(0)
+    file = tmp_path_factory.mktemp("network") / "tour.safetensors"
+    parameters = {name: tensor.numpy() for name, tensor in TourNet().state_dict().items()}
+    write_weights(file, parameters, {"network": "tournet"})
+    return file
