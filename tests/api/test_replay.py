@@ -75,6 +75,17 @@ def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestC
     [
         ("skyline_easy", ["LEFT", "RIGHT"] * 6, "Each step costs a unit; a pad was 4 cells away."),
         ("skyline_easy", ["UP", "LEFT", "DOWN"] * 5, "Buildings cost 3 units; a pad was 3 cells away."),
+        # The last step drains only what is left.
+        (
+            "skyline_easy",
+            ["UP", "RIGHT", "UP", "RIGHT", "RIGHT", "UP", "RIGHT", "LEFT", "DOWN", "UP", "LEFT"],
+            "Buildings cost 3 units; a pad was 1 cell away.",
+        ),
+        (
+            "skyline_easy",
+            ["UP", "UP", "LEFT", "UP", "LEFT", "UP", "LEFT", "RIGHT", "UP"],
+            "Buildings cost 3 units; the drone reached a pad with an empty battery.",
+        ),
         ("easy", ["WAIT"] * 60, "Each step costs a unit."),
     ],
 )

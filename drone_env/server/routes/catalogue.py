@@ -1,7 +1,7 @@
 """The routes that list tasks, graders, cell kinds and pilots, and the health check."""
 
 from dataclasses import fields
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter
@@ -29,7 +29,8 @@ STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
 """Events that do not change the distance to the target."""
 
 
-_CONVERTED = ("drain", "impassable", "terrain")
+_CONVERTED = ("buildings", "trees", "obstacles", "drain", "impassable", "terrain")
+CellCount = Annotated[int | None, Field(description="Number of such cells; null if maps differ: windows of a city.")]
 _PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in _CONVERTED}
 
 
@@ -52,6 +53,9 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     """One task: the fields of its `TaskConfig`, except for the terrain."""
 
     name: str = Field(description="Same as `id`.")
+    buildings: CellCount
+    trees: CellCount
+    obstacles: CellCount
     drain: dict[str, int] = Field(description="Battery units of a step by kind of cell below the drone.")
     impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
     charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
@@ -66,9 +70,14 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     @classmethod
     def of(cls, task: TaskConfig) -> Self:
         """Describe a task."""
+        sizes = None if task.terrain is None else (task.terrain.width, task.terrain.height)
+        same = sizes in (None, (task.width, task.height))
         return cls(
             **{name: getattr(task, name) for name in _PLAIN},
             name=task.id,
+            buildings=task.buildings if same else None,
+            trees=task.trees if same else None,
+            obstacles=task.obstacles if same else None,
             drain={
                 CELL_KINDS[cell].name: units for cell, units in (dict.fromkeys(TERRAIN, 1) | dict(task.drain)).items()
             },

@@ -1,7 +1,7 @@
 """The routes for flights: replay frame by frame, analysis move by move, and the values of a flight after a step."""
 
 from contextlib import suppress
-from itertools import chain, pairwise
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 
 from drone_env.agents.base import BatchAgent
 from drone_env.core.actions import Action, Outcome
-from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rules import score
@@ -132,19 +132,16 @@ def why_failed(flown: Episode) -> str:
         return f"The steps ran out: a flight has {task.max_steps}."
     if flown.outcome is not Outcome.BATTERY_DEAD:
         return ""
-    cells = FlightHeader.of(Episode(task, seed=flown.seed), "").cells
-    units = pairwise([task.battery_capacity, *(step.battery for step in flown.path)])
-    costly = {
-        CELL_KINDS[Cell(cells[step.y][step.x])].name: before - after
-        for step, (before, after) in zip(flown.path, units, strict=True)
-        if before - after > 1
-    }
+    grid = Episode(task, seed=flown.seed).grid()
+    below = {int(grid[step.y, step.x]) for step in flown.path}
+    costly = {CELL_KINDS[kind].name: units for kind, units in task.drain if units > 1 and kind in below}
     costs = " and ".join(f"{kind}s cost {units} units" for kind, units in costly.items()) or "each step costs a unit"
     x, y = flown.position
     away = min((abs(x - pad % task.width) + abs(y - pad // task.width) for pad in pads), default=None)
     if away is None:
         return f"{costs.capitalize()}."
-    end = f"a pad was {away} {'cell' if away == 1 else 'cells'} away" if away else "the pad came one unit too late"
+    distance = f"a pad was {away} {'cell' if away == 1 else 'cells'} away"
+    end = distance if away else "the drone reached a pad with an empty battery"
     return f"{costs.capitalize()}; {end}."
 
 
