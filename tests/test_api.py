@@ -31,17 +31,13 @@ def flying(http: TestClient) -> TestClient:
 
 
 def get(http: TestClient, path: str) -> Any:
-    answer = http.get(path)
-    assert answer.status_code == 200, answer.text
-    return answer.json()
+    return http.get(path).raise_for_status().json()
 
 
 def fly(http: TestClient, *directions: str) -> dict[str, Any]:
     answer: dict[str, Any] = {}
     for direction in directions:
-        told = http.post("/step", json={"direction": direction})
-        assert told.status_code == 200, told.text
-        answer = told.json()
+        answer = http.post("/step", json={"direction": direction}).raise_for_status().json()
     return answer
 
 

@@ -15,6 +15,7 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.results.evaluate import episodes_key, evaluate, run_episodes, summarise
 from drone_env.results.result import COLUMNS, Results, concatenate
+from tests.same import assert_same
 
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:
@@ -23,8 +24,7 @@ def test_results_are_the_same_whole_or_in_pieces() -> None:
     assert [len(chunk.seeds) for chunk in chunks] == [5, 5, 5, 5, 3]
     together = concatenate(chunks, key)
     for name in COLUMNS:
-        assert np.array_equal(getattr(whole, name), getattr(together, name))
-        assert getattr(whole, name).dtype == getattr(together, name).dtype
+        assert_same(getattr(together, name), getattr(whole, name))
 
 
 @pytest.mark.parametrize("agent", ["greedy", "optimal"])
