@@ -23,13 +23,6 @@ def http(tmp_path: Path) -> Generator[TestClient, None, None]:
         yield client
 
 
-@pytest.fixture
-def flying(http: TestClient) -> TestClient:
-    """The same, at the start of easy map 14."""
-    assert http.post("/reset", json={"task_name": "easy_delivery", "seed": 14}).status_code == 200
-    return http
-
-
 def get(http: TestClient, path: str) -> Any:
     return http.get(path).raise_for_status().json()
 
@@ -131,15 +124,16 @@ QUERIES = {
 
 
 @pytest.mark.feature("P6")
-def test_every_endpoint_there_is_answers(flying: TestClient) -> None:
-    described = get(flying, "/openapi.json")["paths"]
+def test_every_endpoint_there_is_answers(http: TestClient) -> None:
+    described = get(http, "/openapi.json")["paths"]
     routes = {(method, path) for path, methods in described.items() for method in methods}
-    assert flying.post("/predict").status_code == 200
-    fly(flying, *BEST)
-    episode = get(flying, "/episodes")["episodes"][0]["id"]
-    bodies = BODIES | {"/annotate": get(flying, f"/episodes/{episode}")}
+    assert http.post("/reset", json={"task_name": "easy_delivery", "seed": 14}).status_code == 200
+    assert http.post("/predict").status_code == 200
+    fly(http, *BEST)
+    episode = get(http, "/episodes")["episodes"][0]["id"]
+    bodies = BODIES | {"/annotate": get(http, f"/episodes/{episode}")}
     for method, path in sorted(routes - {("post", "/predict"), ("post", "/reset"), ("delete", "/session")}):
         filled = path.format(task_name="easy", seed=7, episode_id=episode)
-        answer = flying.request(method, filled, json=bodies.get(path), params=QUERIES.get(path))
+        answer = http.request(method, filled, json=bodies.get(path), params=QUERIES.get(path))
         assert answer.status_code == 200, (method, path, answer.text)
-    assert flying.delete("/session").status_code == 204
+    assert http.delete("/session").status_code == 204

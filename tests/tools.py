@@ -13,8 +13,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """The large packages that `uv sync` leaves out; the extra `dev` contains them."""
@@ -23,6 +21,8 @@ ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
 
 def missing_tool(name: str) -> NoReturn:
     """Skip the test that needs `name`, or fail it if `DRONE_ENV_REQUIRE_TOOLS=1`."""
+    import pytest  # programs that use this file do without
+
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         pytest.fail(f"missing tool: {name}")
     pytest.skip(f"missing tool: {name}")
@@ -68,7 +68,8 @@ def ran(*command: object, cwd: Path = ROOT, **variables: str) -> "subprocess.Com
     """Run a program to its end, with this checkout on the path of Python."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
     words = list(map(str, command))
-    return subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    nothing = subprocess.DEVNULL
+    return subprocess.run(words, cwd=cwd, env=environment, stdin=nothing, capture_output=True, text=True, check=False)
 
 
 def tracked(*folders: str) -> list[str]:

@@ -1,7 +1,6 @@
 """OpenEnv's clients, server and validator with our server and environment."""
 
 import json
-import shutil
 import sys
 import uuid
 from pathlib import Path
@@ -22,6 +21,7 @@ from drone_env.server.app import create_app
 from drone_env.server.map_choice import TaskApi
 from drone_env.server.settings import Settings
 from tests.api.serving import Server
+from tests.package.installed import copy_tracked
 from tests.tools import ROOT, ran
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
@@ -162,7 +162,8 @@ def test_the_manifest_names_what_there_is_and_the_validator_passes_it(tmp_path: 
     levels = [TASKS[task] for task in STANDARD]
     assert manifest["tasks"] == [{"id": task.id, "grader": task.grader} for task in levels]
     assert manifest["graders"] == [{"id": task.grader} for task in levels]
-    done = CliRunner().invoke(app, ["validate", str(_package(tmp_path)), "--level", "static"])
+    copy_tracked(tmp_path)  # nobody writes there meanwhile
+    done = CliRunner().invoke(app, ["validate", str(tmp_path), "--level", "static"])
     assert done.exit_code == 0, done.output
 
 
@@ -183,11 +184,3 @@ def test_the_oracle_reaches_the_optimum_and_the_canaries_stay_at_the_floor(serve
     assert oracle >= high - reward["oracle_tolerance"]
     assert canaries == [0.01] * 9
     assert high - max(canaries) >= reward["floor_margin"]
-
-
-def _package(folder: Path) -> Path:
-    """What the validator reads of this repository, where nobody writes beside it."""
-    package = folder / "package"
-    shutil.copytree(ROOT / "validation", package / "validation")
-    shutil.copy(ROOT / "openenv.yaml", package)
-    return package

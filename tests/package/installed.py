@@ -133,7 +133,7 @@ def check(file: Path, page: list[str], python: str | None = None) -> None:
     """Install a wheel or a source distribution, and check it.
 
     Raises:
-        AssertionError, OSError, RuntimeError, httpx.HTTPError: if something does not work.
+        AssertionError, OSError, httpx.HTTPError: if something does not work.
         subprocess.CalledProcessError: if it cannot be installed.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -158,7 +158,7 @@ def main() -> int:
             try:
                 check(file, page_files(wheel), python)
                 print(f"{version} {file.name}: works", flush=True)
-            except (AssertionError, OSError, RuntimeError, httpx.HTTPError, subprocess.CalledProcessError) as error:
+            except (AssertionError, OSError, httpx.HTTPError, subprocess.CalledProcessError) as error:
                 failed = 1
                 print(f"{version} {file.name}: failed: {error}", flush=True)
     return failed
