@@ -39,6 +39,13 @@ TOY = TaskConfig(
 """Every event pays something else, so that a reward tells which event was paid."""
 
 
+PLUGIN_OF_HOPS = """
+from dataclasses import replace
+from drone_env import get_task, register_task
+hops = replace(get_task("easy"), id="hops", short_name="hops", grader="drone_env.graders:grade_hops")
+register_task(replace(hops, width=5, height=5))
+"""
+"""A module that registers a task."""
 LOG_OF_MAP_14 = """\
 [START] task=drone_env.graders:grade_easy env=drone_env_v1 model={}
 [STEP] step=1 action=LEFT reward=0.15 done=false error=null

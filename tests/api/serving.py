@@ -1,5 +1,6 @@
 """A server process, started as users start it."""
 
+import json
 import os
 import signal
 import subprocess
@@ -9,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
+import websockets.sync.client
 
 from tests.tools import ROOT, eventually, reserved_port
 
@@ -47,6 +49,15 @@ class Server:
             return self.client.get("/health", timeout=1).status_code == 200
         except httpx.HTTPError:
             return False
+
+    def assert_well(self) -> None:
+        """A page can fly, the health is good, and nothing has failed."""
+        with websockets.sync.client.connect(self.url.replace("http", "ws") + "/live", open_timeout=60) as page:
+            page.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
+            while json.loads(page.recv(timeout=60))["type"] != "flights":
+                pass
+        assert self.client.get("/health", timeout=60).status_code == 200
+        assert "Traceback" not in self.log.read_text()
 
     def kill(self) -> None:
         """Kill the process."""

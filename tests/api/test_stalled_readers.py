@@ -6,7 +6,6 @@ import re
 
 import httpx
 import pytest
-import websockets.sync.client
 from starlette.testclient import TestClient
 
 from drone_env.server.logs import KEPT, RequestLog
@@ -29,12 +28,7 @@ def test_pages_that_do_not_read_hold_up_nobody_and_are_read_from_no_more(server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             for _ in range(2 * KEPT):
                 assert http.get("/nowhere/" + "x" * 190).status_code == 404
-        with websockets.sync.client.connect(server.url.replace("http", "ws") + "/live", open_timeout=60) as other:
-            other.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
-            while json.loads(other.recv(timeout=60))["type"] != "flights":
-                pass
-    assert server.client.get("/health", timeout=60).status_code == 200
-    assert "Traceback" not in server.log.read_text()
+        server.assert_well()
 
 
 @pytest.mark.feature("H9")

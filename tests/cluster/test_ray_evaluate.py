@@ -16,6 +16,7 @@ from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from tests.llm.conftest import ROOT
 from tests.same import assert_same
+from tests.toy import PLUGIN_OF_HOPS
 
 from .conftest import node_killed_when
 
@@ -79,11 +80,7 @@ def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
 
 
 def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Path, cluster: Any) -> None:
-    task = "replace(get_task('easy'), id='hops', short_name='hops', grader='drone_env.graders:grade_hops')"
-    (tmp_path / "cluster_hops.py").write_text(
-        "from dataclasses import replace\nfrom drone_env.core.tasks import get_task\n"
-        f"from drone_env.envs.registry import register_task\nregister_task({task})\n"
-    )
+    (tmp_path / "cluster_hops.py").write_text(PLUGIN_OF_HOPS)
     words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json", "-"]
     on_ray = [*words, "--engine", "ray", "--address", cluster.address]
     plugged = {**os.environ, "DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
