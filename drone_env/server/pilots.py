@@ -156,11 +156,11 @@ def check_name(name: str) -> str:
 
 
 def display_name(agent: str) -> str:
-    """The name of an agent for people: pilots by their names, a person as `A person`; the other parts unchanged."""
+    """The name of an agent for people: pilots and people by their names, or `A person`; the other parts unchanged."""
     provenance = Provenance.parse(agent)
     pilot, pilots = provenance.pilot, all_pilots()
-    name = "A person" if pilot == HUMAN else pilots[pilot].name if pilot in pilots else pilot
-    return str(provenance._replace(pilot=name, of=provenance.of and display_name(provenance.of)))
+    name = provenance.name or "A person" if pilot == HUMAN else pilots[pilot].name if pilot in pilots else pilot
+    return str(provenance._replace(pilot=name, name=None, of=provenance.of and display_name(provenance.of)))
 
 
 @lru_cache

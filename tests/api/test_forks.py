@@ -81,6 +81,20 @@ def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: T
     assert ids == {row["id"] for row in client.get("/episodes").json()["episodes"]}
 
 
+def test_a_race_that_is_over_is_opened_to_all_its_ends_and_stays_the_flight_of_who_flew_it(client: TestClient) -> None:
+    whole = {"actions": ["WAIT"] * 60, "step": 0, "of": "human (Ada) with undo"}
+    with open_page(client) as page:
+        own, greedy = page.start("human", "greedy", fork=whole, step=60, name="Bob")
+        assert own["frames"][-1]["done"]
+        assert own["opening"]["by"] == "human (Ada) with undo"
+        assert greedy["frames"][-1]["done"]
+        # A flight that goes on is that of who goes on; the others have flown as far as the link says.
+        left = {"actions": ["WAIT"], "step": 0, "of": "human (Ada)"}
+        own, greedy = page.start("human", "greedy", fork=left, step=3, name="Bob")
+        assert own["opening"]["by"] == "human (Bob)"
+        assert [len(flight["frames"]) - 1 for flight in (own, greedy)] == [1, 3]
+
+
 def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_so(client: TestClient) -> None:
     with open_page(client) as page:
         (shown,) = page.start("human")

@@ -1,5 +1,6 @@
 """Flights of the past: frame by frame, annotated, listed with the optima of their maps."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -70,6 +71,40 @@ def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestC
     assert best.score == analysis.optimum
 
 
+def best_after(episode: Episode, action: Action) -> Episode:
+    """A best flight that goes on with an action."""
+    flight = episode.copy().fly([action])
+    return flight if flight.ended else flight.fly(solve_episode(flight).actions)
+
+
+@pytest.mark.parametrize(
+    ("task", "seed", "agent", "kind"),
+    [
+        ("medium", 0, "random", "which keeps 3 of 3 parcels in reach, not 2"),  # two moves were best
+        ("hard", 0, "greedy", "which saves 2 steps and leaves 2 more battery units"),
+        ("skyline_easy", 3, "greedy", "which leaves 6 more battery units"),
+    ],
+)
+def test_the_worst_move_says_what_the_best_ones_gain(
+    shared_client: TestClient, task: str, seed: int, agent: str, kind: str
+) -> None:
+    flight = flown(task, agent, seed=seed)
+    told = shared_client.post("/annotate", content=record_of(flight, "me").to_json(), headers=JSON).json()
+    regrets = [move["regret"] for move in told["moves"]]
+    assert told["worst_step"] == regrets.index(max(regrets)) + 1
+    assert told["worst_why"] == kind
+    # The same from the planner, which the server does not ask.
+    worst = told["moves"][told["worst_step"] - 1]
+    start = Episode(task, "tiered", seed).fly(flight.actions[: told["worst_step"] - 1])
+    best, after = (best_after(start, Action[name]) for name in (worst["best_actions"][-1], worst["action"]))
+    numbers = {*map(int, re.findall(r"\d+", kind))}
+    if best.deliveries_done > after.deliveries_done:
+        assert numbers == {best.deliveries_done, after.deliveries_done}
+    else:
+        gains = (after.steps - best.steps, best.battery_units - after.battery_units)
+        assert numbers == {gain for gain in gains if gain > 0}
+
+
 @pytest.mark.parametrize(
     ("task", "actions", "why"),
     [
@@ -103,7 +138,7 @@ def test_a_failed_flight_says_why_and_from_where_it_could_still_be_won(
     assert (told["why"], told["rescue_step"]) == (why, sum(won) - 1)
     best = record(task, agent="optimal")
     told = shared_client.post("/annotate", content=best.to_json(), headers=JSON).json()
-    assert (told["why"], told["rescue_step"]) == ("", None)
+    assert (told["why"], told["rescue_step"], told["worst_step"], told["worst_why"]) == ("", None, None, "")
 
 
 def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(

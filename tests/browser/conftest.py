@@ -72,10 +72,7 @@ def loaded(shared: Tabs) -> Page:
 def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
     """A page that other tests have used: loading one takes longer than most tests."""
     tabs.unexpected()  # what came too late for the test before
-    page.evaluate(
-        "localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close());"
-        "document.querySelectorAll('.telemetry[open]').forEach(one => { one.open = false; })"
-    )
+    page.evaluate("localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close())")
     show(page, "/?view=learn")
     yield page
     assert tabs.unexpected() == []

@@ -72,6 +72,11 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     compare(page)
     page.get_by_role("checkbox", name=f"Compare {MARKUP}").check()
     page.get_by_role("checkbox", name="Compare Random").check()
+    # A long name is broken into lines within its column.
+    assert page.evaluate(
+        """[...document.querySelectorAll("#view-compare td .named")].every(
+            one => one.getBoundingClientRect().right <= one.closest("td").getBoundingClientRect().right)"""
+    )
     # The third pilot takes the place of the first.
     page.get_by_role("checkbox", name="Compare Greedy").check()
     expect(page.get_by_role("checkbox", name=f"Compare {MARKUP}")).not_to_be_checked()
@@ -84,6 +89,67 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     expect(rows(page, "Random against Greedy").first.locator("td").first).to_have_text(str(first["seed"]))
     press(page, f"Fly both over map {first['seed']}")
     expect(page).to_have_url(f"{server.url}/?task=easy&seed={first['seed']}&pilots=random,greedy")
+
+
+def test_a_tick_moves_and_opens_nothing_and_a_name_ticks_nothing(page: Page, server: Server) -> None:
+    fill(server.data, [flown("skyline_hard", 1, agent) for agent in ("greedy", "random", "optimal")])
+    compare(page, "skyline_hard")
+    board, boxes = page.get_by_role("region", name="Leaderboard"), page.get_by_role("checkbox")
+    expect(boxes).to_have_count(3)
+    address = page.url
+
+    def places() -> list[float]:
+        return [box["y"] for one in boxes.all() if (box := one.bounding_box())]
+
+    before, ticked = places(), page.get_by_role("checkbox", checked=True)
+    boxes.nth(0).click()
+    expect(ticked).to_have_count(1)
+    assert (places(), page.url) == (before, address)
+    boxes.nth(1).click()
+    expect(page.locator("dl.paired")).to_be_visible()
+    assert places() == before
+    boxes.nth(1).click()
+    expect(page).to_have_url(address)
+    expect(ticked).to_have_count(1)
+    expect(page.locator("dl.paired")).to_be_hidden()
+    # Opening a row is another choice.
+    press(page, "Random")
+    expect(rows(page, "Maps of Random")).to_have_count(1)
+    expect(ticked).to_have_count(1)
+    opened = places()
+    boxes.nth(2).click()
+    expect(page).to_have_url(re.compile("pilots="))
+    assert places() == opened
+    expect(board.get_by_role("button", expanded=True)).to_have_text("Random")
+
+
+def test_many_people_leave_the_leaderboard_readable(page: Page, server: Server) -> None:
+    flight = flown("city_small", 5, "greedy")
+    people = [f"human (Person-{number})" for number in range(30)]
+    fill(server.data, [flight, *(flight.model_copy(update={"agent": one}) for one in people)])
+    compare(page, "city_small")
+    lines = rows(page, "Leaderboard")
+    expect(lines).to_have_count(4)
+    expect(lines.filter(has_text="Greedy")).to_have_count(1)
+    # Who is ticked stays listed, also from a link.
+    show(page, "/?view=compare&task=city_small&pilots=greedy,human%20(Person-7)")
+    expect(page.locator("dl.paired")).to_contain_text("Person-7 scores higher")
+    expect(lines).to_have_count(5)
+    # An untick, too, moves nothing.
+    page.get_by_role("checkbox", name="Compare Person-7").uncheck()
+    expect(page.locator("dl.paired")).to_be_hidden()
+    expect(lines).to_have_count(5)
+    press(page, "More people: 26")
+    expect(lines).to_have_count(31)
+    expect(page.get_by_role("button", name="More people: 26")).to_have_attribute("aria-expanded", "true")
+    # A person has one spelling, and one colour.
+    newest = rows(page, "Flights, newest first").first
+    expect(newest.locator("td").first).to_have_text("Person-29")
+    colour = next(one["colour"] for one in get(server, "pilots")["pilots"] if one["id"] == "human")
+    for line in (newest, lines.filter(has_text="Person-29")):
+        expect(line.locator(".dot")).to_have_attribute("style", f"--colour: var(--pilot-{colour});")
+    newest.get_by_role("button").click()
+    expect(page.locator("#results-title")).to_have_text(re.compile("^Person-29: "))
 
 
 def test_runs_of_models_and_trainings(page: Page, server: Server, data: Path) -> None:

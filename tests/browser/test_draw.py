@@ -6,7 +6,7 @@ from playwright.sync_api import Page, Route, expect
 
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
-from tests.browser.shown import expect_step, points
+from tests.browser.shown import expect_step, pictures, points
 from tests.browser.stage import choices, open_file, press, show, until, view
 from tests.browser.tabs import Tabs
 
@@ -86,6 +86,17 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(note).to_have_text("The parcel in 22 steps")
     press(page, "Undo")
     expect(score).to_have_text(shown)
+    # An empty map is not replaced by one that still loads.
+    loading: list[Route] = []
+    page.route("**/maps/skyline_easy/7", lambda route, _: loading.append(route))
+    show(page, "?view=draw&task=skyline_easy&seed=7")
+    until(page, lambda: bool(loading))
+    press(page, "Empty map")
+    expect(note).to_have_text("The parcel in 22 steps")
+    with page.expect_response("**/maps/skyline_easy/7"):
+        loading[0].continue_()
+    pictures(page)
+    expect(page.get_by_role("spinbutton", name="Columns")).to_have_value("12")
     # An address of no map shows neither the map before nor an empty one.
     show(page, "?view=draw&task=atlantis")
     expect(problem).to_contain_text("atlantis")

@@ -83,7 +83,8 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     best = " or ".join(move["best_actions"])
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
     lost = points(move["regret"])
-    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {lost}; best: {best}")
+    better = f"best: {best}, {annotation['worst_why']}"
+    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {lost}; {better}")
     seen.click()
     expect_frame(page, flight[worst - 1], 60)
     page.keyboard.press("ArrowRight")
@@ -106,6 +107,9 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect_frame(page, flight[worst], 60)
     lost = f"Lost {points(move['regret'], 2)}. Best move: {best}."
     expect(page.locator("#move-detail")).to_contain_text(lost)
+    listed = page.locator("#moves").bounding_box()
+    assert listed
+    assert listed["height"] > 200, "most moves are seen without scrolling"
     page.keyboard.press("ArrowRight")  # the line of the moment is beside the mark
     expect_frame(page, flight[worst + 1], 60)
     pictures(page)  # drawn

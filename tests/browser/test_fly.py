@@ -16,6 +16,7 @@ from tests.browser.shown import (
     expect_frame,
     expect_step,
     fixed,
+    painted,
 )
 from tests.browser.stage import at_speed, choices, ended, fly, map_number, over, pilot, press, until
 
@@ -71,6 +72,7 @@ def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Serve
     expect_frame(page, flight[0], 160)
     press(page, "Step")
     expect_frame(page, flight[1], 160)
+    until(page, lambda: painted(page.locator("#boards .map-air"), "--network") == ["--network"])
     thoughts = page.get_by_role("table", name="Each move from here")
     ranked = sorted(flight[1]["q_values"].items(), key=lambda pair: -pair[1])
     for action, value in ranked:

@@ -144,3 +144,35 @@ def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page], wid
     size = page.locator("#boards .map-air").bounding_box()
     assert size
     assert min(size["width"], size["height"]) ** 2 >= 0.4 * width * height
+
+
+def test_a_message_covers_no_button(beside: Callable[..., Page]) -> None:
+    page = beside("/?view=learn")
+    for width, height in ((1440, 900), (1024, 768), (390, 844), (844, 390)):
+        page.set_viewport_size({"width": width, "height": height})
+        for path, sign in (
+            ("task=skyline_easy&seed=7&pilot=human", "#boards .map-air"),
+            ("task=easy&seed=5&pilots=greedy,random&step=999", ".strip"),
+            ("view=draw&task=skyline_easy&seed=7", "#drawing .map-air"),
+            ("view=compare&task=easy&pilots=greedy,random", "dl.paired"),
+        ):
+            show(page, f"/?{path}")
+            expect(page.locator(sign)).to_be_visible()
+            pictures(page)  # drawn
+            seen, covered = page.evaluate(
+                """path => {
+                    history.pushState(null, "", path);
+                    dispatchEvent(new PopStateEvent("popstate"));
+                    const toast = document.querySelector(".toast").getBoundingClientRect();
+                    const over = one => one.left < toast.right && one.right > toast.left
+                        && one.top < toast.bottom && one.bottom > toast.top;
+                    const buttons = [...document.querySelectorAll("button, a, input, select, summary")]
+                        .filter(one => one.checkVisibility({ visibilityProperty: true }));
+                    return [
+                        toast.height > 0 && toast.top >= 0 && toast.bottom < innerHeight,
+                        buttons.filter(one => over(one.getBoundingClientRect())).map(one => one.outerHTML),
+                    ];
+                }""",
+                f"/?{path}&lesson=junk",
+            )
+            assert (seen, covered) == (True, []), (width, path)

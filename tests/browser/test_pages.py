@@ -17,7 +17,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
-from tests.browser.stage import at_speed, fly, press, view
+from tests.browser.stage import at_speed, ended, fly, press, view
 from tests.browser.test_several import KEYS
 
 ALONE = ("easy", 18)
@@ -52,6 +52,9 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     for action in best[1:]:
         page.keyboard.press(KEYS[DIRECTIONS[action]])
     expect(reached).to_have_count(3)
+    # The button of the next task would leave the lesson.
+    expect(ended(page)).to_contain_text("All parcels delivered")
+    expect(page.locator("#next")).to_be_hidden()
     # Another map is no part of the lesson.
     page.keyboard.press("n")
     expect(bar).to_be_hidden()
@@ -61,9 +64,6 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(reached).to_have_count(0)
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy finish"])
-    # The button of the next task would leave the lesson.
-    expect(page.locator("#again")).to_be_visible()
-    expect(page.locator("#next")).to_be_hidden()
     # The blunder counts as found when the visitor looks at it, not while the flight plays.
     at_speed(page, "10")  # slow enough that the page shows each step
     press(page, "Replay")
@@ -73,6 +73,7 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     page.locator("#worst").click()
     expect(reached).to_have_count(2)
     page.locator("#again").click()
+    expect(page).to_have_url(re.compile("&lesson=2$"))
     expect_flying(page, "Greedy", "You")
     for key in (" ", " ", *["ArrowLeft"] * 3):
         page.keyboard.press(key)
@@ -98,6 +99,15 @@ def test_the_tasks_of_a_family_are_shown_side_by_side_as_the_server_states_them(
         for event, row in {"delivery": "Delivery", "wait": "Wait", "battery_dead": "Battery empty"}.items():
             pays = (task["rewards"]["tiered"][event] for task in levels)
             assert [row, *(" / ".join(map(fixed, pay)) for pay in pays)] in rows
+    legend = page.get_by_role("region", name="Legend")
+    kinds = [kind for kind in get(server, "kinds")["kinds"] if kind["name"] != "unknown"]
+    expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
+    # Figures of the map, not emoji, which need a font; and kinds have no rewards.
+    assert legend.inner_text().isascii()
+    assert "reward" not in legend.inner_text().lower()
+    empty = """all => all.map(one => one.getContext("2d").getImageData(0, 0, one.width, one.height).data)
+        .filter(pixels => !pixels.some(Boolean)).length"""
+    assert legend.locator("canvas").evaluate_all(empty) == 1, "only a road has no figure"
 
 
 @pytest.mark.feature("D1")

@@ -53,9 +53,15 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
         expect(phone.locator(f".view:visible {sign}").first).to_be_visible()
         expect(phone.get_by_role("link", name=name, exact=True)).to_be_in_viewport(ratio=1)
         expect_no_wider(phone)
-    show(phone, "/?view=compare&task=easy&pilots=greedy,random")
-    expect(phone.locator("dl.paired")).to_be_visible()
-    expect_no_wider(phone)
+    # Nor does a table of Compare, and all its columns are there.
+    for chosen, sign in (("pilots=greedy,random", "dl.paired"), ("pilot=random", ".opened tr")):
+        show(phone, f"/?view=compare&task=easy&{chosen}")
+        expect(phone.locator(sign).first).to_be_visible()
+        expect_no_wider(phone)
+        wide = "all => all.filter(e => e.scrollWidth > e.clientWidth).map(e => e.ariaLabel)"
+        assert phone.locator(".scroller").evaluate_all(wide) == []
+        hidden = "all => all.filter(e => getComputedStyle(e).display === 'none').map(e => e.dataset.name)"
+        assert phone.locator("#view-compare td").evaluate_all(hidden) == []
     show(phone, "/?view=draw")
     expect(phone.locator("#map-note")).to_contain_text("22 steps")
     expect_no_wider(phone)
@@ -91,6 +97,14 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     expect(phone.locator(".plan-choices")).to_be_in_viewport(ratio=1)
     expect_no_wider(phone)
     flight.click()
+    show(phone, "/?view=draw&task=skyline_easy&seed=7")
+    expect(phone.locator("#map-note")).to_contain_text("All 3 parcels")
+    drawn = phone.locator("#drawing .map-air")
+    expect(drawn).to_be_in_viewport(ratio=1)
+    box = drawn.bounding_box()
+    assert box
+    assert min(box["width"], box["height"]) > 0.75 * 390
+    expect_no_wider(phone)
     phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
 
 

@@ -9,9 +9,9 @@ from drone_env.core.episode import Episode
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import fill, flown, get, posted
+from tests.browser.flights import fill, flown, frames, get, posted
 from tests.browser.shown import expect_step, painted, points
-from tests.browser.stage import fly, over, pilot, press, show, standings
+from tests.browser.stage import ended, fly, over, pilot, press, show, slider, standings
 
 SEED = 20
 """A map on which chance, too, delivers, after twelve steps."""
@@ -29,9 +29,10 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     boards = page.get_by_role("img", name="City map")
 
     def expect_ranked(at: int) -> None:
-        """The best first; of equals the one that is named first."""
+        """The best first, at the end; before, nobody stands before others for what is only possible."""
         now = {name: value[min(at, len(value) - 1)] for name, value in values.items()}
-        expect(names).to_have_text(sorted(now, key=now.__getitem__, reverse=True))
+        best_first = sorted(now, key=now.__getitem__, reverse=True)
+        expect(names).to_have_text(best_first if at >= len(values["Random"]) - 1 else list(NAMES.values()))
         row = standings(page).filter(has_text="Random").get_by_role("cell")
         # The standings tell possible scores from final ones.
         flies = "up to " if at < len(values["Random"]) - 1 else ""
@@ -49,6 +50,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     names = standings(page).get_by_role("rowheader")
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     expect(names).to_have_text(list(NAMES.values()))
+    page.keyboard.press("q")  # hides the arrows of the network, which have the colour of its pilot
     # Brackets in the colour of the pilot that is looked at surround its target.
     for number, agent in enumerate(NAMES, 1):
         page.keyboard.press(str(number))
@@ -73,6 +75,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     expect(page.locator("#standings")).to_be_hidden()
     assert painted(boards, *colours.values()) == [colours["random"]]
     expect(page.locator(".pilot", has_text="Random")).to_have_attribute("style", f"--lane: var({colours['random']});")
+    page.keyboard.press("q")
 
 
 KEYS = {"UP": "ArrowUp", "DOWN": "ArrowDown", "LEFT": "ArrowLeft", "RIGHT": "ArrowRight", "WAIT": " "}
@@ -111,7 +114,88 @@ def test_a_fork_has_its_values_and_link(page: Page, beside: Callable[..., Page],
         press(page, "Undo")
         expect_step(page, left, 160)
     expect(page.get_by_role("button", name="Undo", exact=True)).to_be_disabled()
+    # The flight that it left stays where it is.
+    expect(page).to_have_url(f"{link}&ended=23")
+    page.reload()
+    expect(standing(page, "PathQNet").first).to_have_text("23")
+
+
+def test_while_a_race_is_on_parcels_count_not_promises(page: Page, server: Server) -> None:
+    flights = {NAMES[agent]: frames(server, flown("hard", 7, agent)) for agent in NAMES}
+
+    def parcels(name: str, step: int) -> int:
+        flight = flights[name]
+        return flight[min(step, len(flight) - 1)]["deliveries_done"]
+
+    def rank(name: str, step: int) -> tuple[float, ...]:
+        """Parcels, then the score of a flight that delivered them all, else how early it had them."""
+        done = parcels(name, step)
+        early = -next(at for at in range(step + 1) if parcels(name, at) == done)
+        return done, flights[name][-1]["score"] if done == 5 else early
+
+    over(page, 7, "/?task=hard&seed=7&pilots=random,greedy,pathqnet,optimal&step=999")
+    ended(page)
+    names, seen = standings(page).get_by_role("rowheader"), set[str]()
+    listed = ["Random", "Greedy", "PathQNet", "Optimal"]
+    for step in (0, 5, 10, 15, 20, 30, 40, 50, len(flights["Greedy"])):
+        slider(page).fill(str(step))
+        ranked = sorted(listed, key=lambda name: rank(name, step), reverse=True)
+        expect(names).to_have_text(ranked)
+        seen.add(" ".join(ranked))
+    assert len(seen) > 2, seen
+    # One who has not moved has every promise, and stands behind who has delivered.
+    over(page, SEED, f"/?task=easy&seed={SEED}&pilots=human,optimal")
+    expect(names).to_have_text(["You", "Optimal"])
+    press(page, "Step")
+    press(page, "Step")
+    expect(names).to_have_text(["You", "Optimal"])
+    fly(page, "Resume")
+    expect(names).to_have_text(["Optimal", "You"])
+    expect(page.locator("#standings-note")).to_have_text(
+        "Ranked by parcels delivered, then by who was first; at the end by score."
+    )
+
+
+def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
+    page: Page, beside: Callable[..., Page], server: Server
+) -> None:
+    best = flown("easy", 31, "optimal").actions
+    page.evaluate("localStorage['drone-env-name'] = 'Ada'")
+    over(page, 31, "/?task=easy&seed=31&pilots=human,random")
+    expect_step(page, 0, 60)
+    for action in best:
+        page.keyboard.press(KEYS[action])
+    # Chance flies longer than the person.
+    fly(page, "Resume")
+    ended(page)
+    last = len(flown("easy", 31, "random").actions)
+    assert last > len(best)
+    letters = "".join(action[0] for action in best)
+    link = f"{server.url}/?task=easy&seed=31&pilots=human,random&of=human%20(Ada)&actions={letters}&ended={last}"
     expect(page).to_have_url(link)
+    page.evaluate("localStorage['drone-env-name'] = 'Bob'; delete localStorage['drone-env-best']")
+    tab = beside(link)
+    expect(tab.locator("#results-title")).to_have_text("Ada: All parcels delivered.")
+    expect_step(tab, len(best), len(best))
+    expect(slider(tab)).to_have_value(str(last))
+    expect(tab.get_by_text("Easy · map 31 · Ada, Random")).to_be_visible()
+    shown = [text.strip().replace("You", "Ada") for text in standings(page).all_inner_texts()]
+    expect(standings(tab)).to_have_text(shown, use_inner_text=True)
+    expect(tab).to_have_url(link)
+    ended(tab)
+    # Who opens the link has not flown.
+    assert {row["agent"] for row in get(server, "episodes", task="easy", seed=31)["episodes"]} == {
+        "human (Ada)",
+        "random",
+    }
+    assert tab.evaluate("localStorage['drone-env-best']") is None
+    # A moment of it, too.
+    tab.keyboard.press("Home")
+    tab.keyboard.press("ArrowRight")
+    expect(tab).to_have_url(f"{link.removesuffix(f'&ended={last}')}&step=1&ended={last}")
+    tab.reload()
+    expect_step(tab, 1, len(best))
+    expect(tab.locator("#standings-note")).to_contain_text("At the end: 1st of 2")
 
 
 def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, server: Server) -> None:

@@ -37,6 +37,8 @@ interface Context extends Emitter {
   /** The socket. */
   live: import("../../drone_env/server/static/js/live.js").Live;
   tasks: Answer<"TaskInfo">[];
+  /** A task by its short name, id or grader. */
+  task(name: string | null): Answer<"TaskInfo"> | undefined;
   /** The tasks by family. */
   families: Map<string, Answer<"TaskInfo">[]>;
   pilots: Answer<"PilotInfo">[];
@@ -54,6 +56,8 @@ interface Context extends Emitter {
   /** Whether a layer is shown. */
   shows(id: string): boolean;
   showLayer(id: string, shown: boolean): void;
+  /** A task by its id, short name or grader. */
+  task(name: string | null): Answer<"TaskInfo"> | undefined;
   /** Loads the task of a drawn map, which `/tasks` does not list. */
   meet(name: string | null): Promise<void>;
 }
@@ -80,7 +84,7 @@ interface Address {
   of: string | null;
   /** The selected flight, from 1; by default the visitor's, or else the first. */
   selected: number | null;
-  /** The newest step of flights that have all ended, if the page shows an earlier one. */
+  /** The steps that the pilots have flown, if neither the moves nor the step say it. */
   ended: number | null;
   /** From 1. */
   lesson: number | null;

@@ -40,7 +40,7 @@ class Start(Message):
     """Fly one map with one to eight pilots, and end the current flights.
 
     With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions. The agents
-    start after as many steps of their own, or with `step` after that many.
+    start after as many steps of their own, or with a greater `step` after that many.
     """
 
     type: Literal["start"]

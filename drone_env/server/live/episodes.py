@@ -17,6 +17,7 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.finished import check_agent
+from drone_env.results.record import fly_directions
 from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import (
     Beginning,
@@ -274,7 +275,7 @@ async def open_flights(command: Start, shared: AppState, caller: str, last: Epis
     """
     start, agents, forking = await run_in_threadpool(_choose, command, shared, last)
     fork = command.fork
-    steps = command.step if fork is None else len(fork.actions)
+    steps = max(command.step, 0 if fork is None else len(fork.actions))
     beginnings: list[Beginning | None] = []
     for number, agent in enumerate(agents):
         forked = None if fork is None or number != forking else fork.actions
@@ -326,9 +327,13 @@ def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Epi
         own = fork.step == 0 and HUMAN in agents
         forking = agents.index(HUMAN) if own else len(agents) - 1
         agents[forking] = str(Provenance.of_fork(agents[forking], fork.step, fork.of))
-    flying = map(Provenance.parse, agents)
-    named = [one._replace(name=command.name) if one.pilot == HUMAN else one for one in flying]
-    return start, [check_agent(str(one)) for one in named], forking
+    # Who opens the link to a finished flight has not flown it.
+    over = fork is not None and any(one.ended for one in fly_directions(start.copy(), fork.actions))
+    flying = [Provenance.parse(agent) for agent in agents]
+    for number, one in enumerate(flying):
+        if one.pilot == HUMAN and not (over and number == forking):
+            flying[number] = one._replace(name=command.name)
+    return start, [check_agent(str(one)) for one in flying], forking
 
 
 def _open(

@@ -19,7 +19,7 @@ from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score, Seed
 from drone_env.planning.optimal import Solution, solve_episode
-from drone_env.results.analysis import Label, analyse_flight
+from drone_env.results.analysis import FlightAnalysis, Label, Move, analyse_flight
 from drone_env.results.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, frame_of, plan
@@ -63,6 +63,8 @@ class AnalysedFlight(Message):
     accuracy: float | None = Field(description="Fraction of best moves among moves with a margin.")
     counts: dict[Label, int] = Field(description="Moves by label.")
     moves: list[AnalysedMove]
+    worst_step: Count | None = Field(description="The move that lost most, the first of equals; null if none lost.")
+    worst_why: str = Field(description="What the best moves there gain: `which saves 2 steps`; empty if none lost.")
     why: str = Field(description="Why it failed, in one sentence; empty if it delivered all parcels.")
     rescue_step: Count | None = Field(
         description="The last step after which all parcels could still be delivered; null if there is none, or if all "
@@ -105,8 +107,12 @@ def _annotated(record: EpisodeRecord) -> str:
     analysis = analyse_flight(record, lambda start: job_context().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
     why = why_failed(replay(record))
+    worst = max(analysis.moves, key=lambda move: move.regret)
+    lost = worst.regret > 0
     network, network_score = network_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
+        worst_step=worst.step if lost else None,
+        worst_why=better(analysis, worst) if lost else "",
         why=why,
         network=network,
         network_score=network_score,
@@ -120,6 +126,26 @@ def _annotated(record: EpisodeRecord) -> str:
         optimal_path=path,
     )
     return answer.model_dump_json()
+
+
+def better(analysis: FlightAnalysis, move: Move) -> str:
+    """What the best actions gain over a move that lost something, if all further moves are best ones."""
+    task, solver = analysis.task, job_context().solver_of(analysis.task, analysis.seed)
+    before = [one.action for one in analysis.moves[: move.step - 1]]
+
+    def end(action: Action) -> Episode:
+        flight = Episode(task, seed=analysis.seed).fly([*before, action])
+        while not flight.ended:
+            flight.step(solver.optimal_actions(flight)[0])
+        return flight
+
+    best, flown = end(move.best_actions[0]), end(move.action)
+    if best.deliveries_done > flown.deliveries_done:
+        reach = f"{best.deliveries_done} of {task.deliveries}"
+        return f"which keeps {reach} parcels in reach, not {flown.deliveries_done}"
+    steps, units = flown.steps - best.steps, best.battery_units - flown.battery_units
+    gains = (("saves", steps, "step"), ("leaves", units, "more battery unit"))
+    return f"which {' and '.join(f'{gain} {n} {what}' + 's' * (n > 1) for gain, n, what in gains if n > 0)}"
 
 
 def why_failed(flown: Episode) -> str:

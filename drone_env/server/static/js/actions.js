@@ -10,9 +10,9 @@ export function actionsOf(context, fleet) {
   const { clock } = stage;
 
   async function givingUp(act, yes = "Give up") {
-    const { own } = fleet;
+    const { begun } = fleet;
     const question = yes === "Give up" ? yes : `${yes}, and give up`;
-    if (own && !(await ask(`${question} your flight at step ${own.steps}?`, yes, "Keep flying"))) return;
+    if (begun && !(await ask(`${question} your flight at step ${begun.steps}?`, yes, "Keep flying"))) return;
     act();
     const behavior = lessMotion() ? "instant" : "smooth";
     document.querySelector(".plan-bar").scrollIntoView({ block: "nearest", behavior });

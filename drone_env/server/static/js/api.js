@@ -1,6 +1,6 @@
 // HTTP requests. URLs are relative to the page, which may have a path prefix.
 import { recall, remember } from "./base.js";
-import { el } from "./dom.js";
+import { el, toast } from "./dom.js";
 
 const TOKEN = "drone-env-token";
 /** Characters that a header may contain. */
@@ -12,6 +12,17 @@ export class ApiError extends Error {
     super(detail);
     this.status = status;
     this.code = code;
+  }
+}
+
+/** The answer of a request; if the server refuses it, null, and the page says why. @template T @param {() => T|Promise<T>} ask */
+export async function tried(ask) {
+  try {
+    return await ask();
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    toast(error.message);
+    return null;
   }
 }
 

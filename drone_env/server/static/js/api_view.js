@@ -48,15 +48,18 @@ export function mount(root, context) {
     el("div.logs", requests.root, training.root),
   );
 
-  live.on("requests", (message) => requests.add(message.requests.map((r) => [r.number, requestLine(r)])));
+  live.on("requests", (message) => requests.add(message.requests.map(requestLine)));
   live.on("training", ({ lines }) => {
     training.clear();
-    training.add(lines.map((line) => [null, el("li", { text: line })]));
+    training.add(lines.map((line) => el("li", { text: line })));
   });
-  // After a restart the server numbers its requests from 1 again.
+  // After each subscription the server sends the requests from the first one on.
   live.on("state", ({ state }) => state === "open" && requests.clear());
-
-  context.on("view", (view) => view === "api" && live.subscribe(TOPICS));
+  context.on("view", (view) => {
+    if (view !== "api") return;
+    requests.clear();
+    live.subscribe(TOPICS);
+  });
 }
 
 function snippet([name, text]) {
@@ -78,7 +81,6 @@ function requestLine({ time, method, path, status, milliseconds }) {
 /** A list that stays scrolled to its newest line unless the visitor scrolls up. */
 class Log {
   constructor(name, id, empty) {
-    this.keys = new Set();
     this.list = el("ol", { id });
     this.frame = el(
       "div.log-frame",
@@ -90,20 +92,16 @@ class Log {
     this.root = el("section.log", { "aria-labelledby": `${id}-title` }, heading, this.none, this.frame);
   }
 
-  /** @param {[any, HTMLElement][]} lines Each with a key; a repeated key is skipped unless it is null. */
   add(lines) {
-    const fresh = lines.filter(([key]) => key === null || !this.keys.has(key));
-    if (!fresh.length) return;
+    if (!lines.length) return;
     this.show(true);
     const atEnd = this.frame.scrollTop + this.frame.clientHeight >= this.frame.scrollHeight - 8;
-    for (const [key] of fresh) if (key !== null) this.keys.add(key);
-    this.list.append(...fresh.map(([, line]) => line));
+    this.list.append(...lines);
     while (this.list.childElementCount > KEPT) this.list.firstElementChild.remove();
     if (atEnd) this.frame.scrollTop = this.frame.scrollHeight;
   }
 
   clear() {
-    this.keys.clear();
     this.list.replaceChildren();
     this.show(false);
   }

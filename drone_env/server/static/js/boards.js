@@ -49,9 +49,7 @@ export function mountBoards(root, context) {
   stage.on("change", draw);
   context.on("camera", draw);
   listenToDrags(grid, context);
-  const board = new Board(field, context);
-  draw();
-  return board;
+  return new Board(field, context);
 }
 
 /** Zooms in until the cells are large enough for a visitor who flies, while drone and target are in view. */

@@ -28,7 +28,6 @@ export function mountCalls(root, context) {
   }
 
   stage.on("change", draw);
-  draw();
 }
 
 /** An answer, and the reason if it was unusable. */

@@ -1,9 +1,9 @@
 // Compare: leaderboard, pairs, runs over the same maps, training curves and newest flights.
 import { el, keepFocus } from "./dom.js";
 import { Flights } from "./flights.js";
-import { title, who } from "./format.js";
-import { leaderboard, mapsOf, paired, runsOf, unflown } from "./rankings.js";
-import { Training } from "./training.js";
+import { title } from "./format.js";
+import { leaderboard, paired, runsOf, unflown } from "./rankings.js";
+import { mountTraining } from "./training.js";
 
 const TOPICS = ["episodes", "training"];
 /** Milliseconds between the end of a flight and the reload, which may cover several flights. */
@@ -14,7 +14,7 @@ const MOST = 2;
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
-  const training = new Training(root);
+  const train = mountTraining(root);
   let shown = false;
   const look = () => {
     const before = shown;
@@ -26,7 +26,7 @@ export function mount(root, context) {
     }
   };
   router.on("address", look);
-  live.on("training", ({ curve }) => shown && training.show(curve));
+  live.on("training", ({ curve }) => shown && train(curve));
   live.on("episodes", ({ episodes }) => shown && compare.onEpisodes(episodes));
   live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
   look();
@@ -38,7 +38,8 @@ class Compare {
     this.request = 0;
     this.timer = 0;
     this.failed = false;
-    this.task = this.board = this.runs = null;
+    this.task = this.board = null;
+    this.reset();
     const option = (task) => el("option", { value: task.short_name, text: title(task.short_name) });
     const group = ([family, tasks]) => el("optgroup", { label: title(family) }, ...tasks.map(option));
     this.choice = el(
@@ -52,6 +53,7 @@ class Compare {
     this.chosen = el("section.compare-part", { hidden: true });
     this.ranked = el("section.compare-part", { hidden: true });
     this.flights = new Flights(context);
+    this.parts = el("div.compare-parts", this.rows, this.chosen, this.ranked, this.flights.root);
     root.append(
       el(
         "div.view-head",
@@ -59,11 +61,16 @@ class Compare {
         el("div.filters", el("label", { for: "compare-task" }, el("span", { text: "Task" }), this.choice)),
       ),
       this.problem,
-      this.rows,
-      this.chosen,
-      this.ranked,
-      this.flights.root,
+      this.parts,
     );
+  }
+
+  /** The row that shows its maps, the boxes that are ticked, the answers for these, and who is listed whatever the rank. */
+  reset() {
+    this.opened = this.runs = this.maps = this.pairing = null;
+    this.ticked = [];
+    this.everyone = false;
+    this.listed = new Set();
   }
 
   /** The pilots of the address: one shows its maps, two are compared. */
@@ -71,48 +78,46 @@ class Compare {
     return this.context.router.address.pilots.slice(0, MOST);
   }
 
-  /** Those of them that have not flown the task. */
-  get missing() {
-    return this.pilots.filter((pilot) => !this.board.rows.some(({ agent }) => agent === pilot));
-  }
-
   go(pilots, task = this.task.short_name) {
     this.context.router.go({ view: "compare", task, pilots });
   }
 
-  look() {
-    const { task } = this.context.router.address;
-    if (this.task && (task === null || this.known(task) === this.task)) this.choose(this.request);
-    else if (task !== this.wanted) this.load();
+  open(agent) {
+    this.go(this.opened === agent ? [] : [agent]);
   }
 
-  known(name) {
-    return this.context.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name));
+  /** A single tick is not in the address, and moves nothing. A third one replaces the first. */
+  tick(agent, ticked) {
+    const others = this.ticked.filter((one) => one !== agent);
+    this.ticked = ticked ? [...others, agent].slice(-MOST) : others;
+    const pilots = this.ticked.length === MOST ? this.ticked : this.opened ? [this.opened] : [];
+    if (String(pilots) === String(this.pilots)) this.draw();
+    else this.go(pilots);
+  }
+
+  look() {
+    const { task } = this.context.router.address;
+    if (this.task && (task === null || this.context.task(task) === this.task)) this.choose(this.request);
+    else if (task !== this.wanted) this.load();
   }
 
   async load() {
     const request = ++this.request;
     const { api, router, stage, tasks } = this.context;
     this.wanted = router.address.task ?? stage.world?.task.short_name ?? null;
-    await this.trying(request, () => this.context.meet(this.wanted));
-    if (request !== this.request) return;
-    // An unknown task shows only the error.
-    const nowhere = this.wanted !== null && !this.known(this.wanted);
-    for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
-    if (nowhere) {
-      this.choice.value = "";
-      this.chosen.hidden = this.ranked.hidden = true;
-      this.task = this.drawn = null;
-    }
     await this.trying(request, async () => {
       const named = this.wanted ?? (await api.get("episodes", { limit: 1 })).episodes[0]?.task ?? tasks[0].id;
       await this.context.meet(named);
+      if (request !== this.request) return;
+      // An unknown task shows only the error.
+      this.parts.hidden = !this.context.task(named);
+      if (this.parts.hidden) this.task = this.choice.value = null;
       const board = await api.get(`leaderboard/${encodeURIComponent(named)}`);
       if (request !== this.request) return;
       this.board = board;
       if (this.task?.id !== board.task) {
-        this.task = this.known(board.task);
-        this.runs = null;
+        this.task = this.context.task(board.task);
+        this.reset();
         this.ranked.hidden = true;
       }
       this.choice.value = this.task.short_name;
@@ -130,30 +135,40 @@ class Compare {
   }
 
   async choose(request) {
-    const { api } = this.context;
-    const [a, b] = this.missing.length ? [] : this.pilots;
-    const path = b ? `paired/${this.board.task}` : `leaderboard/${this.board.task}/maps`;
-    const shown = JSON.stringify([this.board.task, a, b]);
-    // Hides the previous choice until the new one is loaded.
-    if (this.shown !== shown) this.draw(null);
-    this.shown = shown;
+    const { api, router } = this.context;
+    const { task, rows } = this.board;
+    const { address } = router;
+    const agents = rows.map(({ agent }) => agent);
+    const flown = this.pilots.filter((pilot) => agents.includes(pilot));
+    if (this.pilots.length === MOST) this.ticked = flown;
+    else {
+      this.opened = flown[0] ?? null;
+      if (this.ticked.length === MOST) this.ticked = [];
+    }
+    this.draw();
+    const [a, b] = this.ticked;
     await this.trying(request, async () => {
-      const answer = a ? await api.get(path, b ? { a, b } : { agent: a }) : null;
-      if (request === this.request && this.shown === shown) this.draw(answer);
+      const [maps, pairing] = await Promise.all([
+        this.opened && api.get(`leaderboard/${task}/maps`, { agent: this.opened }),
+        b && api.get(`paired/${task}`, { a, b }),
+      ]);
+      if (request !== this.request || address !== router.address) return;
+      [this.maps, this.pairing] = [maps, pairing && { ...pairing, pilots: [a, b] }];
+      this.draw();
     });
   }
 
-  draw(answer) {
-    const { context, task, board, pilots, missing } = this;
-    const drawn = JSON.stringify([board, pilots, answer]);
+  draw(everyone = this.everyone) {
+    this.everyone = everyone;
+    const { context, task, board, pilots, opened, ticked, maps, pairing } = this;
+    // Who was chosen stays listed: no row may move when a box is unticked.
+    for (const pilot of [opened, ...ticked]) this.listed.add(pilot);
+    const drawn = JSON.stringify([board, pilots, opened, ticked, everyone, maps, pairing]);
     if (this.drawn === drawn) return;
     this.drawn = drawn;
-    const two = pilots.length === 2;
-    const maps = !two && answer ? mapsOf(context, who(context, pilots[0]), answer.maps) : null;
-    const flown = pilots.filter((pilot) => !missing.includes(pilot));
-    const table = leaderboard(context, board, flown, maps, (chosen) => this.go(chosen));
-    keepFocus(this.rows, () => this.rows.replaceChildren(table));
-    const pair = two && answer ? paired(context, task, answer, pilots, board.rows) : [];
+    keepFocus(this.rows, () => this.rows.replaceChildren(leaderboard(context, board, this)));
+    const missing = pilots.filter((pilot) => !board.rows.some(({ agent }) => agent === pilot));
+    const pair = ticked.length === MOST && pairing ? paired(context, task, pairing, board.rows) : [];
     this.chosen.replaceChildren(...(missing.length ? unflown(context, task, missing, pilots) : pair));
     this.chosen.hidden = !this.chosen.childElementCount;
   }

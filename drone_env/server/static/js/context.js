@@ -2,6 +2,7 @@
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
 import { Camera } from "./camera.js";
+import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 import { Stage } from "./stage.js";
 
@@ -17,9 +18,10 @@ export function createContext(parts) {
     view: "fly",
     byHand: () => false,
     secret: () => false,
+    task: (name) => parts.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name)),
     shows(id) {
-      const { name, on } = LAYERS.find((layer) => layer.id === id);
-      return chosen.get(id) ?? (!name || (on?.(context) ?? false));
+      const { name, on, when } = LAYERS.find((layer) => layer.id === id);
+      return (when?.(context.stage) ?? true) && (chosen.get(id) ?? (!name || (on?.(context) ?? false)));
     },
     showLayer(id, shown) {
       chosen.set(id, shown);
@@ -45,7 +47,7 @@ async function meet(context, name) {
   try {
     add(context, await context.api.get(`tasks/${encodeURIComponent(name)}`));
   } catch (error) {
-    // If the map is unknown, the start request reports it.
     if (!(error instanceof ApiError && error.status === 404)) throw error;
+    throw new Error(`This server does not have ${title(name)}. Open its file in Draw.`);
   }
 }

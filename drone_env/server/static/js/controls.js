@@ -46,7 +46,7 @@ export function mountControls(root, context, fleet, acts) {
     last.disabled = clock.following;
     forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
     undo.hidden = fleet.human < 0 || !fleet.shown;
-    undo.disabled = fleet.own === null;
+    undo.disabled = fleet.begun === null;
     fork.hidden = !track || fleet.atHand;
     fork.disabled = !track || track.frameAt(clock.cursor).done;
     reset.disabled = !track;
@@ -58,7 +58,6 @@ export function mountControls(root, context, fleet, acts) {
   stage.on("change", update);
   for (const event of ["playing", "setup", "begun"]) fleet.on(event, update);
   context.live.on("state", update);
-  update();
 }
 
 /** The present step: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */

@@ -47,6 +47,9 @@ export function table(tag, props, caption, columns, ...bodies) {
   );
 }
 
+/** A place that a wide or long table scrolls in. */
+export const scroller = (name, table) => el("div.scroller", { tabindex: "0", role: "region", "aria-label": name }, table);
+
 /** Sets the text of a node if it differs, to avoid a layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
@@ -59,15 +62,6 @@ export function icon(...paths) {
     return el(solid ? "svg:path.solid" : "svg:path", { d: solid ? d.slice(1) : d });
   });
   return el("svg:svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, ...drawn);
-}
-
-/** Adds a style sheet to the page. @returns {Promise<void>} Resolves when it is loaded. */
-export function loaded(element) {
-  return new Promise((resolve, reject) => {
-    element.addEventListener("load", () => resolve());
-    element.addEventListener("error", () => reject(new Error(`cannot load ${element.href}`)));
-    document.head.append(element);
-  });
 }
 
 export function download(name, blob) {
@@ -104,10 +98,14 @@ export function keepFocus(root, draw) {
   if (key) root.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
 }
 
-/** A short message at the top of the page, also for screen readers. */
+/** A short message, also for screen readers: over the map, where it covers no button, or else above the view. */
 export function toast(text) {
   const node = el("div.toast", { text });
   const toasts = document.getElementById("toasts");
+  const map = document.querySelector(".view:not([hidden], :has(.plan-details[open])) .boards-field");
+  const top = map ? map.getBoundingClientRect().top : -1;
+  const place = top >= 0 && top < window.innerHeight / 2 ? map : document.getElementById("main");
+  if (toasts.parentElement !== place) place.prepend(toasts);
   [...toasts.children].find(({ textContent }) => textContent === text)?.remove();
   toasts.append(node);
   announce(text);

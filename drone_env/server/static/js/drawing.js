@@ -118,13 +118,9 @@ export class Drawing extends Emitter {
       if (!stroke.held) this.paint(to);
       else if (this.move(stroke.held, to)) stroke.held = to;
     }
-    stroke.cell = cell;
+    // A held item that could not follow goes on from where it is.
+    stroke.cell = stroke.held ?? cell;
     if (seen) this.emit("stroke");
-  }
-
-  /** Sets the cell of the stroke, for a held item that could not follow. */
-  comeTo(cell) {
-    if (this.stroke) this.stroke.cell = cell;
   }
 
   end() {

@@ -1,16 +1,16 @@
 // Draw: a map editor. The server computes the optimum, stores the map as a task and writes its file.
-import { ApiError } from "./api.js";
+import { ApiError, tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { copyText, download, el, icon, setText, toast } from "./dom.js";
+import { download, el, icon, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
 import { cellName } from "./format.js";
 import { drawSign } from "./legend.js";
-import { linkOf } from "./router.js";
+import { copyLink } from "./router.js";
 import { Stage } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -31,13 +31,6 @@ function keep(key, map) {
   remember(key, JSON.stringify(map), "sessionStorage");
 }
 
-/** Opens a city file as a new drawing. @throws {ApiError} If it is invalid. */
-async function openMap(file, { api, router }) {
-  const address = { view: "draw" };
-  keep(keyOf(address), await api.post("maps/file", { toml: await file.text() }));
-  router.go(address);
-}
-
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const { api, router, kinds } = context;
@@ -55,7 +48,7 @@ export function mount(root, context) {
 
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
-  const clear = () => (drawing.map ? drawing.edit(() => (drawing.map = empty())) : router.go({ view: "draw" }));
+  const clear = () => (isOpen() ? drawing.edit(() => (drawing.map = empty())) : become(keyOf(router.address), empty()));
   const blank = el("button.button.small", { text: "Empty map", press: clear });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
   const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
@@ -64,12 +57,12 @@ export function mount(root, context) {
   const opening = el("div.field", input, el("label.button.small", { for: "map-file", text: "Open a file…" }));
   const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
   const credit = el("p.note");
-  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
+  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => tried(press) });
   const acts = el(
     "div.draw-acts",
     act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
     act("race-map", "Race", () => go(null)),
-    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await storeTask()).id, seed: 0 }).href, "Link copied.")),
+    act("link-map", "Copy link", async () => copyLink({ task: (await storeTask()).id, seed: 0 })),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
@@ -189,15 +182,6 @@ export function mount(root, context) {
     worth.ask();
   }
 
-  async function trying(press) {
-    try {
-      await press();
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      toast(error.message);
-    }
-  }
-
   async function storeTask() {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
@@ -217,7 +201,11 @@ export function mount(root, context) {
 
   async function choose() {
     const [file] = input.files;
-    if (file) await trying(() => openMap(file, context));
+    if (!file) return;
+    await tried(async () => {
+      keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
+      router.go({ view: "draw" });
+    });
     input.value = "";
   }
 
@@ -229,36 +217,33 @@ export function mount(root, context) {
     drawing.undo();
   });
 
+  /** Whether the editor has the map of the address. */
+  const isOpen = () => key === keyOf(router.address) && drawing.map === drawings.get(key);
+
   // The address selects the map.
   async function look() {
-    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === drawings.get(key))) return;
     const { address } = router;
-    // On a new map there is nothing to move.
-    paints[PALETTE.indexOf(address.task ? "move" : "building")].click();
+    const { view, task, seed } = address;
     const wanted = keyOf(address);
-    const left = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
-    await load(wanted, left ?? (() => origin(address)));
+    if (view !== "draw" || isOpen()) return;
+    // On a new map there is nothing to move.
+    paints[PALETTE.indexOf(task ? "move" : "building")].click();
+    let found = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage")) ?? (task ? null : empty());
+    let wrong = null;
+    try {
+      found ??= await api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      wrong = error.message;
+    }
+    // Meanwhile the visitor may have gone elsewhere, or begun an empty map.
+    if (wanted !== keyOf(router.address) || isOpen()) return;
+    become(wanted, found);
+    if (wrong !== null) worth.show(null, wrong);
   }
-
-  const origin = ({ task, seed }) => (task ? api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`) : empty());
 
   function empty() {
     return { cells: drawing.empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
-  }
-
-  async function load(wanted, from) {
-    try {
-      const found = typeof from === "function" ? await from() : from;
-      if (wanted !== keyOf(router.address)) return;
-      become(wanted, found);
-      show();
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      if (wanted !== keyOf(router.address)) return;
-      become(wanted, null);
-      stage.show(null, []);
-      worth.show(null, error.message);
-    }
   }
 
   function become(wanted, found) {
@@ -266,6 +251,8 @@ export function mount(root, context) {
     worth.answer = null;
     drawing.become(found);
     point(null);
+    if (found) show();
+    else stage.show(null, []);
     turns();
   }
 

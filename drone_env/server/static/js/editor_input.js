@@ -71,7 +71,6 @@ export function mountInput(grid, context, drawing, choose) {
         const to = drawing.stroke?.held ?? next;
         follow(to);
         point(to);
-        drawing.comeTo(to);
       }
     } else if ((event.key === " " || event.key === "Enter") && cursor) {
       // A held item moves along until the next press.

@@ -2,6 +2,7 @@
 import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
 import { NEXT } from "./fleet_states.js";
+import { who } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
@@ -9,7 +10,6 @@ import { Track } from "./track.js";
 
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
-export const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
  * `setup` describes the flights as an `Address` of router.js.
@@ -81,10 +81,14 @@ export class Fleet extends Emitter {
     return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
   }
 
+  /** The flight by hand while it is shown, or null. */
+  get own() {
+    return (this.shown && this.tracks[this.human]) || null;
+  }
+
   /** The visitor's flight while it is shown and unfinished, or null. */
   get mine() {
-    const track = this.tracks[this.human];
-    return track && this.shown && !track.done ? track : null;
+    return this.own?.done === false ? this.own : null;
   }
 
   get atHand() {
@@ -93,7 +97,7 @@ export class Fleet extends Emitter {
   }
 
   /** The visitor's flight once it contains a move that another start would discard, or null. */
-  get own() {
+  get begun() {
     const { mine } = this;
     return mine && mine.steps > (mine === this.forked ? this.setup.fork : 0) ? mine : null;
   }
@@ -111,18 +115,21 @@ export class Fleet extends Emitter {
   /** The part of the address from which a fork or the visitor's flight continues, and the choice among the flights. */
   get linkParts() {
     if (!this.shown) return {};
-    const { selected, clock } = this.stage;
-    const track = this.forked ?? this.mine;
+    const { selected, clock, over } = this.stage;
+    // The address of a stored flight needs no moves.
+    const track = this.forked ?? (this.setup.episode ? undefined : this.tracks[this.human]);
+    const actions = track ? track.lettersTo(track.steps) : null;
+    const flown = over ? clock.end() : clock.newest();
     const chosen = {
+      actions,
       selected: this.stage.track === this.front ? null : selected + 1,
-      // While the page looks back, the step says nothing of the end.
-      ended: this.stage.over && !clock.following ? clock.newest() : null,
+      // How far the pilots have flown, if neither the moves nor the step say it.
+      ended: (over || actions) && flown > (actions?.length || clock.cursor) ? flown : null,
     };
-    if (!track) return { actions: null, of: null, ...chosen };
-    const { unnamed: by, pilot, steps } = track;
-    const actions = lettersOf(track.actionsTo(steps));
-    if (this.forked) return { actions, ...chosen };
-    return { actions, of: steps || by !== pilot ? by : null, ...chosen };
+    if (this.forked) return chosen;
+    // Who opens the link to a finished flight has not flown it.
+    const by = track && (track.done ? track.by : track.unnamed);
+    return { ...chosen, of: track && (track.steps || by !== track.pilot) ? by : null };
   }
 
   get person() {
@@ -139,13 +146,14 @@ export class Fleet extends Emitter {
     return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
   }
 
-  look(id) {
+  /** The name and the colour of a pilot; of a flight that is not this visitor's, a person is not "You". */
+  look(id, past = false) {
     const { name, colour } = this.pilot(id);
-    return { name, colour: `--pilot-${colour}` };
+    return { name: past ? who(this.context, id) : name, colour: `--pilot-${colour}` };
   }
 
   task(name = this.setup.task) {
-    return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
+    return this.context.task(name);
   }
 
   flies(id, task = this.task()) {
@@ -200,7 +208,7 @@ export class Fleet extends Emitter {
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
       request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
-    else if (ended ?? step) request.step = ended ?? step;
+    if (ended ?? step) request.step = ended ?? step;
     this.context.live.send({ type: "start", number: ++this.number, ...request });
   }
 
@@ -219,7 +227,7 @@ export class Fleet extends Emitter {
     // Automatic pilots repeat their flights when the link is opened; any other flight must be stored.
     const again = left.filter((one) => this.pilot(one.pilot).automatic && !one.past && one.forkedAt === null);
     const along = again.filter((one) => !one.done);
-    const [stored = null] = left.filter((one) => !again.includes(one));
+    const stored = left.find((one) => !again.includes(one));
     const idsOf = (tracks) => [...tracks.map((one) => one.pilot), pilot];
     const change = {
       task: world.task.short_name,
@@ -228,13 +236,12 @@ export class Fleet extends Emitter {
       pilots: idsOf([...again.filter((one) => one.done), ...along]),
       episode: stored?.episode?.id ?? null,
       fork: step,
-      actions: lettersOf(track.actionsTo(step)),
+      actions: track.lettersTo(step),
       of: track.by,
     };
-    const moves = action ? [action] : [];
     const play = this.pilot(pilot).automatic;
     const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
-    this.start(change, { play, beside, flown: idsOf(along), moves });
+    this.start(change, { play, beside, flown: idsOf(along), moves: action ? [action] : [] });
   }
 
   play(speed = this.stage.clock.speed) {
@@ -276,7 +283,7 @@ export class Fleet extends Emitter {
   }
 
   undo() {
-    if (this.own) this.context.live.send({ type: "undo", flight: this.human });
+    if (this.begun) this.context.live.send({ type: "undo", flight: this.human });
   }
 
   /** Shows values to a visitor who flies; the record notes it. */
@@ -298,7 +305,7 @@ export class Fleet extends Emitter {
     if (!flights.length) return;
     const { state, starting } = this;
     const wasShown = this.shown || starting;
-    this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
+    this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot, flown.frames.at(-1).done), true));
     const { fork, step, selected: chosen } = this.setup;
     if (fork !== null) this.tracks.at(-1).forkedAt = fork;
     for (const track of this.beside) track.live = false;

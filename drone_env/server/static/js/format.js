@@ -2,25 +2,18 @@
 
 const MINUS = "\u2212";
 
-/** A number with a fixed count of digits; "–" for null. */
-export function fixed(value, digits = 2) {
-  if (value === null || value === undefined) return "–";
-  return value.toFixed(digits).replace("-", MINUS);
-}
+/** @param {number|null|undefined} value @param {(value: number) => string} write */
+const known = (value, write) => (value === null || value === undefined ? "–" : write(value));
 
-export function signed(value, digits = 2) {
-  if (value === null || value === undefined) return "–";
-  return (value >= 0 ? "+" : "") + fixed(value, digits);
-}
+/** A number with a fixed count of digits; "–" for null. */
+export const fixed = (number, digits = 2) => known(number, (value) => value.toFixed(digits).replace("-", MINUS));
+
+export const signed = (number, digits = 2) => known(number, (value) => (value >= 0 ? "+" : "") + fixed(value, digits));
 
 /** A score of 0 to 1, times 100. */
-export function points(score, digits = 1) {
-  return score === null || score === undefined ? "–" : fixed(score * 100, digits);
-}
+export const points = (score, digits = 1) => known(score, (value) => fixed(value * 100, digits));
 
-export function percent(share, digits = 0) {
-  return share === null || share === undefined ? "–" : `${fixed(share * 100, digits)} %`;
-}
+export const percent = (share, digits = 0) => known(share, (value) => `${fixed(value * 100, digits)} %`);
 
 const EMPTY = "Battery empty";
 
@@ -59,12 +52,13 @@ export function moment(iso) {
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };
 
-/** The agent of a record in words: `human from step 3 of greedy` -> `A person from step 3 of Greedy`. */
+/** The agent of a record in words: `human (Ada) from step 3 of greedy` -> `Ada from step 3 of Greedy`; without a name `A person`. */
 export function who({ pilots }, agent) {
   const called = ({ name, automatic }) => (automatic ? name : "A person");
-  return String(agent).replace(/(^| from step \d+ of )([^ ]+)/g, (whole, before, id) => {
+  return String(agent).replace(/(^| from step \d+ of )([^ ]+)( \([^ ]+\))?/g, (whole, before, id, name = "") => {
     const pilot = pilots.find((one) => one.id === id);
-    return pilot ? before + called(pilot) : whole;
+    if (!pilot) return whole;
+    return before + (name && !pilot.automatic ? name.slice(2, -1) : called(pilot) + name);
   });
 }
 

@@ -14,7 +14,6 @@ export function mountHint(root, context, fleet) {
   stage.on("change", draw);
   context.on("camera", draw);
   fleet.on("playing", draw);
-  draw();
 }
 
 const atRace = (fleet) => fleet.mine !== null && fleet.automatic && !fleet.playing && fleet.mine.steps === 0;

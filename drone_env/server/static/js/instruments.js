@@ -65,7 +65,6 @@ export function mountInstruments(root, context) {
   }
 
   stage.on("change", draw);
-  draw();
 }
 
 function row(name, id, hint = null) {

@@ -118,15 +118,13 @@ export function mountHuman(root, context, fleet) {
   root.append(pad);
 
   function update() {
-    const own = fleet.shown ? fleet.tracks[fleet.human] : undefined;
-    root.hidden = !own || own.done;
-    document.body.classList.toggle("human-flies", Boolean(own) && !own.done);
+    root.hidden = !fleet.mine;
+    document.body.classList.toggle("human-flies", !root.hidden);
   }
 
   fleet.on("setup", update);
   context.stage.on("change", update);
   listenToSwipes(document.getElementById("boards"), fleet);
-  update();
 }
 
 function listenToSwipes(boards, fleet) {

@@ -1,6 +1,7 @@
 // The fixed parts of the map: ground, grid, numbers and figures.
 import { colourOf, font } from "./base.js";
 import { drawFigure } from "./figures.js";
+import { middle } from "./layer_flights.js";
 
 export function drawCity(ctx, { world, layout, names }) {
   const { cell, left, top } = layout;
@@ -9,9 +10,7 @@ export function drawCity(ctx, { world, layout, names }) {
   ctx.fillRect(...field);
   drawGrid(ctx, world, layout);
   world.cells.forEach((row, y) =>
-    row.forEach((kind, x) =>
-      drawFigure(ctx, names[kind], left + (x + 0.5) * cell, top + (y + 0.5) * cell, cell, variety(x, y)),
-    ),
+    row.forEach((kind, x) => drawFigure(ctx, names[kind], ...middle(layout, [x, y]), cell, variety(x, y))),
   );
   ctx.fillStyle = colourOf("--map-night");
   ctx.fillRect(...field);

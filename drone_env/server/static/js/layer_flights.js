@@ -13,7 +13,7 @@ const SMALLEST_PARCEL = 15;
 const ASIDE = 0.09;
 
 /** The middle of a cell in device pixels. @returns {[number, number]} @param {Layout} layout @param {number[]} cell */
-const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
+export const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
 
 /** The size of a drone: about a cell, within limits. */
 const droneSize = ({ cell, scale }) =>
@@ -98,7 +98,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
 /** The network's values as arrows: the longer, the better. The best one is highlighted; WAIT is a ring. */
 export function drawThoughts(ctx, { track, layout, clock }) {
   const values = track.frameAt(clock.cursor).q_values;
-  if (!values || !track.ours) return;
+  if (!values) return;
   const { cell } = layout;
   const [x, y] = middle(layout, track.at(clock.position));
   const size = droneSize(layout);
@@ -108,7 +108,7 @@ export function drawThoughts(ctx, { track, layout, clock }) {
   for (const [action, value] of Object.entries(values)) {
     const strength = (value - (best - spread)) / spread;
     ctx.fillStyle = ctx.strokeStyle = colourOf(value === best ? "--network" : "--ink");
-    ctx.globalAlpha = value === best ? 0.95 : 0.12 + 0.4 * strength;
+    ctx.globalAlpha = value === best ? 1 : 0.12 + 0.4 * strength;
     const width = Math.max(3, cell * 0.11);
     if (action !== "WAIT") pointTo(ctx, action, x, y, size * 0.56, cell * (0.18 + 0.62 * strength), width);
     else if (value === best) {
@@ -121,7 +121,8 @@ export function drawThoughts(ctx, { track, layout, clock }) {
   ctx.globalAlpha = 1;
 }
 
-function pointTo(ctx, action, x, y, from, length, width) {
+/** An arrow from beside a point in the direction of an action. */
+export function pointTo(ctx, action, x, y, from, length, width) {
   const [dx, dy] = STEP[action];
   const to = from + length;
   drawArrow(ctx, x + dx * from, y + dy * from, x + dx * to, y + dy * to, width);

@@ -1,7 +1,6 @@
 // Layers per cell: the best moves, the network's mistakes, and the range of the battery.
 import { colourOf, font } from "./base.js";
-import { drawArrow } from "./figures.js";
-import { STEP } from "./layer_flights.js";
+import { middle, pointTo, STEP } from "./layer_flights.js";
 
 const SMALL = 18;
 
@@ -46,16 +45,16 @@ export function drawNetwork(ctx, { stage, layout }) {
 }
 
 /** An arrow in a cell; a dot for WAIT. */
-function drawMove(ctx, { cell, left, top }, action, x, y) {
-  const [cx, cy] = [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
-  if (action === "WAIT") {
-    ctx.beginPath();
-    ctx.arc(cx, cy, cell * 0.09, 0, 2 * Math.PI);
-    ctx.fill();
+function drawMove(ctx, layout, action, x, y) {
+  const { cell } = layout;
+  const at = middle(layout, [x, y]);
+  if (STEP[action]) {
+    pointTo(ctx, action, ...at, cell * 0.12, cell * 0.3, cell * 0.11);
     return;
   }
-  const [dx, dy] = STEP[action];
-  drawArrow(ctx, cx + dx * cell * 0.12, cy + dy * cell * 0.12, cx + dx * cell * 0.42, cy + dy * cell * 0.42, cell * 0.11);
+  ctx.beginPath();
+  ctx.arc(...at, cell * 0.09, 0, 2 * Math.PI);
+  ctx.fill();
 }
 
 /** The cells in reach, with the battery units left there; only a faint shade while a visitor flies. */

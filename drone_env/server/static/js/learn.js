@@ -1,5 +1,5 @@
 // Learn: a short introduction, the tutorial, and the numbers of the tasks.
-import { el, table } from "./dom.js";
+import { el, scroller, table } from "./dom.js";
 import { cellName, fixed, title } from "./format.js";
 import { ABOUT } from "./help.js";
 import { drawSign } from "./legend.js";
@@ -71,15 +71,12 @@ const rewardRows = (rewards) =>
 /** The numbers of the tasks of a family side by side, from `GET /tasks`. */
 function specifications(family, tasks) {
   const caption = `Technical specifications of the ${family} tasks`;
-  const numbers = table(
-    "table.table.specs-table",
-    {},
-    caption,
-    [[family], ...tasks.map((task) => [title(task.short_name)])],
+  const numbers = [
     group("World", WORLD, tasks),
     group("Reward of a step: farther / same distance / closer", rewardRows(tasks[0].rewards[PROFILE]), tasks),
-  );
-  return el("div.scroller", { tabindex: "0", role: "region", "aria-label": caption }, numbers);
+  ];
+  const names = tasks.map((task) => [title(task.short_name)]);
+  return scroller(caption, table("table.table.specs-table", {}, caption, [[family], ...names], ...numbers));
 }
 
 function group(name, rows, tasks) {

@@ -1,7 +1,6 @@
 // The tutorial: three flights over fixed maps, their goals, and the bar of the present lesson.
 import { recall, remember } from "./base.js";
 import { el, icon } from "./dom.js";
-import { isLost } from "./format.js";
 import { linkOf } from "./router.js";
 
 const by = (pilot, { tracks }) => tracks.filter((track) => track.pilot === pilot && track.frames.length);
@@ -14,15 +13,9 @@ const losesAtMost = (most) => (track) => track.done && track.last.regret !== nul
 const charges = ({ frames }) =>
   frames.some(({ action, battery_units }, i) => action === "WAIT" && battery_units > frames[i - 1].battery_units);
 
-function worstStep({ frames }) {
-  const lost = (i) => (i ? frames[i].regret - frames[i - 1].regret : 0);
-  return frames.reduce((worst, _, i) => (isLost(lost(i)) && lost(i) > lost(worst) ? i : worst), 0);
-}
-
 /** Whether the page shows the step before the worst move of this pilot, and does not play. */
 function beforeWorst({ track, clock }, pilot) {
-  const worst = track?.done && track.pilot === pilot ? worstStep(track) : 0;
-  return worst > 0 && !clock.playing && clock.cursor === worst - 1;
+  return track?.pilot === pilot && !clock.playing && clock.cursor === track.worst?.step - 1;
 }
 
 /** @type {Lesson[]} */

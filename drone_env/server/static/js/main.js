@@ -2,18 +2,18 @@
 import { createApi } from "./api.js";
 import { forgetColours, recall, remember } from "./base.js";
 import { createContext } from "./context.js";
-import { announce, el, loaded, setText, toast } from "./dom.js";
+import { announce, el, setText, toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { mountFly } from "./fly.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 
-/** Views that are loaded on their first visit, with the names of their style sheets. */
+/** Views that are loaded on their first visit. */
 const LATER = {
-  compare: ["compare", () => import("./compare.js")],
-  learn: ["learn", () => import("./learn.js")],
-  api: ["api_view", () => import("./api_view.js")],
-  draw: ["editor", () => import("./editor.js")],
+  compare: () => import("./compare.js"),
+  learn: () => import("./learn.js"),
+  api: () => import("./api_view.js"),
+  draw: () => import("./editor.js"),
 };
 
 async function boot() {
@@ -40,12 +40,10 @@ async function boot() {
 /** Loads a view and shows it. @param {Context} context */
 async function mountLater(name, context) {
   const later = LATER[name];
-  const [sheet, module] = later;
   const root = document.getElementById(`view-${name}`);
   delete LATER[name];
   try {
-    const style = el("link", { rel: "stylesheet", href: new URL(`../css/${sheet}.css`, import.meta.url) });
-    const [view] = await Promise.all([module(), loaded(style)]);
+    const view = await later();
     root.replaceChildren();
     view.mount(root, context);
     if (context.view === name) context.emit("view", name);
@@ -124,13 +122,13 @@ function mountViews(context) {
   const links = document.querySelectorAll(".views a");
 
   function show({ view, unread }) {
-    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     const first = !document.body.dataset.view;
     // Each view subscribes to its own topics.
     if (context.view !== view) live.subscribe([]);
     context.view = view;
     document.body.dataset.view = view;
     for (const section of sections) section.hidden = section.id !== `view-${view}`;
+    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");

@@ -1,6 +1,6 @@
 // The layers of the map: their switches, and the answers of `POST /values` for the present moment.
-import { ApiError } from "./api.js";
-import { el, setText, toast } from "./dom.js";
+import { tried } from "./api.js";
+import { el, setText } from "./dom.js";
 import { points } from "./format.js";
 import { spanOf } from "./layer_values.js";
 import { LAYERS } from "./layers.js";
@@ -18,9 +18,9 @@ export function mountMapValues(context) {
 
   /** "range" is all that a visitor sees who flies without values, "moves" fills their table; null for nothing. */
   function wanted() {
-    const { track, world, frame, clock } = stage;
+    const { track, frame, clock } = stage;
     if (!track) return null;
-    const range = world.task.pads > 0 && context.shows("range");
+    const range = context.shows("range");
     if (context.secret(track)) return range ? "range" : null;
     const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
     if (track.showsValues || track.forkedAt !== null || range || values) return "values";
@@ -51,15 +51,7 @@ export function mountMapValues(context) {
     const { world, track, actions, moment: key } = stage;
     const flight = { task: world.task.id, seed: world.seed, actions, only: what === "values" ? null : what };
     asking = true;
-    let answer = null;
-    try {
-      answer = await api.post("values", flight);
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      toast(error.message);
-    } finally {
-      asking = false;
-    }
+    const answer = await tried(() => api.post("values", flight)).finally(() => (asking = false));
     // A rejected request is not repeated.
     if (cached.size === KEPT) cached.delete(cached.keys().next().value);
     cached.set(`${what} ${key}`, answer);
@@ -112,5 +104,4 @@ export function mountSwitches(root, context, acts) {
 
   stage.on("change", draw);
   context.on("layers", draw);
-  draw();
 }

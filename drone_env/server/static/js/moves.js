@@ -15,7 +15,6 @@ export function mountMoves(root, context) {
   root.append(el("h2.eyebrow", { text: "Moves" }), summary, list, detail);
   let shown = null;
   let annotation = null;
-  let marked = null;
   let announced = 0;
 
   function draw() {
@@ -40,9 +39,9 @@ export function mountMoves(root, context) {
   }
 
   function mark(button) {
+    const marked = list.querySelector("[aria-current]");
     if (button === marked) return;
     marked?.removeAttribute("aria-current");
-    marked = button;
     if (!button) return;
     button.setAttribute("aria-current", "step");
     // Scrolls the list, not the page.

@@ -1,5 +1,5 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
-import { ApiError } from "./api.js";
+import { tried } from "./api.js";
 import { download, el, toast } from "./dom.js";
 import { flightName } from "./format.js";
 import { worldOf } from "./stage.js";
@@ -72,7 +72,7 @@ export class Past {
   async flown(record) {
     await this.context.meet(record?.task);
     const flown = await this.context.api.post("replay", record);
-    const track = new Track(flown, this.fleet.look(flown.opening.pilot));
+    const track = new Track(flown, this.fleet.look(flown.opening.pilot, true));
     track.record = record;
     return track;
   }
@@ -87,17 +87,12 @@ export class Past {
   /** Loads the prompts and answers of a language model. */
   async askForCalls(track) {
     if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
-    try {
-      const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
-      if (!calls.length) return;
-      const steps = new Map();
-      for (const call of calls) steps.set(call.step, [...(steps.get(call.step) ?? []), call]);
-      track.calls = { model, steps };
-      this.context.stage.changed(track);
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      toast(error.message);
-    }
+    const answer = await tried(() => this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`));
+    if (!answer?.calls.length) return;
+    const steps = new Map();
+    for (const call of answer.calls) steps.set(call.step, [...(steps.get(call.step) ?? []), call]);
+    track.calls = { model: answer.model, steps };
+    this.context.stage.changed(track);
   }
 }
 
@@ -109,16 +104,12 @@ export async function recordOf({ api }, track) {
 /** Annotates a finished flight: the loss of each move. @param {Context} context */
 export async function explain(context, track) {
   if (track.annotation || !track.done) return;
-  try {
-    const annotation = await context.api.post("annotate", await recordOf(context, track));
-    track.annotation = annotation;
-    annotation.moves.forEach(({ value }, i) => Object.assign(track.frames[i], lost(value, annotation)));
-    Object.assign(track.last, lost(annotation.score, annotation));
-    context.stage.changed(track);
-  } catch (error) {
-    if (!(error instanceof ApiError)) throw error;
-    toast(error.message);
-  }
+  const annotation = await tried(async () => context.api.post("annotate", await recordOf(context, track)));
+  if (!annotation) return;
+  track.annotation = annotation;
+  annotation.moves.forEach(({ value }, i) => Object.assign(track.frames[i], lost(value, annotation)));
+  Object.assign(track.last, lost(annotation.score, annotation));
+  context.stage.changed(track);
 }
 
 const lost = (value, { optimal_score: optimum }) => ({ value, regret: Math.max(0, optimum - value) });
@@ -134,16 +125,12 @@ async function readFlights(file) {
   try {
     return [JSON.parse(text)];
   } catch {
-    const lines = text
-      .split("\n")
-      .map((line, i) => ({ line, number: i + 1 }))
-      .filter(({ line }) => line.trim());
-    if (!lines.length) throw new Error(`${file.name} is empty.`);
-    return lines.map(({ line, number }) => {
+    if (!text.trim()) throw new Error(`${file.name} is empty.`);
+    return text.split("\n").flatMap((line, i) => {
       try {
-        return JSON.parse(line);
+        return line.trim() ? [JSON.parse(line)] : [];
       } catch (error) {
-        throw new Error(`${file.name}, line ${number} is not JSON: ${error.message}.`);
+        throw new Error(`${file.name}, line ${i + 1} is not JSON: ${error.message}.`);
       }
     });
   }

@@ -1,6 +1,7 @@
 // The flight plan: task, map and pilots.
 import { el, leaveFocus, setText } from "./dom.js";
 import { title, variants } from "./format.js";
+import { copyLink } from "./router.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
 export function mountPlan(root, context, fleet, acts) {
@@ -90,7 +91,7 @@ export function mountPlan(root, context, fleet, acts) {
     const { setup } = fleet;
     const past = isPast();
     const task = past ? stage.world.task : fleet.task();
-    const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.pilot(id).name);
+    const names = fleet.starting ? setup.pilots.map((id) => fleet.pilot(id).name) : stage.tracks.map(({ name }) => name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
     fresh.hidden = label.hidden = seed.hidden = !variants(task);
     const number = fresh.hidden ? [] : [`map ${map}`];
@@ -149,7 +150,7 @@ function mapForm({ router, stage }, fleet, acts, update) {
     "aria-label": "Copy link to this moment",
     title: "Copy link to this moment",
     text: "Copy link",
-    press: () => router.copy(),
+    press: () => copyLink(router.address),
   });
   const edit = el("a.button.small", { id: "edit-map", text: "Edit this map" });
   // Enter triggers the change event of the number, which opens the map.

@@ -1,26 +1,22 @@
 // Tables of Compare: the leaderboard, the maps of a pilot, runs over the same maps, and pairs.
-import { el, fact, table } from "./dom.js";
+import { el, fact, scroller, table } from "./dom.js";
 import { fixed, percent, points, shortened, signed, title, who } from "./format.js";
 
 /**
  * A table that scrolls if it is larger than its place.
  * @param {any[][]} columns Name, content, whether it is a number.
- * @param {(row: any) => Node|null} [below] Details that a row has opened.
+ * @param {(row: any) => Node|false} [below] Details that a row has opened.
  */
-export function grid(caption, columns, rows, below = () => null) {
+export function grid(caption, columns, rows, below = () => false) {
   const lines = (row) => {
     const opened = below(row);
     return [
-      el("tr", ...columns.map(([, cell, number]) => el(number ? "td.num" : "td", cell(row)))),
+      el("tr", ...columns.map(([name, cell, number]) => el(number ? "td.num" : "td", { data: { name } }, cell(row)))),
       ...(opened ? [el("tr", el("td.opened", { colspan: columns.length }, el("div", opened)))] : []),
     ];
   };
   const names = columns.map(([name, , number]) => [name, number]);
-  return el(
-    "div.scroller",
-    { tabindex: "0", role: "region", "aria-label": caption },
-    table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))),
-  );
+  return scroller(caption, table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))));
 }
 
 function scoreBar(score, ci, colour) {
@@ -59,34 +55,33 @@ export const named = (context, agent, remark = "") =>
 const ENOUGH = 30;
 const counted = ({ maps }) => el("span", String(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
 
-const opener = (open, key, ...contents) =>
-  el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
+const opener = (open, key, press, content) =>
+  el("button.opener", { "aria-expanded": String(open), data: { key }, press }, content);
 
-/**
- * @param {Answer<"Leaderboard">} board From `GET /leaderboard/{task_name}`.
- * @param {string[]} chosen One pilot has its maps open; two are compared.
- * @param {Node|null} maps The maps of the chosen pilot.
- */
-export function leaderboard(context, board, chosen, maps, choose) {
+/** The number of people with few maps that are listed at first. */
+const PEOPLE = 3;
+
+/** @param {Answer<"Leaderboard">} board From `GET /leaderboard/{task_name}`. @param {any} compare What is open and ticked. */
+export function leaderboard(context, board, compare) {
   if (!board.rows.length) return el("p.note", { text: "No flights of this task yet. Fly it to add one." });
-  const isOpen = ({ agent }) => chosen.length === 1 && chosen[0] === agent;
-  const pick = ({ agent, name }) => {
-    const others = chosen.filter((one) => one !== agent);
-    return el("input", {
+  const { opened, ticked, everyone, listed, maps } = compare;
+  const isOpen = ({ agent }) => agent === opened;
+  const pick = ({ agent, name }) =>
+    el("input", {
       type: "checkbox",
-      checked: chosen.includes(agent),
+      checked: ticked.includes(agent),
       "aria-label": `Compare ${name}`,
       data: { key: `pick ${agent}` },
-      // A third choice replaces the first.
-      on: { change: ({ target }) => choose(target.checked ? [...others, agent].slice(-2) : others) },
+      on: { change: ({ target }) => compare.tick(agent, target.checked) },
     });
-  };
   const pilot = (row) => {
     const remark = row.kind === "model" ? " language model" : "";
-    const button = opener(isOpen(row), `open ${row.agent}`, named(context, row.agent, remark));
-    button.addEventListener("click", () => choose(isOpen(row) ? [] : [row.agent]));
-    return button;
+    return opener(isOpen(row), `open ${row.agent}`, () => compare.open(row.agent), named(context, row.agent, remark));
   };
+  const below = (row) => isOpen(row) && maps?.agent === opened && mapsOf(context, row.name, maps.maps);
+  const people = board.rows.filter(({ kind, maps }) => kind === "person" && maps < ENOUGH);
+  const more = people.slice(PEOPLE).filter(({ agent }) => !listed.has(agent));
+  const rows = everyone ? board.rows : board.rows.filter((row) => !more.includes(row));
   const columns = [
     ["Pair", pick],
     ["Pilot", pilot],
@@ -101,7 +96,8 @@ export function leaderboard(context, board, chosen, maps, choose) {
   const forks = board.forks ? ` Forks are not counted: ${board.forks}.` : "";
   return el(
     "div",
-    grid("Leaderboard, smallest loss first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
+    grid("Leaderboard, smallest loss first", columns, rows, below),
+    more.length ? opener(everyone, "people", () => compare.draw(!everyone), `More people: ${more.length}`) : "",
     el("p.note.below", {
       text: `Means over the maps of each pilot, times 100, ± 95 %. Ranked by the points lost against the optimum of each map. Few: under ${ENOUGH} maps. ${how}${forks}`,
     }),
@@ -177,8 +173,9 @@ export function runsOf(context, { boards, unranked }) {
 
 const gap = (difference) => signed(difference === null ? null : difference * 100, 1);
 
-/** Two pilots over their common maps. @param {Context} context @param {Answer<"Pairing">} answer */
-export function paired(context, task, answer, pilots, rows) {
+/** Two pilots over their common maps. @param {Context} context @param {any} answer A `Pairing`, with its `pilots`. */
+export function paired(context, task, answer, rows) {
+  const { pilots } = answer;
   const [a, b] = pilots.map((agent) => who(context, agent));
   const head = el("h2", named(context, pilots[0]), " against ", named(context, pilots[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];

@@ -14,8 +14,11 @@ export class Router extends Emitter {
     this.address = read(location);
     /** The last address of Fly, to which the navigation returns. */
     this.flight = this.address.view === "fly" ? this.address : NOTHING;
+    /** Whether the history entry is older than the address. */
+    this.stale = false;
     this.timer = 0;
     window.addEventListener("popstate", () => this.show(read(location)));
+    window.addEventListener("pagehide", () => this.write());
   }
 
   /** Goes to another address with a new history entry. @param {Partial<Address>} address */
@@ -55,24 +58,23 @@ export class Router extends Emitter {
   moment(now) {
     if (Object.keys(now).every((name) => this.address[name] === now[name])) return;
     this.address = this.flight = { ...this.address, ...now };
-    this.timer ||= setTimeout(() => this.write(), PAUSE);
+    this.stale = true;
+    // At once, unless the entry has just changed: a reload shows the moment that the visitor saw.
+    if (!this.timer) this.write();
   }
 
   write() {
-    if (!this.timer) return;
     clearTimeout(this.timer);
     this.timer = 0;
+    if (!this.stale) return;
+    this.stale = false;
+    this.timer = setTimeout(() => this.write(), PAUSE);
     history.replaceState(null, "", linkOf(this.address));
-  }
-
-  copy() {
-    copyText(linkOf(this.address).href, "Link copied.");
   }
 
   show(address) {
     // A pending update of the entry that Back has left is dropped.
-    clearTimeout(this.timer);
-    this.timer = 0;
+    this.stale = false;
     this.address = address;
     if (address.view === "fly") this.flight = address;
     this.emit("address", address);
@@ -149,6 +151,9 @@ function read({ search }) {
     unread,
   };
 }
+
+/** @param {Partial<Address>} address */
+export const copyLink = (address) => copyText(linkOf(address).href, "Link copied.");
 
 const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 

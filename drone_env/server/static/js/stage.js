@@ -41,9 +41,8 @@ export class Clock {
 
   /** Shows a step at once. */
   jump(step) {
-    this.stop();
-    this.cursor = this.position = Math.max(0, Math.min(this.end(), step));
-    this.following = this.cursor === this.newest();
+    this.goTo(step);
+    this.position = this.cursor;
   }
 
   /** Goes to a step; at the newest one, the clock follows live flights again. */

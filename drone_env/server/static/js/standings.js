@@ -1,5 +1,5 @@
 // The ranking of the flights over the map.
-import { el, setText, table } from "./dom.js";
+import { el, keepFocus, setText, table } from "./dom.js";
 import { points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Lost", true]];
@@ -15,7 +15,7 @@ export function mountStandings(root, { stage }) {
   function build() {
     rows = stage.tracks.map((track, i) => {
       const cells = COLUMNS.slice(1).map(() => el("td.num"));
-      const name = el("button.standing-name", { press: () => stage.select(i) }, el("span", { text: track.name }));
+      const name = el("button.standing-name", { data: { key: i }, press: () => stage.select(i) }, el("span", { text: track.name }));
       const node = el("tr", { style: { "--lane": `var(${track.colour})` } }, el("th", { scope: "row" }, name), ...cells);
       return { track, cells, node };
     });
@@ -38,18 +38,15 @@ export function mountStandings(root, { stage }) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", track === stage.track);
     }
-    // Before the first step everything is possible; this is not a secret.
-    const all = Math.max(...rows.map(({ track }) => track.frames[0].value ?? track.frames[0].score));
-    const rank = ({ track }) => possible(track.frameAt(cursor), all);
+    const over = rows.every(({ track }) => track.frameAt(cursor).done);
+    const rank = ({ track }) => (over ? track.last.score : earned(track, cursor));
     const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
-      const focused = document.activeElement;
-      body.replaceChildren(...ranked.map(({ node }) => node));
-      if (focused instanceof HTMLElement && body.contains(focused)) focused.focus();
+      keepFocus(body, () => body.replaceChildren(...ranked.map(({ node }) => node)));
     }
     const place = placeOf(stage);
     const result = cursor < stage.clock.end() && place ? `At the end: ${place}` : place;
-    setText(note, result || "Ranked by the score still possible.");
+    setText(note, result || "Ranked by parcels delivered, then by who was first; at the end by score.");
   }
 
   stage.on("load", build);
@@ -69,8 +66,9 @@ export function placeOf({ over, tracks, track }) {
   return `${PLACES[place] ?? `${place + 1}th`} of ${tracks.length}${tie}: ${all}. The higher score wins.`;
 }
 
-/** The score still possible, or the present score if it is hidden. @param {number} all The score possible at the start. */
-function possible(frame, all) {
-  if (frame.done) return frame.score;
-  return frame.value ?? (frame.step ? frame.score : all);
+/** What a flight has for certain, as no promise counts in a race: its parcels; then its score, or how early it had them. */
+function earned(track, step) {
+  const { score, outcome, deliveries_done: parcels } = track.frameAt(step);
+  const since = track.frames.findIndex(({ deliveries_done }) => deliveries_done === parcels);
+  return parcels + (outcome === "delivered" ? score : 1 / (2 + since));
 }

@@ -1,18 +1,16 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
 import { announce, el, leaveFocus, setText } from "./dom.js";
-import { lettersOf } from "./fleet.js";
 import { fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
 
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
-  let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
   const place = el("p.strip-reason");
   const counts = el("p.note");
-  const before = () => stage.clock.goTo(worst.step - 1);
+  const before = () => stage.clock.goTo(stage.track.worst.step - 1);
   const see = el("button.link", { id: "worst", title: "Show the step before this move", press: before });
   const tryIt = el("button.button.small", {
     id: "try-worst",
@@ -29,7 +27,6 @@ export function mountStrip(root, context, fleet, acts) {
   const reason = el("p.strip-reason");
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
   root.append(head, place, reason, el("div.strip-actions", again, next), why, counts, worstLine, more);
-  root.hidden = true;
   let announced = null;
 
   function draw() {
@@ -37,7 +34,7 @@ export function mountStrip(root, context, fleet, acts) {
     const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
-    const { last, annotation } = track;
+    const { last, annotation, worst } = track;
     root.dataset.outcome = last.outcome;
     setText(head, `${track.name}: ${outcome(last)}.`);
     setText(why, summary(stage, track));
@@ -51,14 +48,11 @@ export function mountStrip(root, context, fleet, acts) {
       setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
     }
     setText(efficiency, efficiencyOf(last));
-    worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
     tryIt.hidden = !again.hidden;
     if (worst) {
       setText(tryIt, `Try from step ${worst.step - 1}`);
-      // After the last parcel, nothing but charge can gain.
-      const first = worst.step === track.steps && last.outcome === "delivered" ? ", to charge first" : "";
-      const best = `best: ${worst.best_actions.join(" or ")}${first}`;
+      const best = `best: ${worst.best_actions.join(" or ")}, ${annotation.worst_why}`;
       setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${best}`);
     }
     const after = nextTask(context.families, stage.world.task);
@@ -133,7 +127,7 @@ function tryAgain({ stage }, fleet, acts) {
   else {
     // The record notes that moves were taken back.
     const of = by.includes("undo") ? by : by.includes("values") ? `${by} and undo` : `${by} with undo`;
-    acts.start({ of, actions: lettersOf(stage.track.actionsTo(step)) });
+    acts.start({ of, actions: stage.track.lettersTo(step) });
   }
 }
 

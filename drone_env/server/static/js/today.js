@@ -42,7 +42,6 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   root.append(head, figures, unlisted, list, el("label.name-field.eyebrow", "Your name", field), refused);
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
-  const own = () => (fleet.shown ? fleet.tracks[fleet.human] : undefined);
 
   function rename() {
     field.value = field.value.trim();
@@ -55,8 +54,8 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
-  function keep({ annotation, unnamed, pilot }) {
-    if (!annotation || unnamed !== pilot || best?.[1] >= annotation.score) return;
+  function keep({ annotation, unnamed, pilot, brought }) {
+    if (!annotation || brought || unnamed !== pilot || best?.[1] >= annotation.score) return;
     best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
     remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }
@@ -64,10 +63,10 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   function draw() {
     const { world, track } = stage;
     const day = world && today?.task === world.task.short_name && today.seed === world.seed ? today : null;
-    root.hidden = !day && !best && !own();
+    root.hidden = !day && !best && !fleet.own;
     if (root.hidden) return;
-    if (own()) keep(own());
-    unlisted.hidden = !own() || own().unnamed === own().pilot;
+    if (fleet.own) keep(fleet.own);
+    unlisted.hidden = !fleet.own || fleet.own.unnamed === fleet.own.pilot;
     const { score, optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [
@@ -90,7 +89,7 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
 
   /** Without an answer, the page shows the list that it has. */
   async function ask() {
-    if (!own()) return;
+    if (!fleet.own) return;
     today = await api.get("today").catch(() => today);
     draw();
   }
@@ -98,5 +97,4 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   stage.on("load", () => (best = results().find(([one]) => one === map()) ?? null));
   stage.on("change", draw);
   for (const event of ["begun", "ended"]) fleet.on(event, ask);
-  draw();
 }

@@ -9,11 +9,13 @@ export class Track {
     this.pilot = opening.pilot;
     /** The agent of the record: one pilot, or several in sequence. */
     this.by = opening.by;
-    /** In flights of this page the visitor is "You". */
-    this.called = (live ? null : opening.by.match(PERSON)?.[1]) ?? name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
+    /** Whether it was over when the page met it: a flight from the store or a link. */
+    this.brought = !live || this.done;
+    /** In flights of this page the visitor is "You". */
+    this.called = (this.brought && opening.by.match(PERSON)?.[1]) || name;
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
@@ -54,6 +56,11 @@ export class Track {
     return this.frames.at(-1);
   }
 
+  /** The move that lost most, once the flight is annotated; or null. */
+  get worst() {
+    return this.annotation?.moves[this.annotation.worst_step - 1] ?? null;
+  }
+
   get done() {
     return this.last.done;
   }
@@ -70,6 +77,11 @@ export class Track {
   /** Its actions up to a step. @returns {string[]} */
   actionsTo(step) {
     return this.frames.slice(1, step + 1).map((frame) => frame.action);
+  }
+
+  /** The same as links write them. */
+  lettersTo(step) {
+    return this.actionsTo(step).map(([letter]) => letter).join("");
   }
 
   /** [x, y] at a position between two steps. */

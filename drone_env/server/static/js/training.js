@@ -10,21 +10,17 @@ const DRAWN = {
   reward: ["Reward", fixed],
 };
 
-export class Training {
-  /** @param {HTMLElement} root */
-  constructor(root) {
-    this.body = el("div.charts");
-    this.root = el("section.compare-part", { hidden: true }, el("h2", { text: "Newest training" }), this.body);
-    root.append(this.root);
-  }
-
-  /** @param {Object<string, (number|null)[]>} curve From `/live`; its first series is the x axis. */
-  show(curve) {
+/** @returns {(curve: Object<string, (number|null)[]>) => void} Shows a curve from `/live`; its first series is the x axis. */
+export function mountTraining(root) {
+  const charts = el("div.charts");
+  const part = el("section.compare-part", { hidden: true }, el("h2", { text: "Newest training" }), charts);
+  root.append(part);
+  return (curve) => {
     const [count] = Object.keys(curve);
-    this.root.hidden = count === undefined;
+    part.hidden = count === undefined;
     const drawn = Object.keys(DRAWN).filter((name) => curve[name]?.some((value) => value !== null));
-    this.body.replaceChildren(...drawn.map((name) => chart(name, curve, count)));
-  }
+    charts.replaceChildren(...drawn.map((name) => chart(name, curve, count)));
+  };
 }
 
 function chart(name, curve, count) {
