@@ -59,9 +59,9 @@ def _version(python: str) -> str:
     return subprocess.run([python, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
 
 
-def find_uv() -> str:
-    """Return the path of uv, of this environment or on `PATH`."""
-    return shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv") or missing_tool("uv")
+def find_tool(name: str) -> str:
+    """Return the path of a program, of this environment or on `PATH`."""
+    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name) or missing_tool(name)
 
 
 def ran(*command: object, cwd: Path = ROOT, **variables: str) -> "subprocess.CompletedProcess[str]":

@@ -12,7 +12,7 @@ import pytest
 from drone_env.results.store import Store
 from drone_env.server import app
 from tests.api.serving import Server, serving
-from tests.tools import find_uv, ran, reserved_port
+from tests.tools import find_tool, ran, reserved_port
 
 EXAMPLE = """
 from drone_env.client import DroneEnvClient
@@ -57,7 +57,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
     first, *rest = command.split()
     if first == "uv":
         # In the environment of the tests, as it is: what `uv run` would install is there.
-        rest = ["-c", RUN_UV, find_uv(), sys.prefix, *rest]
+        rest = ["-c", RUN_UV, find_tool("uv"), sys.prefix, *rest]
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             assert http.get("/health").json()["status"] == "healthy"

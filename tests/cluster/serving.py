@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.api.serving import Server
-from tests.tools import ROOT, eventually, is_taken, missing_tool, reserved_port
+from tests.tools import ROOT, eventually, find_tool, is_taken, reserved_port
 
 DEPLOY = ROOT / "deploy"
 COMMAND = ["-m", "drone_env.cli", "serve"]
@@ -26,9 +26,7 @@ class Nginx:
     """
 
     def __init__(self, folder: Path, ports: Iterable[int], failures: str = FAILURES) -> None:
-        if shutil.which("nginx") is None:
-            missing_tool("nginx")
-        self.command = ["nginx", "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
+        self.command = [find_tool("nginx"), "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
         self.servers = folder / "drone-env-servers.conf"
         port = reserved_port()
         self.url = f"http://127.0.0.1:{port}"
@@ -51,8 +49,7 @@ class Nginx:
 
     def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
         """`deploy/drain.sh out` or `in`, running."""
-        if shutil.which("ss") is None:
-            missing_tool("ss")
+        find_tool("ss")
         variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "200"}
         command = [str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"]
         self._draining.append(subprocess.Popen(command, env={**os.environ, **variables}))

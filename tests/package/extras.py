@@ -8,7 +8,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from drone_env.toml_text import parse_toml
-from tests.tools import ROOT, find_uv, ran
+from tests.tools import ROOT, find_tool, ran
 
 INSTALLED = packages_distributions()
 PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -18,7 +18,7 @@ PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["pro
 def pins(*extras: str) -> dict[str, Requirement]:
     """Return what the lock has installed on this machine for the package with extras, by name."""
     options = ["--frozen", "--offline", "--no-default-groups", "--no-emit-project", "--no-hashes"]
-    exported = ran(find_uv(), "export", *options, *(f"--extra={extra}" for extra in extras))
+    exported = ran(find_tool("uv"), "export", *options, *(f"--extra={extra}" for extra in extras))
     assert exported.returncode == 0, exported.stderr
     lines = [Requirement(line) for line in exported.stdout.splitlines() if re.match(r"\w", line)]
     return {canonicalize_name(pin.name): pin for pin in lines if pin.marker is None or pin.marker.evaluate()}

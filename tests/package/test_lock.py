@@ -7,12 +7,12 @@ from packaging.requirements import Requirement
 
 from drone_env.errors import DISTRIBUTION
 from tests.package.extras import PROJECT, pins
-from tests.tools import find_uv, missing_tool, ran
+from tests.tools import find_tool, missing_tool, ran
 
 
 @pytest.mark.feature("P5")
 def test_the_lock_agrees_with_pyproject_toml_and_with_what_is_installed() -> None:
-    checked = ran(find_uv(), "lock", "--check", "--offline")
+    checked = ran(find_tool("uv"), "lock", "--check", "--offline")
     assert checked.returncode == 0, checked.stderr
     locked = pins("dev")
     extras = PROJECT["optional-dependencies"]

@@ -15,7 +15,7 @@ from tests.parity.golden import (
     golden_hashes,
     golden_seeds,
 )
-from tests.tools import find_python, find_uv, missing_tool, ran
+from tests.tools import find_python, find_tool, missing_tool, ran
 
 GOLDEN: Hashes = json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))
 FIRST = {name: {**hashes, **hashes["first"]} for name, hashes in GOLDEN.items()}
@@ -42,7 +42,7 @@ def test_compiled() -> None:
 def test_on_another_python_without_numba(version: str) -> None:
     alone = ["run", "--isolated", "--no-project", "--with", "numpy", "--with", "gymnasium", "--python"]
     golden = ["python", "-W", "error", "tests/parity/golden.py", "--seeds", ELSEWHERE]
-    done = ran(find_uv(), *alone, find_python(version), *golden)
+    done = ran(find_tool("uv"), *alone, find_python(version), *golden)
     if "Failed to fetch" in done.stderr:
         missing_tool("an index of packages")
     assert done.returncode == 0, done.stderr

@@ -51,8 +51,7 @@ def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun:
 
 def finished(trainer: AnyTrainer) -> AnyTrainer:
     """The trainer at the end of its run."""
-    for _ in trainer.train():
-        pass
+    list(trainer.train())
     return trainer
 
 
