@@ -19,6 +19,7 @@
 Each message names the given value and the allowed ones.
 """
 
+import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
@@ -141,14 +142,29 @@ class Invalid(Protocol):
 
 LONGEST_NAME = 200
 """Maximum number of characters, because the sender of a value names its parts."""
+PLAIN = {
+    "^Value error, ": "",
+    "^Field required": "missing",
+    "^[A-Z][a-z]+ should ": "must ",
+    "a valid integer.*": "a whole number",
+    "a valid dictionary.*": "an object",
+    " after validation, not .*": "",
+}
+"""Words of Pydantic's messages, and those of this package."""
 
 
 def wrong_parts(error: Invalid) -> list[tuple[str, str, str]]:
     """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
     return [
-        (".".join(map(str, part["loc"]))[:LONGEST_NAME], part["msg"].removeprefix("Value error, "), part["type"])
+        (".".join(map(str, part["loc"]))[:LONGEST_NAME], _plain(part["msg"]), part["type"])
         for part in error.errors()[:20]
     ]
+
+
+def _plain(message: str) -> str:
+    for words, plain in PLAIN.items():
+        message = re.sub(words, plain, message)
+    return message
 
 
 def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:

@@ -157,6 +157,11 @@ def results_by_agent(rows: Iterable[sqlite3.Row]) -> dict[str, Results]:
     return found
 
 
+def digits_of(record: EpisodeRecord) -> str:
+    """Return the actions of a flight as the store keeps them, one digit each."""
+    return "".join([str(DIRECTIONS.index(name)) for name in record.actions])
+
+
 def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> None:
     """Add a finished episode, unless its id is stored already."""
     columns = (*COLUMNS[1:], "episode")
@@ -164,7 +169,7 @@ def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> Non
         **vars(stored.record),
         **vars(stored),
         "finished_at": stored.finished_at.timestamp(),
-        "actions": "".join([str(DIRECTIONS.index(name)) for name in stored.record.actions]),
+        "actions": digits_of(stored.record),
         "episode": stored.model_dump_json(exclude_none=True),
     }
     places = ", ".join([f":{name}" for name in columns])

@@ -28,6 +28,7 @@ from drone_env.results.finished import (
     StoredEpisode,
     analyse,
     check_agent,
+    digits_of,
     insert_episode,
     results_by_agent,
 )
@@ -227,6 +228,17 @@ class Store:
         return [
             EpisodeSummary(**row) for row in self._read(SELECT_BEST.format(where=where), (*values, agent, agent, n))
         ]
+
+    def flown_before(self, record: EpisodeRecord) -> list[EpisodeSummary]:
+        """Return the flights of any agent with the map, actions and reward profile of a record, oldest first.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            StoreError: if the store cannot be read.
+        """
+        flown = {"seed =": record.seed, "reward_profile =": record.reward_profile, "actions =": digits_of(record)}
+        where, values = _where(record.task, flown)
+        return [EpisodeSummary(**row) for row in self._read(f"{SELECT_ROWS} {where} ORDER BY number", values)]
 
     def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
         """Return the ids that the store contains."""

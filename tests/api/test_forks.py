@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import pytest
 from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
@@ -69,16 +70,34 @@ def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: Te
         assert "step 15 of the fork" in page.until("error")["detail"]
 
 
-def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: TestClient) -> None:
+@pytest.mark.parametrize("live", [True, False], ids=["flown here", "only linked"])
+def test_flights_that_have_ended_are_kept_once_however_often_their_link_is_opened(
+    client: TestClient, live: bool
+) -> None:
     before = flown("easy", "greedy")
-    whole = fork(before, 3, "greedy", *["WAIT"] * (before.task.max_steps - 3))  # type: ignore[list-item]
-    ids: set[str] = set()
+    rest = before.task.max_steps - 3
+    shown: set[str] = set()
+    if live:
+        with open_page(client) as page:
+            page.start("greedy", "human", fork=fork(before, 3, "greedy"), name="Ada")
+            # The link says neither of these, and no name.
+            page.send("help", flight=1)
+            page.send("fly", flight=1, direction="UP")
+            page.send("undo", flight=1)
+            for _ in range(rest):
+                page.send("fly", flight=1, direction="WAIT")
+                page.send("step")
+            shown = {page.until("ended")["episode"]["agent"] for _ in range(2)}
+            assert shown == {"greedy", "human (Ada) with values and undo from step 3 of greedy"}
+    whole = fork(before, 3, "greedy", *["WAIT"] * rest)  # type: ignore[list-item]
     for _ in range(2):
         with open_page(client) as page:
-            (shown,) = page.start("human", fork=whole)
-            assert shown["frames"][-1]["done"]
-            ids.add(page.until("ended")["episode"]["id"])
-    assert ids == {row["id"] for row in client.get("/episodes").json()["episodes"]}
+            views = page.start("greedy", "human", fork=whole, name="Ben")
+            assert all(view["frames"][-1]["done"] for view in views)
+            ended = {page.until("ended")["episode"]["agent"] for _ in range(2)}
+            assert ended == {view["opening"]["by"] for view in views}
+            assert ended == (shown or ended)
+    assert len(client.get("/episodes").json()["episodes"]) == 2
 
 
 def test_a_race_that_is_over_is_opened_to_all_its_ends_and_stays_the_flight_of_who_flew_it(client: TestClient) -> None:

@@ -6,7 +6,7 @@ from playwright.sync_api import Page, Route, expect
 
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
-from tests.browser.shown import expect_step, pictures, points
+from tests.browser.shown import expect_flying, expect_step, pictures, points
 from tests.browser.stage import choices, open_file, press, show, until, view
 from tests.browser.tabs import Tabs
 
@@ -70,6 +70,13 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     assert f"task={file.stem}&seed=0&pilot=human" in page.url
     expect(page.locator(".plan-head")).to_have_text(f"Drawn map {file.stem[6:10]} · You")
     expect(page.get_by_role("button", name="New map")).to_be_hidden()
+    page.go_back()
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    press(page, "Copy link")
+    expect(page.locator("#toasts")).to_contain_text("Link copied.")
+    assert page.evaluate("navigator.clipboard.readText()").endswith(f"/?task={file.stem}&seed=0&pilot=human")
+    press(page, "Race")
+    expect_flying(page, "Tournet", "Greedy", "Optimal", "Random", "You")
     with page.expect_response("**/maps/worth"):
         choices(page).get_by_role("link", name="Edit this map").click()
     expect(score).to_have_text(shown)

@@ -147,6 +147,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
     view(page, "Fly")
     choice = choices(page).get_by_role("combobox", name="Flight of the file")
     open_file(page, "flights.jsonl", "".join(flight.to_json() + "\n" for flight in flights))
+    choices(page)
     expect(choice.locator("option")).to_have_text(
         ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Optimal"]
     )
@@ -159,6 +160,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
     pilots = ["greedy", "optimal", "random", "pathqnet", "tournet", "greedy", "me", long]
     labels = [flown("easy", 4, "greedy" if name in ("me", long) else name, label=name) for name in pilots]
     open_file(page, "race.jsonl", "".join(flight.to_json() + "\n" for flight in [*labels, flights[0]]))
+    choices(page)
     names = ["Greedy (1)", "Optimal", "Random", "PathQNet", "Tournet", "Greedy (6)", "me", long]
     expect(standings(page)).to_have_count(8)
     for number in (3, 8):
@@ -175,7 +177,6 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
     open_file(page, "flight.json", record_of(Episode("easy", "tiered", 5).fly([Action.UP]), "me").to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: In flight.")
     expect(page.locator(".strip")).to_contain_text("This flight is not finished")
-    page.keyboard.press("End")
     expect_step(page, 1, 60, "UP")
 
 
@@ -183,7 +184,7 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
     flights = get(server, "episodes", agent="scripted")["episodes"]
     id_ = next(one["id"] for one in flights if one["seed"] == 14)
     calls = get(server, f"episodes/{id_}/calls")["calls"]
-    show(page, f"/?episode={id_}")
+    show(page, f"/?episode={id_}&step=0")
     answer, prompt = page.locator("#llm-answer"), page.locator("#llm-prompt")
     # The arrows are the values of a network that does not fly here.
     expect(page.get_by_role("checkbox", name="Network values")).to_be_hidden()
@@ -210,14 +211,21 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
         ("notes.txt", "hello", "must end in .json or .jsonl"),
         ("empty.json", " ", "is empty"),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
-        ("forged.json", json.dumps(forged), "does not fit its flight: score 0.99"),
+        ("forged.json", json.dumps(forged), "forged.json is not a flight file. The record does not fit its flight: "),
+        ("old_1.json", '{"task": "hard"}', "old_1.json is not a flight file. task_version: missing; seed: missing"),
     ):
+        # The open choices would cover what the page says.
+        choices(page)
         open_file(page, name, text)
         expect(problem).to_contain_text(says)
+        expect(page.locator("#flight-file")).to_be_hidden()
     # The flight before is still shown.
     expect(map_number(page)).to_have_value("7")
+    choices(page)
     open_file(page, "flight.json", record.to_json(2))
     expect(page.locator(".strip")).to_contain_text("me: ")
+    expect(page.locator("#flight-file")).to_be_hidden()
+    expect_step(page, len(record.actions), len(record.actions))
     expect(problem).to_be_hidden()
     pilot(page, "Greedy").click()
     expect(page.locator(".strip")).to_be_hidden()

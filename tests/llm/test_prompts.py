@@ -69,11 +69,11 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
     rest = '\nplan = false\nsystem = ""\nuser = "{{ weather }}"\nrepair = ""'
     for text, why in [
         ("plan = ", "mine.toml: "),
-        ("plan = 1", "mine.toml is not a prompt: format: Field required; plan: Input should be a valid boolean"),
-        ("format = 2" + rest, "format: Input should be 1"),
+        ("plan = 1", "mine.toml is not a prompt: format: missing; plan: must be a valid boolean"),
+        ("format = 2" + rest, "format: must be 1"),
         ("format = 1" + rest, "user: unknown 'weather'; allowed: battery_percent, battery_steps, "),
         ("format = 1" + rest.replace("}}", ""), "user: unexpected end of template"),
-        ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
+        ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: must match pattern"),
         ("format = 1" + rest.replace('system = ""', "system = '{% include \"more.j2\" %}'"), r"unknown 'more\.j2'"),
         ("format = 1" + rest.replace("weather", "x").replace('""', '"{{ x }}"'), "repair: unknown 'x'; allowed: "),
     ]:

@@ -77,8 +77,8 @@ ALL = f"format = 1\n{ROWS}"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "format: Field required; terrain: Field required"),
-        (f"format = 2\n{ROWS}", "format: Input should be 1"),
+        ("", "format: missing; terrain: missing"),
+        (f"format = 2\n{ROWS}", "format: must be 1"),
         ('format = 1\n[terrain]\nrows = ["· · ", "· x"]', "unknown symbol 'x' in row 1; allowed: '· ' road"),
         ('format = 1\n[terrain]\nrows = ["· · ", "· "]', "row 0 has 2 cells, row 1 has 1"),
         ('format = 1\n[terrain]\nrows = ["", ""]', "2 to 512 cells wide and high, got 0 x 2"),
@@ -92,7 +92,7 @@ ALL = f"format = 1\n{ROWS}"
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),
         (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "parcel 2 [2, 2] cannot be reached from parcel 1"),
         (f"parcels = {[[0, 0]] * 17}\n{ALL}", "at most 16 parcels, got 17"),
-        (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide.[key]: Input should be 'width', 'height'"),
+        (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide.[key]: must be 'width', 'height'"),
     ],
 )
 def test_what_is_no_city_is_refused(text: str, said: str, tmp_path: Path) -> None:

@@ -64,11 +64,11 @@ def test_the_sign_of_a_zero_counts() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 2}, "format_version: Input should be 1"),
+        ({"format_version": 2}, "format_version: must be 1"),
         ({"rewards": [0.1]}, "1 rewards do not fit 60 actions"),
-        ({"rewards": [math.nan] * 60}, "rewards.0: Input should be a finite number"),
-        ({"actions": ["NORTH"]}, "actions.0: Input should be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
-        ({"agent": "two\nlines"}, "agent: String should match pattern"),
+        ({"rewards": [math.nan] * 60}, "rewards.0: must be a finite number"),
+        ({"actions": ["NORTH"]}, "actions.0: must be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
+        ({"agent": "two\nlines"}, "agent: must match pattern"),
         ({"wind": 1}, "wind: Extra inputs are not permitted"),
     ],
 )

@@ -121,4 +121,5 @@ def parse_command(data: bytes | None) -> Command:
         return _COMMAND.validate_python(value)
     except ValidationError as error:
         # The first part of a name is the type of the command.
-        raise InvalidValueError(text_of(error, lambda name: name.partition(".")[2] or name)) from None
+        named = {"seed": "the number of the map"}
+        raise InvalidValueError(text_of(error, lambda name: named.get(rest := name.partition(".")[2], rest))) from None

@@ -139,10 +139,7 @@ class LiveEpisode:
             for action in actions:
                 advance(row, action)
             if row.finished:
-                # The id is a digest, so that a link that is opened often stores the episode once.
-                record = row.finished[0].record.to_json()
-                row.episode_id = sha256(record.encode()).hexdigest()[:16]
-                row.finished[0] = row.finished[0].model_copy(update={"id": row.episode_id})
+                self._store_once(row)
 
     def step(self) -> Frame:
         """Fly one step of an automatic episode whose actions are `planned`."""
@@ -218,6 +215,19 @@ class LiveEpisode:
             yield row
         self.row = row
 
+    def _store_once(self, row: Session) -> None:
+        """Replace a finished flight that a link flew again by the stored one: the link knows not all of its agent."""
+        (flown,) = row.finished
+        record, kept = flown.record, _without_help(row.agent)
+        before = self._sessions.store.flown_before(record)
+        for stored in sorted(before, key=lambda stored: stored.agent != row.agent):
+            if _without_help(stored.agent) == kept:
+                row.finished, row.episode_id, row.agent = [], stored.id, stored.agent
+                return
+        # Two pages that open the link at once store it once.
+        row.episode_id = sha256(record.to_json().encode()).hexdigest()[:16]
+        row.finished = [flown.model_copy(update={"id": row.episode_id})]
+
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
             raise EpisodeError(f"{self.pilot} flies this episode: start one with the pilot {HUMAN!r} to fly yourself")
@@ -239,6 +249,11 @@ class LiveEpisode:
     @property
     def _shown(self) -> bool:
         return shows_values(self.provenance, self.episode)
+
+
+def _without_help(agent: str) -> Provenance:
+    """The pilots of a flight without what only its record says: the person's name, values and undo."""
+    return Provenance.parse(agent)._replace(name=None, values=False, undo=False)
 
 
 async def _finished(job: "asyncio.Future[Result]") -> Result:

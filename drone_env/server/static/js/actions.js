@@ -22,10 +22,9 @@ export function actionsOf(context, fleet) {
   /** Starts other flights. Missing parts come from the flights that are shown, also from a stored one. */
   function start(change, how, yes) {
     const { track, world } = stage;
-    const past = world && !fleet.shown;
-    const flown = past && { task: world.task.short_name, seed: world.seed, profile: world.profile };
-    const pilots = past ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
-    return givingUp(() => fleet.start(past ? fleet.complete({ pilots, ...flown, ...change }) : change, how), yes);
+    const pilots = track ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
+    const past = world && !fleet.shown && { task: world.task.short_name, seed: world.seed, profile: world.profile, pilots };
+    return givingUp(() => fleet.start({ ...past, ...change }, how), yes);
   }
   const acts = {
     givingUp,

@@ -1,6 +1,7 @@
 // HTTP requests. URLs are relative to the page, which may have a path prefix.
 import { recall, remember } from "./base.js";
 import { el, toast } from "./dom.js";
+import { sentence } from "./format.js";
 
 const TOKEN = "drone-env-token";
 /** Characters that a header may contain. */
@@ -9,7 +10,7 @@ const SENDABLE = /^[\x21-\x7e]+$/;
 /** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
   constructor(status, code, detail) {
-    super(detail);
+    super(sentence(detail));
     this.status = status;
     this.code = code;
   }

@@ -60,9 +60,9 @@ export function mount(root, context) {
   const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => tried(press) });
   const acts = el(
     "div.draw-acts",
-    act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
-    act("race-map", "Race", () => go(null)),
-    act("link-map", "Copy link", async () => copyLink({ task: (await storeTask()).id, seed: 0 })),
+    act("fly-map", "Fly it", async () => router.go(await stored()), "button.button.primary"),
+    act("race-map", "Race", async () => router.go(await stored(true))),
+    act("link-map", "Copy link", async () => copyLink(await stored())),
     act("save-map", "Save file", save),
   );
   const middle = el("div.middle");
@@ -182,16 +182,13 @@ export function mount(root, context) {
     worth.ask();
   }
 
-  async function storeTask() {
+  /** Stores the map; the address where the visitor flies it, in a race with all others who can. */
+  async function stored(race = false) {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
-    return answer.task;
-  }
-
-  async function go(pilots) {
-    const { id } = await storeTask();
-    const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(id)).map((pilot) => pilot.id);
-    router.go({ task: id, seed: 0, pilots: pilots ?? able.slice(0, context.most) });
+    const { id } = answer.task;
+    const flying = context.pilots.filter(({ automatic, tasks }) => (race ? tasks.includes(id) : !automatic));
+    return { task: id, seed: 0, pilots: flying.map((pilot) => pilot.id).slice(0, context.most) };
   }
 
   async function save() {

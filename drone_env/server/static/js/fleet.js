@@ -2,7 +2,7 @@
 import { Emitter } from "./base.js";
 import { toast } from "./dom.js";
 import { NEXT } from "./fleet_states.js";
-import { who } from "./format.js";
+import { sentence, who } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
@@ -34,6 +34,8 @@ export class Fleet extends Emitter {
     this.beside = [];
     /** Ids of the pilots of the newest start. @type {string[]} */
     this.flown = [];
+    /** What a start replaces until it is answered. */
+    this.left = {};
     /** The visitor's moves until it is answered. @type {string[]} */
     this.moves = [];
     const { live } = context;
@@ -184,7 +186,7 @@ export class Fleet extends Emitter {
    */
   start(change = {}, how = {}) {
     const { play = false, beside = [], flown = null, moves = [] } = how;
-    const nothing = { fork: null, actions: null, of: null, step: null, selected: null, ended: null, episode: null };
+    const { task, seed, profile, pilots } = this.setup;
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
       toast("The server is away. Your flight is kept; start another one when the server is back.");
@@ -193,7 +195,8 @@ export class Fleet extends Emitter {
     }
     // If the server rejects the start, the present flights stay, paused.
     if (this.tracks.length) live.send({ type: "pause" });
-    this.setup = { ...this.setup, ...nothing, ...change };
+    if (!this.starting) this.left = { setup: this.setup, beside: this.beside, flown: this.flown };
+    this.setup = this.complete({ task, seed, profile, pilots, ...change });
     this.beside = beside;
     this.flown = flown ?? this.setup.pilots;
     this.moves = [...moves];
@@ -210,12 +213,6 @@ export class Fleet extends Emitter {
       request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
     if (ended ?? step) request.step = ended ?? step;
     this.context.live.send({ type: "start", number: ++this.number, ...request });
-  }
-
-  /** Starts a flight that every visitor can fly, after a request that the server rejected. */
-  another() {
-    const task = this.task() ?? this.context.tasks[0];
-    this.start({ task: task.short_name, seed: null, profile: null, pilots: this.able(task).slice(0, 1) });
   }
 
   /** Forks a flight at a step: `pilot` flies on beside it, starting with `action`. */
@@ -393,6 +390,12 @@ export class Fleet extends Emitter {
     this.turn("refused");
     // A key may arrive after the end of the flight: ignored.
     if ((state === "idle" || state === "playing") && code === "wrong_moment") return;
-    this.emit("refused", detail);
+    if (starting) {
+      // Without flights that stay, the next start is one that every visitor can fly.
+      const known = { ...NOTHING, task: (this.task() ?? this.context.tasks[0]).short_name };
+      Object.assign(this, this.tracks.length ? this.left : { setup: known });
+      this.emit("setup");
+    }
+    this.emit("refused", sentence(detail));
   }
 }

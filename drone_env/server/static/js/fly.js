@@ -15,7 +15,7 @@ import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
 import { explain, mountFiles, mountRecord, Past } from "./past.js";
 import { mountPlan } from "./plan.js";
-import { says } from "./router.js";
+import { linkOf, says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
@@ -73,21 +73,21 @@ export function mountFly(root, context) {
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
     fleet.rest();
-    problem.clear();
     try {
       await load();
       return true;
     } catch (error) {
-      problem.show(error.message);
+      problem(error.message);
       return false;
     }
   }
 
-  /** The moment and the moves, as the address contains them: the newest step of a flight with moves is its default. */
-  function moment() {
+  /** What is shown, as the address contains it: a stored flight and one with moves are shown at their newest step by default. */
+  function present() {
     const { cursor, following } = stage.clock;
-    const moves = fleet.linkParts;
-    return { ...moves, step: (moves.actions ? following : cursor === 0 && !moves.ended) ? null : cursor };
+    const flights = fleet.shown ? { ...fleet.setup, ...fleet.linkParts } : {};
+    const atEnd = flights.actions || !fleet.shown || (flights.episode && !fleet.forked);
+    return { ...flights, step: (atEnd ? following : cursor === 0 && !flights.ended) ? null : cursor };
   }
 
   // The bare address shows a recorded flight above the map, which waits to be flown.
@@ -102,15 +102,15 @@ export function mountFly(root, context) {
 
   function writeAddress() {
     if (!fleet.shown || context.view !== "fly" || (greets() && waits())) return;
-    router.flies({ ...fleet.setup, ...moment() }, greets());
+    router.flies(present(), greets());
     if (greeting) greeting.hidden = true;
   }
-  fleet.on("begun", () => {
-    if (fleet.shown) problem.clear();
-    writeAddress();
-  });
+  fleet.on("begun", writeAddress);
   stage.on("frames", () => greets() && writeAddress());
-  stage.on("load", () => root.classList.remove("empty"));
+  stage.on("load", () => {
+    root.classList.remove("empty");
+    problem(null);
+  });
   root.classList.add("empty");
   fleet.on("ended", (track) => {
     explain(context, track);
@@ -124,12 +124,13 @@ export function mountFly(root, context) {
     const { address } = router;
     // A stored flight that is still loading for an earlier address is dropped.
     past.request += 1;
+    problem(null);
     if (address.lesson)
       lessons ??= import("./lessons.js").then(
         ({ mountLesson }) => mountLesson(lesson, context),
         ({ message }) => {
           lessons = null;
-          problem.show(`The lesson could not be loaded: ${message}`);
+          problem(`The lesson could not be loaded: ${message}`);
         },
       );
     if (greeting) greeting.hidden = !greets();
@@ -137,8 +138,11 @@ export function mountFly(root, context) {
       fleet.pause();
       stage.clock.stop();
     } else if (address.episode && address.fork === null) {
-      if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.cursor);
-      else await open(() => past.open(address.episode, address.step ?? 0));
+      if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
+      else await open(() => past.open(address.episode, address.step));
+    } else if (fleet.tracks.length && router.bare && !greeting) {
+      // Only a load brings the recorded flight of the bare address.
+      location.replace(linkOf({}));
     } else await fly(address);
   }
 
@@ -146,7 +150,9 @@ export function mountFly(root, context) {
     const unknown = address.task && !fleet.task(address.task);
     if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
     const wanted = greets() ? greeted() : fleet.complete(address);
-    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(wanted, fleet.setup));
+    const { actions } = fleet.linkParts;
+    const goesOn = () => says(wanted, fleet.setup) && (address.actions ?? "") === (actions ?? "");
+    const flown = fleet.tracks.length > 0 && (greets() ? waits() : goesOn());
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) fleet.show(address.step, address.selected - 1);
     else if (!address.episode) fleet.start(wanted);
@@ -162,31 +168,27 @@ export function mountFly(root, context) {
   /** Whether the stage shows the flight of the address. */
   function isShown() {
     const { address } = router;
-    if (context.view !== "fly") return false;
+    if (context.view !== "fly" || greets()) return false;
     if (fleet.shown) return !fleet.starting && says(fleet.complete(address), fleet.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
-  stage.on("change", () => isShown() && router.moment(moment()));
+  stage.on("change", () => isShown() && router.moment(present()));
 }
 
-/** An error above the map; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-function mountProblem(root, context, fleet) {
+/** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
+function mountProblem(root, { stage }, fleet) {
   const text = el("p.problem", { role: "alert", hidden: true });
+  const another = el("button.button.small", { text: "Fly another map", press: () => fleet.start({ seed: null }) });
   root.append(text);
-  const another = el("button.button.small", {
-    text: "Fly another map",
-    press: () => fleet.another(),
-  });
-  const problem = {
-    show(message) {
-      text.replaceChildren(message, " ", ...(context.stage.tracks.length ? [] : [another]));
-      text.hidden = false;
-    },
-    clear() {
-      text.hidden = true;
-    },
-  };
-  fleet.on("refused", problem.show);
-  return problem;
+  /** @param {string|null} message */
+  function show(message) {
+    text.hidden = message === null;
+    if (message === null) return;
+    // The open choices would cover it.
+    root.parentElement.querySelector("details").open = false;
+    text.replaceChildren(message, " ", ...(stage.tracks.length ? [] : [another]));
+  }
+  fleet.on("refused", show);
+  return show;
 }

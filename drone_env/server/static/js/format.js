@@ -62,6 +62,9 @@ export function who({ pilots }, agent) {
   });
 }
 
+/** A message of the server; the name of a file or a field stays as it is. */
+export const sentence = (text) => text.replace(/^[a-z](?=[a-z]*[ ,:;])/, (letter) => letter.toUpperCase());
+
 const LONGEST = 40;
 
 /** A name in a place that cannot grow. */

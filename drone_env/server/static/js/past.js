@@ -1,7 +1,7 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { tried } from "./api.js";
-import { download, el, toast } from "./dom.js";
-import { flightName } from "./format.js";
+import { download, el } from "./dom.js";
+import { flightName, sentence } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -26,9 +26,7 @@ export class Past {
     const request = ++this.request;
     const track = await this.stored(id);
     if (request !== this.request) return;
-    this.episode = id;
-    this.records = [];
-    this.show([track], { step });
+    this.show([track], { step, episode: id });
     this.askForCalls(track);
   }
 
@@ -43,7 +41,11 @@ export class Past {
   async openFile(file) {
     const request = ++this.request;
     const records = await readFlights(file);
-    if (request === this.request) await this.openRecord(0, records);
+    if (request !== this.request) return;
+    await this.openRecord(0, records).catch((error) => {
+      if (error.code !== "invalid_request") throw error;
+      throw new Error(`${file.name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
+    });
   }
 
   /** Shows a flight of the file, beside the others over the same map: as many as may fly together. */
@@ -58,9 +60,7 @@ export class Past {
     if (request !== this.request) return;
     const named = (track) => tracks.filter(({ called }) => called === track.called).length > 1;
     tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
-    this.episode = null;
-    this.records = records;
-    this.show(tracks, { selected: at - first });
+    this.show(tracks, { selected: at - first, records });
   }
 
   leave() {
@@ -77,10 +77,11 @@ export class Past {
     return track;
   }
 
-  show(tracks, moment) {
+  /** Shows the end unless a step is named: the results are beside it. */
+  show(tracks, { step = null, selected = 0, episode = null, records = [] }) {
     const { stage, tasks } = this.context;
-    this.tracks = tracks;
-    stage.show(worldOf(tracks[0].opening, tasks), tracks, moment);
+    Object.assign(this, { tracks, episode, records });
+    stage.show(worldOf(tracks[0].opening, tasks), tracks, { step: step ?? Infinity, selected });
     for (const track of tracks) explain(this.context, track);
   }
 
@@ -148,12 +149,8 @@ async function saveRecord(context) {
   const { task, seed } = context.stage.world;
   const { track } = context.stage;
   const name = `${task.short_name}-${seed}-${track.by}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
-  try {
-    const text = `${JSON.stringify(await recordOf(context, track), null, 2)}\n`;
-    download(`${name}.json`, new Blob([text], { type: "application/json" }));
-  } catch (error) {
-    toast(`The record could not be saved: ${error.message}`);
-  }
+  const record = await tried(() => recordOf(context, track));
+  if (record) download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
 }
 
 /** The file field, and the choice of a flight if the file contains several. */
@@ -165,6 +162,8 @@ export function mountFiles(root, past, open) {
     on: {
       change: async () => {
         const [file] = input.files;
+        // What the file holds, or why it is refused, is below the choices.
+        root.closest("details").open = false;
         if (file) await open(() => past.openFile(file));
         input.value = "";
       },

@@ -80,12 +80,8 @@ export function mountPlan(root, context, fleet, acts) {
 
   const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
-  /** Drops pilots that cannot fly the task; their rows state why. */
-  function chooseTask(task) {
-    const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
-    const pilots = able.length ? able : fleet.able(task).slice(0, 1);
-    acts.start({ task: task.short_name, seed: null, pilots }).finally(update);
-  }
+  /** The same pilots; the rows of those that cannot fly the task say why. */
+  const chooseTask = (task) => acts.start({ task: task.short_name, seed: null, pilots: [] }).finally(update);
 
   function update() {
     const { setup } = fleet;
@@ -94,12 +90,12 @@ export function mountPlan(root, context, fleet, acts) {
     const names = fleet.starting ? setup.pilots.map((id) => fleet.pilot(id).name) : stage.tracks.map(({ name }) => name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
     fresh.hidden = label.hidden = seed.hidden = !variants(task);
-    const number = fresh.hidden ? [] : [`map ${map}`];
-    setText(heading, [task ? title(task.short_name) : setup.task, ...number, names.join(", ")].join(" · "));
+    const number = !fresh.hidden && map !== "" && `map ${map}`;
+    setText(heading, [task ? title(task.short_name) : setup.task, number, names.join(", ")].filter(Boolean).join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
     setText(note, task ? taskNote(task) : "");
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
-    copy.disabled = past && !stage.track.episode;
+    copy.disabled = !stage.track || (past && !stage.track.episode);
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const { pilot, row, name, box, about } of rows) {
       const able = fleet.flies(pilot.id, task);

@@ -131,8 +131,11 @@ function read({ search }) {
   if (view !== named) unread.push(`view=${named}`);
   const [step, fork, lesson] = [count("step"), count("fork"), count("lesson", 1)];
   const [selected, ended] = [count("selected", 1), count("ended")];
+  const moves = link.get("actions") ?? "";
+  const unknown = /[^UDLRW]/.test(moves) || moves.length < fork;
+  if (unknown) unread.push(`actions=${moves}`);
   // Without its step, a fork has no moves: they would be the visitor's own.
-  const forkless = link.get("fork") && fork === null;
+  const forkless = unknown || (link.get("fork") && fork === null);
   return {
     view,
     task: text("task"),
@@ -142,7 +145,7 @@ function read({ search }) {
     pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
     episode: text("episode"),
     step,
-    fork,
+    fork: forkless ? null : fork,
     actions: forkless ? null : text("actions"),
     of: forkless ? null : text("of"),
     selected,

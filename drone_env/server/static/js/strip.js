@@ -134,10 +134,9 @@ function tryAgain({ stage }, fleet, acts) {
 function goOn(context, fleet, acts) {
   const next = nextTask(context.families, context.stage.world.task);
   const flown = fleet.shown ? fleet.setup.pilots : [context.stage.track.pilot];
-  const able = [...new Set(flown)].filter((id) => fleet.flies(id, next));
-  const pilots = able.length ? able : fleet.able(next).slice(0, 1);
+  const pilots = [...new Set(flown)].filter((id) => fleet.flies(id, next));
   acts.start({ task: next.short_name, seed: null, pilots });
   // The focus moves to Start; if the visitor flies, the keys are for the drone.
-  if (pilots.includes(fleet.person.id)) leaveFocus();
+  if (fleet.byHand) leaveFocus();
   else document.getElementById("start").focus({ preventScroll: true });
 }
