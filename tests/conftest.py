@@ -6,8 +6,10 @@ from tests.environment import DISPLAY
 # isort: split
 import os
 from collections.abc import Generator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TypeVar
+from unittest.mock import patch
 
 import gymnasium
 import pytest
@@ -39,18 +41,15 @@ def neutral_place(tmp_path_factory: pytest.TempPathFactory) -> Generator[None, N
 
 
 @pytest.fixture(autouse=True)
-def registered() -> Generator[None, None, None]:
+def registered(monkeypatch: pytest.MonkeyPatch) -> Generator[None, None, None]:
     """Restore the registries after each test, in this process and for started ones."""
-    known = [TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry]
-    before = [dict(names) for names in known]
-    plugins = os.environ.get(PLUGINS)
-    yield
-    for names, kept in zip(known, before, strict=True):
-        if names != kept:
-            names.clear()
-            names.update(kept)
-    if os.environ.get(PLUGINS) != plugins:
-        os.environ.pop(PLUGINS) if plugins is None else os.environ.update({PLUGINS: plugins})
+    # Both calls, so that it is absent during the test and after it.
+    monkeypatch.setenv(PLUGINS, "")
+    monkeypatch.delenv(PLUGINS)
+    with ExitStack() as restored:
+        for names in (TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry):
+            restored.enter_context(patch.dict(names))
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -15,7 +15,6 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -24,11 +23,14 @@ import urllib.request
 from collections.abc import Generator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.tools import ROOT, eventually, is_taken, reserved_port
+
 SERVES = ("drone-env serve", "make serve")
 FILL_IN = "cp .env.example .env"
 PATIENCE = 120.0
-"""Seconds within which what is started in the background must answer."""
+"""Seconds within which what was started in the background must end."""
 
 
 def commands(readme: str) -> list[str]:
@@ -38,26 +40,17 @@ def commands(readme: str) -> list[str]:
     return [line for line in typed if shlex.split(line, comments=True)]
 
 
-def wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:
-    """Until the process listens.
-
-    Raises:
-        RuntimeError: if it ends, or does not in time.
-    """
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end and process.poll() is None:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=5):
-            return
-        time.sleep(0.2)
-    raise RuntimeError(f"nothing listens on port {port}")
-
-
 @contextlib.contextmanager
 def background(command: list[str], port: int, cwd: Path, env: dict[str, str]) -> Generator[None, None, None]:
-    """A command that serves, until the end of the `with`."""
+    """A command that serves, until the end of the `with`.
+
+    Raises:
+        AssertionError: if it ends, or does not listen in time.
+    """
     process = subprocess.Popen(command, cwd=cwd, env=env, start_new_session=True)
     try:
-        wait_for(port, process)
+        eventually(lambda: process.poll() is not None or is_taken(port), lambda: f"nothing listens on port {port}")
+        assert process.poll() is None, f"{command} has ended"
         yield
     finally:
         for sent in (signal.SIGTERM, signal.SIGKILL):
@@ -68,11 +61,7 @@ def background(command: list[str], port: int, cwd: Path, env: dict[str, str]) ->
 
 def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dict[str, str]) -> str:
     """A language model that flies well, whatever the prompt; its base URL."""
-    # Bound and not listened on: the kernel gives it to nobody else.
-    reserved = stack.enter_context(socket.socket())
-    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    reserved.bind(("127.0.0.1", 0))
-    port = reserved.getsockname()[1]
+    port = reserved_port()
     python = str(clone / ".venv/bin/python")
     command = [python, "tests/llm/scripted_server.py", str(port)]
     stack.enter_context(background(command, port, cwd=clone, env=environment))
@@ -104,7 +93,7 @@ def walk(clone: Path) -> list[tuple[str, float, int]]:
                     url = scripted_endpoint(clone, stack, environment)
                     with (clone / ".env").open("a") as file:
                         file.write(f"\nAPI_BASE_URL={url}\nOPENAI_API_KEY=stranger\n")
-            except (OSError, RuntimeError) as error:
+            except (OSError, AssertionError) as error:
                 print(error, file=sys.stderr)
                 status = 1
             walked.append((command, time.perf_counter() - start, status))

@@ -7,13 +7,13 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
-import pytest
-
+ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """The large packages that `uv sync` leaves out; the extra `dev` contains them."""
 ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
@@ -21,6 +21,8 @@ ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
 
 def missing_tool(name: str) -> NoReturn:
     """Skip the test that needs `name`, or fail it if `DRONE_ENV_REQUIRE_TOOLS=1`."""
+    import pytest  # programs that use this file do without
+
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         pytest.fail(f"missing tool: {name}")
     pytest.skip(f"missing tool: {name}")
@@ -57,17 +59,55 @@ def _version(python: str) -> str:
     return subprocess.run([python, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
 
 
-def find_uv() -> str:
-    """Return the path of uv, of this environment or on `PATH`."""
-    return shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv") or missing_tool("uv")
+def find_tool(name: str) -> str:
+    """Return the path of a program, of this environment or on `PATH`."""
+    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name) or missing_tool(name)
 
 
-def eventually(holds: Callable[[], object]) -> None:
-    """Wait until a condition is true, for at most a minute."""
-    deadline = time.monotonic() + 60
+def ran(*command: object, cwd: Path = ROOT, **variables: str) -> "subprocess.CompletedProcess[str]":
+    """Run a program to its end, with this checkout on the path of Python."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    words = list(map(str, command))
+    nothing = subprocess.DEVNULL
+    return subprocess.run(words, cwd=cwd, env=environment, stdin=nothing, capture_output=True, text=True, check=False)
+
+
+def tracked(*folders: str) -> list[str]:
+    """The files that Git knows, by their names, as far as they are there."""
+    listed = subprocess.run(["git", "ls-files", "-z", *folders], cwd=ROOT, capture_output=True, text=True, check=True)
+    return [name for name in listed.stdout.split("\0") if (ROOT / name).is_file()]
+
+
+@contextmanager
+def limited(kind: int, most: int) -> Generator[None, None, None]:
+    """A limit of `resource` for this process, such as RLIMIT_FSIZE, for the time of the block."""
+    import resource  # not on every system
+
+    before = resource.getrlimit(kind)
+    resource.setrlimit(kind, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(kind, before)
+
+
+def eventually(holds: Callable[[], object], told: Callable[[], str] = lambda: "") -> None:
+    """Wait until a condition is true, for at most 100 seconds.
+
+    Args:
+        holds: The condition.
+        told: What to say if it does not come true.
+    """
+    deadline = time.monotonic() + 100
     while not holds():
-        assert time.monotonic() < deadline, "timed out"
+        assert time.monotonic() < deadline, f"timed out: {told()}"
         time.sleep(0.02)
+
+
+def is_taken(port: int) -> bool:
+    """Whether a program of this machine listens on a port."""
+    with socket.socket() as asking:
+        return asking.connect_ex(("127.0.0.1", port)) == 0
 
 
 _RESERVED: list[socket.socket] = []

@@ -39,6 +39,27 @@ TOY = TaskConfig(
 """Every event pays something else, so that a reward tells which event was paid."""
 
 
+PLUGIN_OF_HOPS = """
+from dataclasses import replace
+from drone_env import get_task, register_task
+hops = replace(get_task("easy"), id="hops", short_name="hops", grader="drone_env.graders:grade_hops")
+register_task(replace(hops, width=5, height=5))
+"""
+"""A module that registers a task."""
+LOG_OF_MAP_14 = """\
+[START] task=drone_env.graders:grade_easy env=drone_env_v1 model={}
+[STEP] step=1 action=LEFT reward=0.15 done=false error=null
+[STEP] step=2 action=UP reward=0.15 done=false error=null
+[STEP] step=3 action=UP reward=0.99 done=true error=null
+[END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99
+"""
+"""What is printed of the best flight over map 14 of easy.
+
+Start (6, 3), parcel (5, 1). Two steps closer at 0.10 + 0.05, then 0.95 + 0.05 clamped to 0.99; score
+0.8 + 0.2 * (1 - 3/60).
+"""
+
+
 def toy_task(drawing: list[str], **changes: Any) -> TaskConfig:
     """`TOY` with the size and the counts of the drawing. The battery holds `max_steps` units unless told otherwise."""
     cells = "".join(drawing)

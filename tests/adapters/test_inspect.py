@@ -1,8 +1,6 @@
 """The drone as a task of Inspect, flown through Inspect's own evaluation: `tools/verify.sh adapters`."""
 
-import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +11,9 @@ from drone_env.core.seeds import SPLITS
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.record import EpisodeRecord, replay
-from tests.llm.conftest import Endpoint, environment
+from tests.llm.conftest import Endpoint, Start
+from tests.tools import ran
 
-Start = Callable[..., Endpoint]
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
@@ -85,17 +83,10 @@ def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> Non
     packages = tmp_path / "site-packages"
     packages.mkdir()
     (packages / "drone_env").symlink_to(Path(drone_env.__file__).parent)
-    installed = environment(SCRIPTED_API_KEY="sk-scripted", SCRIPTED_BASE_URL=scripted.url, PYTHONPATH=str(packages))
-    code = "from inspect_ai._cli.main import main; main()"
-    arguments = ["eval", "drone_env/drone_delivery", "--model", "openai-api/scripted/pilot", "-T", "episodes=2"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments, "--display", "plain"],
-        cwd=tmp_path,
-        env=installed,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    installed = {"SCRIPTED_API_KEY": "sk-scripted", "SCRIPTED_BASE_URL": scripted.url, "PYTHONPATH": str(packages)}
+    command = [sys.executable, "-c", "from inspect_ai._cli.main import main; main()", "eval"]
+    arguments = ["drone_env/drone_delivery", "--model", "openai-api/scripted/pilot", "-T", "episodes=2"]
+    done = ran(*command, *arguments, "--display", "plain", cwd=tmp_path, **installed)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "easy_delivery (2 samples)" in done.stdout
     assert len(list(tmp_path.glob("logs/*.eval"))) == 1

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,9 @@ import pytest
 from drone_env.planning.optimal import solve
 from drone_env.results.record import EpisodeRecord, replay
 from tests.api.serving import serving
-from tests.llm.conftest import Endpoint, environment, json_lines
+from tests.llm.conftest import Endpoint, Start, environment, json_lines
 
 pytest.importorskip("verifiers", reason="needs an environment of its own", exc_type=ImportError)
-Start = Callable[..., Endpoint]
 
 
 def evaluated(endpoint: Endpoint, folder: Path, *arguments: str) -> list[dict[str, Any]]:

@@ -39,14 +39,13 @@ from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.hostile_bodies import costs_of_routes, costs_of_sockets
 from tests.api.hostile_maps import crowd
+from tests.api.raw import MORE, PING, TEXT, masked
 from tests.api.serving import Server, serving
 
 MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH = 0.5, 0.2, 0.005
 MOST_MEGABYTES, MOST_MEGABYTES_IN_ALL = 300, 400
 HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
-PING, BEGIN, GO_ON = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
-"""Masked frames: a ping without payload, and one-byte fragments of a text."""
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
@@ -333,11 +332,6 @@ async def measure_bodies(data: Path) -> list[str]:
     return faults
 
 
-def masked(payload: bytes, opcode: int = 1) -> bytes:
-    """A frame as clients send it, masked with zeros."""
-    return bytes([0x80 | opcode, 0x80 | len(payload)]) + bytes(4) + payload
-
-
 def abort(streams: list[Streams]) -> None:
     for _, writer in streams:
         writer.transport.abort()
@@ -402,7 +396,7 @@ async def go(server: Server, given: argparse.Namespace) -> list[str]:
     await campaign.under("flood of pings, no answer read", campaign.flood("/ws", masked(b"x" * 100, 9), reads=False))
     await campaign.under("requests with 6,500 headers", campaign.send_long_heads())
     for path in ("/ws", "/live"):
-        for name, first, frame in (("pings", b"", PING), ("one-byte fragments", BEGIN, GO_ON)):
+        for name, first, frame in (("pings", b"", PING), ("one-byte fragments", TEXT, MORE)):
             flood = campaign.flood(path, frame, first, callers=64, is_abuse=True)
             await campaign.under(f"{name} to {path}", flood)
     await campaign.under("readers of the request log", campaign.follow_requests())

@@ -13,6 +13,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from drone_env.server.process import listen
 from drone_env.server.protocols import Http, WebSockets
 
+PING, TEXT, MORE = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
+"""Masked frames: a ping without payload, and one-byte fragments of a text: the first, and another."""
 WHOLE = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"
 UPGRADE = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
 KEY = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
@@ -68,6 +70,11 @@ def open_socket(sock: socket.socket, path: bytes = b"/") -> socket.socket:
         head += sock.recv(1)
     assert head.startswith(b"HTTP/1.1 101 ")
     return sock
+
+
+def masked(payload: bytes, opcode: int = 1) -> bytes:
+    """A frame of at most 125 bytes as clients of a WebSocket send it, masked with zeros."""
+    return bytes([0x80 | opcode, 0x80 | len(payload)]) + bytes(4) + payload
 
 
 def everything(sock: socket.socket) -> bytes:

@@ -1,19 +1,18 @@
 """A server process, started as users start it."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
+import websockets.sync.client
 
-from tests.tools import reserved_port
-
-ROOT = Path(__file__).parents[2]
+from tests.tools import ROOT, eventually, reserved_port
 
 
 class Server:
@@ -39,21 +38,26 @@ class Server:
                 [sys.executable, *command, "--port", str(port)], cwd=ROOT, env=environment, stdout=log, stderr=log
             )
         try:
-            self._wait()
+            eventually(self._answers, self.log.read_text)
         except BaseException:
             self.kill()
             raise
 
-    def _wait(self) -> None:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
-            assert self.process.poll() is None, self.log.read_text()
-            try:
-                if self.client.get("/health", timeout=1).status_code == 200:
-                    return
-            except httpx.HTTPError:
-                time.sleep(0.05)
-        raise AssertionError(f"the server did not answer: {self.log.read_text()}")
+    def _answers(self) -> bool:
+        assert self.process.poll() is None, self.log.read_text()
+        try:
+            return self.client.get("/health", timeout=1).status_code == 200
+        except httpx.HTTPError:
+            return False
+
+    def assert_well(self) -> None:
+        """A page can fly, the health is good, and nothing has failed."""
+        with websockets.sync.client.connect(self.url.replace("http", "ws") + "/live", open_timeout=60) as page:
+            page.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
+            while json.loads(page.recv(timeout=60))["type"] != "flights":
+                pass
+        assert self.client.get("/health", timeout=60).status_code == 200
+        assert "Traceback" not in self.log.read_text()
 
     def kill(self) -> None:
         """Kill the process."""

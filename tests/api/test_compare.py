@@ -63,9 +63,7 @@ def flights(data: Path) -> dict[str, dict[int, list[Any]]]:
 
 
 def get(client: TestClient, path: str, **query: str) -> Any:
-    answer = client.get(path, params=query)
-    assert answer.status_code == 200, answer.text
-    return answer.json()
+    return client.get(path, params=query).raise_for_status().json()
 
 
 def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:

@@ -17,7 +17,7 @@ from drone_env.server import protocols
 from drone_env.server.process import LINE_SECONDS, LINES, OTHER_FILES, BoundedLog, listen, most_connections
 from drone_env.server.protocols import Http
 from tests.api.raw import WHOLE, answer, everything, running, taken_of
-from tests.tools import eventually
+from tests.tools import eventually, limited
 
 
 def asked(sock: socket.socket) -> bytes:
@@ -241,12 +241,8 @@ def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.
 def test_connections_leave_room_for_other_files() -> None:
     import resource
 
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
-    try:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (1000, limits[1]))
+    with limited(resource.RLIMIT_NOFILE, 1000):
         assert [most_connections(wanted) for wanted in (500, 5000)] == [500, 1000 - OTHER_FILES]
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has connections inherit it")

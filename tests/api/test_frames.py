@@ -11,9 +11,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from drone_env.server import protocols
 from drone_env.server.protocols import WebSockets
-from tests.api.raw import everything, open_socket, running
-
-PING, TEXT, MORE = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
+from tests.api.raw import MORE, PING, TEXT, everything, open_socket, running
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:

@@ -95,6 +95,7 @@ def outputs(data: Path) -> dict[str, list[str]]:
     return shown
 
 
+@pytest.mark.feature("H5", "H7")
 def test_what_people_read_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)

@@ -1,7 +1,6 @@
 """Sessions over HTTP: who is in which, when they end, and a store that fails under them."""
 
 import shutil
-import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from drone_env.server.schemas import ResetOptions
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
+from tests.unit.stores import failing
 
 Header = dict[str, str]
 NEW = {"X-Session-Id": "new"}
@@ -115,19 +115,12 @@ def test_a_session_that_is_ended_is_gone_and_its_place_free(tmp_path: Path) -> N
 def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
     client: TestClient, session: Header, settings: dict[str, Any]
 ) -> None:
-    with sqlite3.connect(settings["data"] / FILE_NAME) as other:
-        other.execute(
-            "CREATE TRIGGER broken BEFORE UPDATE ON sessions BEGIN SELECT RAISE(ABORT, 'the disk is gone'); END"
-        )
-    other.close()
-    for method, path, body in (("POST", "/step", {"direction": "UP"}), ("POST", "/reset", {"seed": 8})):
-        answer = client.request(method, path, json=body, headers=session)
-        assert (answer.status_code, answer.json()["code"]) == (503, "store")
-        assert "the disk is gone" in answer.json()["detail"]
-        assert answer.headers["Retry-After"] == "5"
-    with sqlite3.connect(settings["data"] / FILE_NAME) as other:
-        other.execute("DROP TRIGGER broken")
-    other.close()
+    with failing(settings["data"], "UPDATE ON sessions"):
+        for path, body in (("/step", UP), ("/reset", {"seed": 8})):
+            answer = client.post(path, json=body, headers=session)
+            assert (answer.status_code, answer.json()["code"]) == (503, "store")
+            assert "the disk is gone" in answer.json()["detail"]
+            assert answer.headers["Retry-After"] == "5"
     state = client.get("/state", headers=session).json()
     assert (state["seed"], state["step_count"]) == (7, 0)
     # What was flown before the failure is not flown twice.

@@ -25,9 +25,8 @@ Answer = dict[str, Any]
 
 
 def ask(client: TestClient, task: str, seed: int, actions: list[Direction], **more: object) -> Answer:
-    answer = client.post("/values", json={"task": task, "seed": seed, "actions": actions, **more})
-    assert answer.status_code == 200, answer.text
-    return answer.json()
+    body = {"task": task, "seed": seed, "actions": actions, **more}
+    return client.post("/values", json=body).raise_for_status().json()
 
 
 @pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("skyline_medium", "greedy")])

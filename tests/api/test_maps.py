@@ -30,9 +30,7 @@ def settings(tmp_path: Path) -> dict[str, Any]:
 
 
 def answer(client: TestClient, path: str, body: dict[str, Any]) -> Any:
-    answered = client.post(path, json=body)
-    assert answered.status_code == 200, answered.text
-    return answered.json()
+    return client.post(path, json=body).raise_for_status().json()
 
 
 def test_a_drawing_is_worth_what_its_file_is(client: TestClient, tmp_path: Path) -> None:

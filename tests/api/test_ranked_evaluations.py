@@ -22,9 +22,7 @@ MAPS = range(14, 18)
 
 def boards(data: Path) -> Any:
     with TestClient(create_app(Settings(data=data))) as client:
-        answer = client.get("/leaderboard/easy/runs")
-    assert answer.status_code == 200, answer.text
-    return answer.json()
+        return client.get("/leaderboard/easy/runs").raise_for_status().json()
 
 
 def test_where_files_lie_is_not_told(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,13 @@ from starlette.websockets import WebSocketDisconnect
 from drone_env.core.episode import Episode
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
-from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.openenv import LARGEST_FRAME
 from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.cluster.sessions import socket_result
+from tests.unit.stores import failing
 
 
 def ask(socket: WebSocketTestSession, frame: Any) -> Any:
@@ -155,19 +154,14 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
     episode = Episode("easy", OPENENV_PROFILE)
     episode.reset(7)
     *flight, last = [action.name for action in solve("easy", 7).actions]
-    with client.websocket_connect("/ws") as socket, sqlite3.connect(settings["data"] / FILE_NAME) as disk:
+    with client.websocket_connect("/ws") as socket:
         ask(socket, {"type": "reset", "data": {"seed": 7}})
         for direction in flight:
             ask(socket, {"type": "step", "data": {"direction": direction}})
-        disk.execute(
-            "CREATE TRIGGER broken BEFORE INSERT ON episodes BEGIN SELECT RAISE(ABORT, 'the disk is gone'); END"
-        )
-        disk.commit()
-        for _ in range(2):
-            failed = ask(socket, {"type": "step", "data": {"direction": last}})
-            assert (failed["type"], failed["data"]["code"]) == ("error", "EXECUTION_ERROR")
-        disk.execute("DROP TRIGGER broken")
-        disk.commit()
+        with failing(settings["data"], "INSERT ON episodes"):
+            for _ in range(2):
+                failed = ask(socket, {"type": "step", "data": {"direction": last}})
+                assert (failed["type"], failed["data"]["code"]) == ("error", "EXECUTION_ERROR")
         answer = ask(socket, {"type": "step", "data": {"direction": last}})
         rewards = [episode.step(action) for action in solve("easy", 7).actions]
         assert answer["data"] == socket_result(observation_fields(episode), rewards[-1], 1, OPENENV_PROFILE)
@@ -175,7 +169,6 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
         assert kept["reward_total"] == episode.reward_total
         # Kept, it is over: one more step is none.
         assert ask(socket, {"type": "step", "data": {"direction": last}})["data"]["reward"] == 0
-    disk.close()
     assert client.get("/analyse/easy").json()["episodes_total"] == 1
 
 

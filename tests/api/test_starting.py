@@ -3,7 +3,6 @@
 import re
 import signal
 import socket
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,8 +11,8 @@ import pytest
 
 from drone_env.results.store import Store
 from drone_env.server import app
-from tests.api.serving import ROOT, Server, serving
-from tests.tools import find_uv, reserved_port
+from tests.api.serving import Server, serving
+from tests.tools import find_tool, ran, reserved_port
 
 EXAMPLE = """
 from drone_env.client import DroneEnvClient
@@ -58,7 +57,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
     first, *rest = command.split()
     if first == "uv":
         # In the environment of the tests, as it is: what `uv run` would install is there.
-        rest = ["-c", RUN_UV, find_uv(), sys.prefix, *rest]
+        rest = ["-c", RUN_UV, find_tool("uv"), sys.prefix, *rest]
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             assert http.get("/health").json()["status"] == "healthy"
@@ -107,8 +106,7 @@ def test_the_first_example_of_the_python_client_runs_as_printed(
 
 @pytest.mark.feature("H14")
 def test_the_client_as_a_command_flies_a_smoke_mission(server: Server) -> None:
-    command = [sys.executable, "-m", "drone_env.client", server.url]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=200)
+    run = ran(sys.executable, "-m", "drone_env.client", server.url)
     assert (run.returncode, run.stderr) == (0, "")
     flown = re.search(r"^score: 0\.\d{4} in (\d+) steps$", run.stdout, re.MULTILINE)
     assert flown is not None

@@ -1,7 +1,6 @@
 """Callers without a session id share the session of their address, except with a token or behind a proxy."""
 
-from collections.abc import Callable, Generator
-from contextlib import ExitStack
+from collections.abc import Generator
 from typing import Any
 
 import pytest
@@ -22,21 +21,12 @@ class TestUnnamed:
     HERE = "127.0.0.1"
 
     @pytest.fixture
-    def start(self, settings: dict[str, Any]) -> Generator[Callable[..., TestClient], None, None]:
-        """Starts a server, and gives one who calls it."""
-        with ExitStack() as running:
-
-            def started(server: str = self.HERE, caller: str = self.HERE, **more: Any) -> TestClient:
-                app = create_app(Settings(**settings | more))
-                client = running.enter_context(TestClient(app, f"http://{server}:8000", client=(caller, 5000)))
-                client.cookies.jar.set_policy(NO_COOKIES)
-                return client
-
-            yield started
-
-    @pytest.fixture
-    def plain(self, start: Callable[..., TestClient]) -> TestClient:
-        return start()
+    def plain(self, settings: dict[str, Any], request: pytest.FixtureRequest) -> Generator[TestClient, None, None]:
+        """One who calls a server; its other settings can be given indirectly."""
+        app = create_app(Settings(**settings, **getattr(request, "param", {})))
+        with TestClient(app, f"http://{self.HERE}:8000", client=(self.HERE, 5000)) as client:
+            client.cookies.jar.set_policy(NO_COOKIES)
+            yield client
 
     @pytest.mark.feature("H2", "H3", "H4", "H6")
     def test_they_fly_one_session_which_the_answers_name(self, plain: TestClient) -> None:
@@ -95,29 +85,30 @@ class TestUnnamed:
     def test_browsers_and_what_comes_through_a_proxy_have_to_name_one(
         self, plain: TestClient, name: str, value: str
     ) -> None:
-        client, header = plain, {name: value}
-        client.post("/reset")
-        assert client.post("/step", json=UP).status_code == 200
-        refused = client.post("/step", json=UP, headers=header)
+        header = {name: value}
+        plain.post("/reset")
+        assert plain.post("/step", json=UP).status_code == 200
+        refused = plain.post("/step", json=UP, headers=header)
         assert (refused.status_code, refused.json()["code"]) == (409, "no_session")
         assert "X-Session-Id: SESSION_ID" in refused.json()["detail"]
-        client.post("/reset", headers=header)
-        assert client.get("/state").json()["step_count"] == 1, "it has a session of its own"
+        plain.post("/reset", headers=header)
+        assert plain.get("/state").json()["step_count"] == 1, "it has a session of its own"
 
-    def test_with_a_token_requests_need_a_session_id(self, start: Callable[..., TestClient]) -> None:
-        client, token = start(token="secret"), {"Authorization": "Bearer secret"}
-        client.post("/reset", headers=token)
-        assert client.post("/step", json=UP, headers=token).status_code == 409
+    @pytest.mark.parametrize("plain", [{"token": "secret"}], indirect=True)
+    def test_with_a_token_requests_need_a_session_id(self, plain: TestClient) -> None:
+        token = {"Authorization": "Bearer secret"}
+        assert plain.post("/reset", headers=token).status_code == 200
+        assert plain.post("/step", json=UP, headers=token).status_code == 409
 
     def test_http_1_0_counts_as_a_proxy(self) -> None:
         scope: dict[str, Any] = {"client": (self.HERE, 5000), "headers": []}
         assert [shared_address(scope | {"http_version": version}) for version in ("1.1", "1.0")] == [self.HERE, None]
 
-    def test_they_take_no_more_places_than_there_are(self, start: Callable[..., TestClient]) -> None:
-        client = start(capacity=3)
-        named = {"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]}
-        assert client.post("/step", json=UP, headers=named).status_code == 200
+    @pytest.mark.parametrize("plain", [{"capacity": 3}], indirect=True)
+    def test_they_take_no_more_places_than_there_are(self, plain: TestClient) -> None:
+        named = {"X-Session-Id": plain.post("/reset", json={"seed": 7}).json()["session_id"]}
+        assert plain.post("/step", json=UP, headers=named).status_code == 200
         for seed in range(9):
-            assert client.post("/reset", json={"seed": seed}).status_code == 200
-            assert client.get("/state").json()["seed"] == seed
-        assert client.get("/state", headers=named).json()["step_count"] == 1
+            assert plain.post("/reset", json={"seed": seed}).status_code == 200
+            assert plain.get("/state").json()["seed"] == seed
+        assert plain.get("/state", headers=named).json()["step_count"] == 1

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 
 from drone_env.client import DroneEnvClient
 from tests.api.serving import serving
-from tests.tools import eventually
+from tests.tools import eventually, is_taken
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
@@ -45,11 +44,6 @@ def concurrent_steps(http: httpx.Client) -> list[int]:
 
     with ThreadPoolExecutor(4) as pool:
         return [count for counts in pool.map(wait_ten_times, range(4)) for count in counts]
-
-
-def is_taken(port: int) -> bool:
-    with socket.socket() as asking:
-        return asking.connect_ex(("127.0.0.1", port)) == 0
 
 
 def state_of(process: str) -> str:

@@ -4,16 +4,12 @@ import os
 import shlex
 import shutil
 import subprocess
-import time
-from collections.abc import Generator, Iterable
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import httpx
-
-from tests.api.serving import ROOT, Server
-from tests.tools import missing_tool, reserved_port
+from tests.api.serving import Server
+from tests.tools import ROOT, eventually, find_tool, is_taken, reserved_port
 
 DEPLOY = ROOT / "deploy"
 COMMAND = ["-m", "drone_env.cli", "serve"]
@@ -30,9 +26,7 @@ class Nginx:
     """
 
     def __init__(self, folder: Path, ports: Iterable[int], failures: str = FAILURES) -> None:
-        if shutil.which("nginx") is None:
-            missing_tool("nginx")
-        self.command = ["nginx", "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
+        self.command = [find_tool("nginx"), "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
         self.servers = folder / "drone-env-servers.conf"
         port = reserved_port()
         self.url = f"http://127.0.0.1:{port}"
@@ -48,26 +42,14 @@ class Nginx:
         self._draining: list[subprocess.Popen[bytes]] = []
         self.process = subprocess.Popen([*self.command, "-g", "daemon off;"])
         try:
-            self._wait(folder / "error.log")
+            eventually(lambda: is_taken(port), (folder / "error.log").read_text)
         except BaseException:
             self.close()
             raise
 
-    def _wait(self, log: Path) -> None:
-        deadline = time.monotonic() + 30
-        with httpx.Client() as client:
-            while time.monotonic() < deadline:
-                try:
-                    client.get(f"{self.url}/health")
-                    return
-                except httpx.HTTPError:
-                    time.sleep(0.05)
-        raise AssertionError(f"nginx did not answer: {log.read_text(encoding='utf-8')}")
-
     def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
         """`deploy/drain.sh out` or `in`, running."""
-        if shutil.which("ss") is None:
-            missing_tool("ss")
+        find_tool("ss")
         variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "200"}
         command = [str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"]
         self._draining.append(subprocess.Popen(command, env={**os.environ, **variables}))
@@ -95,18 +77,15 @@ class Cluster:
         settings: Of each server, without the prefix.
     """
 
-    def __init__(self, folder: Path, count: int, settings: dict[str, str]) -> None:
+    def __init__(self, folder: Path, count: int, **settings: str) -> None:
         self.folder = folder
         self.settings = settings
         self.servers: dict[int, Server] = {}
-        # Kept connections would count as sessions of the server when it is drained.
-        self._direct = httpx.Client(limits=httpx.Limits(max_keepalive_connections=0))
-        ports = {reserved_port() for _ in range(count)}
-        assert len(ports) == count
-        self.nginx = Nginx(folder, sorted(ports))
+        ports = sorted(reserved_port() for _ in range(count))
+        self.nginx = Nginx(folder, ports)
         self.url = self.nginx.url
         try:
-            for port in sorted(ports):
+            for port in ports:
                 self.start(port)
         except BaseException:
             self.close()
@@ -123,7 +102,8 @@ class Cluster:
         return sum(request["path"] == path for request in requests)
 
     def _requests(self, port: int) -> list[dict[str, Any]]:
-        return self._direct.get(f"{self.servers[port].url}/terminal_logs").json()["requests"]
+        # Its client keeps no connection, which would count as a session of the server when it is drained.
+        return self.servers[port].client.get("/terminal_logs").json()["requests"]
 
     def start(self, port: int) -> Server:
         """Start the server of a port, also again."""
@@ -132,18 +112,7 @@ class Cluster:
 
     def close(self) -> None:
         """End all of it."""
-        self._direct.close()
         for server in self.servers.values():
             if server.process.poll() is None:
                 server.kill()
         self.nginx.close()
-
-
-@contextmanager
-def cluster(folder: Path, count: int, **settings: str) -> Generator[Cluster, None, None]:
-    """Servers behind nginx for the time of the block."""
-    running = Cluster(folder, count, settings)
-    try:
-        yield running
-    finally:
-        running.close()

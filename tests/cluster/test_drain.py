@@ -1,12 +1,11 @@
 """`deploy/drain.sh` and the list of servers; with a real nginx it runs in `test_nginx.py`."""
 
-import os
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.llm.conftest import ROOT
+from tests.tools import ran
 
 FIRST, SECOND = "server 127.0.0.1:8001 max_fails=2;\n", "server 127.0.0.1:8002;\n"
 
@@ -20,9 +19,8 @@ def servers(tmp_path: Path) -> Path:
 
 def drain(servers: Path, *words: str, nginx: str = "true", **variables: str) -> "subprocess.CompletedProcess[str]":
     """Call it with a program in the place of nginx."""
-    given = {**os.environ, "SERVERS": str(servers), "NGINX_COMMAND": nginx, "WAIT": "10", **variables}
-    script = str(ROOT / "deploy/drain.sh")
-    return subprocess.run(["bash", script, *words], env=given, capture_output=True, text=True, check=False)
+    given = {"SERVERS": str(servers), "NGINX_COMMAND": nginx, "WAIT": "10", **variables}
+    return ran("bash", "deploy/drain.sh", *words, **given)
 
 
 def test_a_server_is_marked_and_the_mark_taken_back(servers: Path) -> None:

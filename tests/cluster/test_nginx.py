@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.cluster.serving import Cluster, Nginx, cluster
+from tests.cluster.serving import Cluster, Nginx
 from tests.cluster.sessions import Client, HttpSession, SocketSession, fly_all
 from tests.tools import reserved_port
 
@@ -21,7 +21,7 @@ SESSIONS = int(os.environ.get("DRONE_ENV_NGINX_SESSIONS", "12"))
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     folder = tmp_path_factory.mktemp("cluster")
-    with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="drone.example") as found:
+    with closing(Cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="drone.example")) as found:
         yield found
 
 

@@ -15,6 +15,8 @@ from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from tests.llm.conftest import ROOT
+from tests.same import assert_same
+from tests.toy import PLUGIN_OF_HOPS
 
 from .conftest import node_killed_when
 
@@ -23,13 +25,9 @@ TASK = os.environ.get("DRONE_ENV_CLUSTER_TASK", "easy")
 MAPS = int(os.environ.get("DRONE_ENV_CLUSTER_MAPS", "2500"))
 
 
-def contents(folder: Path) -> dict[str, list[np.ndarray]]:
+def contents(folder: Path) -> dict[str, dict[str, np.ndarray]]:
     """Every array that an evaluation brought, by piece."""
-    found = {}
-    for file in sorted((folder / "pieces").iterdir()):
-        with np.load(file) as arrays:
-            found[file.name] = [arrays[name] for name in sorted(arrays.files)]
-    return found
+    return {file.name: dict(np.load(file)) for file in (folder / "pieces").iterdir()}
 
 
 def arguments(folder: Path, *more: str) -> list[str]:
@@ -58,11 +56,7 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
         )
     assert pieces[-1] < len(expected)
     assert (on_ray / "figures.json").read_bytes() == (local / "figures.json").read_bytes()
-    flown = contents(on_ray / "results")
-    assert flown.keys() == expected.keys()
-    for name, arrays in expected.items():
-        for ours, theirs in zip(flown[name], arrays, strict=True):
-            assert (ours.dtype, ours.tobytes()) == (theirs.dtype, theirs.tobytes())
+    assert_same(contents(on_ray / "results"), expected)
 
 
 def commands(*runs: tuple[list[str], Path, dict[str, str]]) -> list[subprocess.CompletedProcess[str]]:
@@ -86,11 +80,7 @@ def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
 
 
 def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Path, cluster: Any) -> None:
-    task = "replace(get_task('easy'), id='hops', short_name='hops', grader='drone_env.graders:grade_hops')"
-    (tmp_path / "cluster_hops.py").write_text(
-        "from dataclasses import replace\nfrom drone_env.core.tasks import get_task\n"
-        f"from drone_env.envs.registry import register_task\nregister_task({task})\n"
-    )
+    (tmp_path / "cluster_hops.py").write_text(PLUGIN_OF_HOPS)
     words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json", "-"]
     on_ray = [*words, "--engine", "ray", "--address", cluster.address]
     plugged = {**os.environ, "DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}

@@ -2,14 +2,13 @@
 
 import os
 import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from drone_env.llm.report import report as figures_of
 from drone_env.llm.verify import verified_run
-from tests.llm.conftest import TOKEN, Endpoint, Infer, whole_lines
+from tests.llm.conftest import TOKEN, Infer, Start, whole_lines
 
 from .conftest import node_killed_when
 
@@ -39,9 +38,7 @@ def most_at_once(lines: list[dict[str, Any]]) -> int:
     return most
 
 
-def test_nodes_share_one_budget_and_fly_as_one_though_one_is_killed(
-    cluster: Any, endpoint: Callable[..., Endpoint]
-) -> None:
+def test_nodes_share_one_budget_and_fly_as_one_though_one_is_killed(cluster: Any, endpoint: Start) -> None:
     flights = ("--task", "easy", "--seeds", f"14:{14 + FLIGHTS}", "--concurrency", "4")
     on_nodes = ("--engine", "ray", "--address", cluster.address)
     alone = endpoint(pilot="greedy")

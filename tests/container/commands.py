@@ -2,15 +2,9 @@
 
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-
-
-def linter(name: str) -> str | None:
-    """Return the path of a linter of the `test` extra, or of the system."""
-    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
 
 
 class Commands:

@@ -1,13 +1,5 @@
-"""One server for all tests of this folder."""
+"""The server is that of the tests of the API."""
 
-from collections.abc import Generator
+from tests.api.conftest import server
 
-import pytest
-
-from tests.api.serving import Server, serving
-
-
-@pytest.fixture(scope="session")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
-    with serving(tmp_path_factory.mktemp("server") / "data") as running:
-        yield running
+__all__ = ["server"]

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.api.serving import Server
-from tests.tools import missing_tool, reserved_port
+from tests.tools import find_tool, ran, reserved_port
 
-from .commands import ROOT, linter
+from .commands import ROOT
 
 START = ["python", "drone_env/server/app.py", "--host", "0.0.0.0", "--port", "8000"]
 
@@ -30,8 +30,7 @@ def only(name: str) -> str:
 
 
 def test_hadolint_finds_nothing() -> None:
-    hadolint = linter("hadolint") or missing_tool("hadolint")
-    done = subprocess.run([hadolint, "Dockerfile"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = ran(find_tool("hadolint"), "Dockerfile")
     assert (done.returncode, done.stdout) == (0, "")
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.contract import official
 from tests.package.installed import copy_tracked
+from tests.tools import tracked
 
-from .commands import ROOT
 from .test_dockerfile import START, instructions
 
 COLOURS = {"red", "yellow", "green", "blue", "indigo", "purple", "pink", "gray"}
@@ -41,8 +40,9 @@ def space(export: Path) -> Path:
 @pytest.fixture(scope="module")
 def pushed(space: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `openenv push` makes of it, and would upload."""
+    from openenv.cli.commands import push
+
     folder = tmp_path_factory.mktemp("pushed")
-    push = official.push
     push._prepare_staging_directory(space, "drone-env", folder, push._load_ignore_patterns(space, None))
     return folder
 
@@ -56,9 +56,12 @@ def front_matter(page: Path) -> dict[str, object]:
 
 
 def test_openenv_takes_it_and_leaves_the_page_and_the_start_as_they_are(space: Path, pushed: Path) -> None:
-    name, manifest = official.push._validate_openenv_directory(space)
+    from openenv.cli.commands import push
+    from openenv.validation import Level, run_validation
+
+    name, manifest = push._validate_openenv_directory(space)
     assert (name, manifest["app"]) == ("drone-env", "drone_env.server.app:app")
-    assert official.run_validation(space, max_level=official.Level.STATIC).verdict.value == "pass"
+    assert run_validation(space, max_level=Level.STATIC).verdict.value == "pass"
     assert front_matter(pushed / "README.md")["base_path"] == "/"
     known = instructions(pushed / "Dockerfile")
     assert [json.loads(rest) for name, rest in known if name == "CMD"] == [START]
@@ -68,8 +71,7 @@ def test_openenv_takes_it_and_leaves_the_page_and_the_start_as_they_are(space: P
 
 def test_all_sources_are_pushed(pushed: Path) -> None:
     sent = {file.relative_to(pushed) for file in (pushed / "drone_env").rglob("*") if file.is_file()}
-    tracked = subprocess.run(["git", "ls-files", "drone_env"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert sent == {Path(line) for line in tracked.stdout.splitlines()}
+    assert sent == {Path(name) for name in tracked("drone_env")}
 
 
 def test_the_front_matter_is_what_the_hub_takes(space: Path) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.api.serving import Server
-from tests.tools import missing_tool
+from tests.tools import find_tool, ran
 
-from .commands import ROOT, Commands, linter
+from .commands import ROOT, Commands
 
 SCRIPT = str(ROOT / "validate-submission.sh")
 NEEDED = ("cat", "find", "head", "mktemp", "rm", "sed", "tail", "timeout", "tr")
@@ -101,6 +101,5 @@ def test_a_wrong_call_is_told(commands: Commands) -> None:
 
 
 def test_the_script_is_clean() -> None:
-    shellcheck = linter("shellcheck") or missing_tool("shellcheck")
-    done = subprocess.run([shellcheck, SCRIPT], capture_output=True, text=True, check=False)
+    done = ran(find_tool("shellcheck"), SCRIPT)
     assert (done.returncode, done.stdout) == (0, "")

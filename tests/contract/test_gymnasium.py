@@ -35,12 +35,6 @@ def fly_optimally(env: gymnasium.Env, task: str, seed: int, **reset: Any) -> tup
     return total, info
 
 
-def test_the_ids_are_the_promised_ones() -> None:
-    levels = ("Easy", "Medium", "Hard")
-    names = [*(f"{level}-v1" for level in levels), *(f"Skyline-{level}-v2" for level in levels)]
-    assert IDS == [f"drone_env:DroneDelivery-{name}" for name in (*names, "City-Small-v1", "City-v1")]
-
-
 STANDARD, SKYLINE = IDS[0], IDS[3]
 """One of each kind: tasks differ in their numbers alone, and Skyline's telemetry has more values."""
 
@@ -116,19 +110,13 @@ def test_what_a_specification_says_is_made_again() -> None:
     assert twin.unwrapped.episode.reward_profile.id == "score"
 
 
-@pytest.mark.parametrize(
-    ("reset", "error"),
-    [
-        ({"seed": 2**53}, InvalidValueError),
-        ({"options": {"reward_profile": "tiered"}}, InvalidValueError),
-    ],
-)
-def test_a_refused_reset_leaves_the_episode_as_it_was(reset: dict, error: type[Exception]) -> None:
+@pytest.mark.parametrize("reset", [{"seed": 2**53}, {"options": {"reward_profile": "tiered"}}], ids=str)
+def test_a_refused_reset_leaves_the_episode_as_it_was(reset: dict) -> None:
     env = make()
     env.reset(seed=1)
     env.step(0)
     before = env.unwrapped.episode.get_state()
-    with pytest.raises(error):
+    with pytest.raises(InvalidValueError):
         env.reset(**reset)
     assert env.unwrapped.episode.get_state() == before
 

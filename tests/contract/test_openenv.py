@@ -1,8 +1,6 @@
 """OpenEnv's clients, server and validator with our server and environment."""
 
 import json
-import shutil
-import subprocess
 import sys
 import uuid
 from pathlib import Path
@@ -22,8 +20,9 @@ from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.map_choice import TaskApi
 from drone_env.server.settings import Settings
-from tests.api.serving import ROOT, Server
-from tests.contract import official
+from tests.api.serving import Server
+from tests.package.installed import copy_tracked
+from tests.tools import ROOT, ran
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
 
@@ -34,9 +33,11 @@ def best_actions(task: str, seed: int) -> list[DroneAction]:
 
 @pytest.mark.feature("E10")
 def test_the_official_client_flies_synchronously(server: Server) -> None:
+    from drone_env.client import DroneDeliveryClient
+
     task = "medium_delivery"
     flight = Episode(task, "score", 7)
-    with official.DroneDeliveryClient(server.url).sync() as env:
+    with DroneDeliveryClient(server.url).sync() as env:
         result = env.reset(seed=7, task_name=task, episode_id="mine")
         assert (result.reward, result.done) == (None, False)
         assert result.observation == DroneObservation.of(flight)
@@ -72,13 +73,13 @@ MESSAGES: list[dict[str, Any]] = [
 
 @pytest.mark.filterwarnings("default")
 def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None:
-    theirs = official.create_fastapi_app(
-        official.DroneDeliveryEnvironment,
-        official.DroneEnvAction,
-        official.DroneEnvObservation,
-        max_concurrent_envs=4,
-        state_cls=official.DroneEnvState,
-    )
+    from openenv.core.env_server import create_fastapi_app
+
+    from drone_env.server import grid_world_environment as ours
+
+    messages = (ours.DroneEnvAction, ours.DroneEnvObservation)
+    more: dict[str, Any] = {"max_concurrent_envs": 4, "state_cls": ours.DroneEnvState}
+    theirs = create_fastapi_app(ours.DroneDeliveryEnvironment, *messages, **more)
 
     def frames(app: Any) -> list[Any]:
         with TestClient(app) as client, client.websocket_connect("/ws") as socket:
@@ -92,35 +93,43 @@ def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None
 
 
 class TestEnvironment:
+    @pytest.fixture
+    def env(self) -> Any:
+        from drone_env.server.grid_world_environment import DroneDeliveryEnvironment
+
+        return DroneDeliveryEnvironment()
+
     def test_it_begins_with_a_reset_and_its_rubric_has_the_last_score(self) -> None:
-        env = official.DroneDeliveryEnvironment("medium")
-        assert isinstance(env, official.Environment)
+        from openenv.core.env_server.interfaces import Environment
+
+        from drone_env.server.grid_world_environment import DroneDeliveryEnvironment, DroneEnvAction
+
+        env = DroneDeliveryEnvironment("medium")
+        assert isinstance(env, Environment)
         with pytest.raises(EpisodeError, match="reset"):
-            env.step(official.DroneEnvAction(direction="UP"))
+            env.step(DroneEnvAction(direction="UP"))
         observation = env.reset(seed=3)
         assert (env.state.task_name, env.state.seed, observation.reward) == ("medium_delivery", 3, None)
         assert uuid.UUID(env.state.episode_id)
         for action in solve("medium", 3).actions:
-            observation = env.step(official.DroneEnvAction(direction=action.name))
+            observation = env.step(DroneEnvAction(direction=action.name))
         assert env.rubric is not None
         assert env.rubric.last_score == observation.score == solve("medium", 3).score
 
-    def test_without_a_seed_it_walks_on_from_the_last_map(self) -> None:
-        env, walk = official.DroneDeliveryEnvironment(), Episode(reward_profile="tiered", seed=5)
+    def test_without_a_seed_it_walks_on_from_the_last_map(self, env: Any) -> None:
+        walk = Episode(reward_profile="tiered", seed=5)
         env.reset(seed=5)
         env.reset()
         assert env.state.seed == walk.reset()
 
-    def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(self) -> None:
-        env = official.DroneDeliveryEnvironment()
+    def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(self, env: Any) -> None:
         env.reset(seed=5)
         before = env.state
         with pytest.raises(InvalidValueError, match="colour: Extra inputs are not permitted"):
             env.reset(colour="red")
         assert env.state == before
 
-    def test_the_task_api_lists_the_maps_of_our_splits(self) -> None:
-        env = official.DroneDeliveryEnvironment()
+    def test_the_task_api_lists_the_maps_of_our_splits(self, env: Any) -> None:
         splits = env.list_splits()
         assert len(splits) == 3 * len(TASKS)
         for split in splits:
@@ -135,7 +144,9 @@ class TestEnvironment:
 
 
 def test_the_validator_passes_the_running_server(server: Server) -> None:
-    report = official.validate_running_environment(server.url, timeout_s=30)
+    from openenv.cli._validation import validate_running_environment
+
+    report = validate_running_environment(server.url, timeout_s=30)
     assert report["summary"]["passed_count"] == report["summary"]["total_count"] == 6, report
     assert (report["passed"], report["mode"]) == (True, "simulation")
 
@@ -143,13 +154,16 @@ def test_the_validator_passes_the_running_server(server: Server) -> None:
 @pytest.mark.feature("P1")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_manifest_names_what_there_is_and_the_validator_passes_it(tmp_path: Path) -> None:
+    from openenv.cli.__main__ import app
+
     manifest = yaml.safe_load((ROOT / "openenv.yaml").read_text(encoding="utf-8"))
     fixed = {"spec_version": 1, "type": "space", "runtime": "fastapi", "app": "drone_env.server.app:app", "port": 8000}
     assert manifest.items() >= fixed.items()
     levels = [TASKS[task] for task in STANDARD]
     assert manifest["tasks"] == [{"id": task.id, "grader": task.grader} for task in levels]
     assert manifest["graders"] == [{"id": task.grader} for task in levels]
-    done = CliRunner().invoke(official.CommandLine, ["validate", str(_package(tmp_path)), "--level", "static"])
+    copy_tracked(tmp_path)  # nobody writes there meanwhile
+    done = CliRunner().invoke(app, ["validate", str(tmp_path), "--level", "static"])
     assert done.exit_code == 0, done.output
 
 
@@ -163,18 +177,10 @@ def test_the_manifest_declares_what_a_client_discovers(server: Server) -> None:
 
 def test_the_oracle_reaches_the_optimum_and_the_canaries_stay_at_the_floor(server: Server) -> None:
     reward = yaml.safe_load((ROOT / "openenv.yaml").read_text(encoding="utf-8"))["validation"]["reward"]
-    command = [sys.executable, str(ROOT / "validation" / "solve.py"), "--url", server.url]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = ran(sys.executable, "validation/solve.py", "--url", server.url)
+    assert done.returncode == 0, done.stderr
     oracle, *canaries = [float(line.rpartition(" ")[2]) for line in done.stdout.splitlines()]
     high = reward["range"][1]
     assert oracle >= high - reward["oracle_tolerance"]
     assert canaries == [0.01] * 9
     assert high - max(canaries) >= reward["floor_margin"]
-
-
-def _package(folder: Path) -> Path:
-    """What the validator reads of this repository, where nobody writes beside it."""
-    package = folder / "package"
-    shutil.copytree(ROOT / "validation", package / "validation")
-    shutil.copy(ROOT / "openenv.yaml", package)
-    return package

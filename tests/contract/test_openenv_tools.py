@@ -12,7 +12,6 @@ from websockets.sync.client import connect
 from drone_env.core.actions import Action
 from drone_env.planning.optimal import solve
 from tests.api.serving import Server, serving
-from tests.contract import official
 
 TOOLS = ["reset", "fly", "look"]
 
@@ -29,14 +28,17 @@ def best_route(task: str, seed: int) -> str:
 
 
 def test_the_tool_client_flies_a_map(server: Server) -> None:
-    with official.MCPToolClient(server.url).sync() as env:
+    from openenv.core.env_server.mcp_types import CallToolAction
+    from openenv.core.mcp_client import MCPToolClient
+
+    with MCPToolClient(server.url).sync() as env:
         assert [tool.name for tool in env.list_tools()] == TOOLS
         assert env.reset(task_name="hard", seed=7).metadata == {"reward_profile": "score"}
         seen = env.call_tool("look")
         assert "Score at the end: 0.8 * delivered / 5" in seen["text"]
         first, rest = (route.strip() for route in best_route("hard", 7).split("UP", 1))
         assert env.call_tool("fly", route=f"{first} UP")["reward"] == 0
-        result = env.step(official.CallToolAction(tool_name="fly", arguments={"route": rest}))
+        result = env.step(CallToolAction(tool_name="fly", arguments={"route": rest}))
         assert (result.reward, result.done) == (solve("hard", 7).score, True)
         assert env.call_tool("fly", route="UP")["flown"] == 0
         assert "10 x 10" in env.call_tool("reset", task_name="easy", seed=7)["text"]
@@ -46,12 +48,14 @@ def test_the_tool_client_flies_a_map(server: Server) -> None:
 
 
 def test_a_client_that_knows_nothing_of_us_flies_in_each_form(server: Server) -> None:
+    from openenv.core.generic_client import GenericEnvClient
+
     # The loop of verifiers' taskset fills the one field that the schema requires.
     (field,) = server.client.get("/schema").json()["action"]["required"]
     best, actions = solve("easy", 7).score, solve("easy", 7).actions
     tool = {"type": "call_tool", "tool_name": "fly", "arguments": {"route": best_route("easy", 7)}, "metadata": {}}
     numbers = [{"action_id": int(action), "game_name": "catch", "game_params": {}} for action in actions]
-    with official.GenericEnvClient(server.url).sync() as env:
+    with GenericEnvClient(server.url).sync() as env:
         for steps in ([{"route": best_route("easy", 7)}], [{field: best_route("easy", 7)}], [tool], numbers):
             env.reset(task_name="easy", seed=7, prompt="minimal")
             for step in steps:
@@ -65,8 +69,10 @@ def test_a_client_that_knows_nothing_of_us_flies_in_each_form(server: Server) ->
 
 
 def test_a_client_of_mcp_flies_a_map(server: Server) -> None:
+    from fastmcp import Client
+
     async def fly() -> Any:
-        async with official.McpClient(f"{server.url}/mcp") as client:
+        async with Client(f"{server.url}/mcp") as client:
             await client.call_tool("reset", {"task_name": "easy", "seed": 7})
             return (await client.call_tool("fly", {"route": best_route("easy", 7)})).data
 
@@ -76,7 +82,9 @@ def test_a_client_of_mcp_flies_a_map(server: Server) -> None:
 def text_client(url: str) -> Any:
     """A client with the wire format of TextArena's, which the examples of TRL use."""
 
-    class TextClient(official.GenericEnvClient):
+    from openenv.core.generic_client import GenericEnvClient
+
+    class TextClient(GenericEnvClient):
         def _step_payload(self, action: str) -> dict[str, Any]:
             return {"message": action}
 

@@ -12,6 +12,7 @@ from drone_env.core.seeds import next_seed
 from drone_env.envs.vector import DroneDeliveryVectorEnv
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, vector
 from drone_env.errors import EpisodeError, InvalidValueError
+from tests.same import assert_same
 
 EASY = "drone_env:DroneDelivery-Easy-v1"
 N = 6
@@ -67,10 +68,10 @@ def test_a_copy_flies_on_as_the_original_does_and_apart_from_it(options: dict[st
     assert np.array_equal(twin.action_space.sample(), env.action_space.sample())
     kept = twin.batch.get_state()
     want = flight(env, 70)
-    assert all(np.array_equal(array, kept[name]) for name, array in twin.batch.get_state().items())
+    assert_same(twin.batch.get_state(), kept)
     got = flight(twin, 70)
-    assert len(got) == len(want) > 70 * 7  # some episodes ended
-    assert all(map(np.array_equal, got, want))
+    assert len(want) > 70 * 7  # some episodes ended
+    assert_same(got, want)
     if not env.copy:
         observations, *outcome, info = twin.step(actions_of(0))
         for array in (*observations.values(), *outcome, info["action_mask"], info["seed"]):
@@ -104,7 +105,7 @@ def test_where_nothing_begins_by_itself_an_ended_episode_waits_for_its_reset(cop
     before = env.batch.get_state()
     with pytest.raises(EpisodeError, match=r'3 episodes have ended .the first is 0. .*"reset_mask"'):
         env.step(np.full(N, 4))
-    assert all(np.array_equal(array, before[name]) for name, array in env.batch.get_state().items())
+    assert_same(env.batch.get_state(), before)
     _, info = env.reset(options={"reset_mask": terminated})
     assert info["_seed"].tolist() == (~late).tolist()
     assert not env.step(np.full(N, 4))[2].any()
@@ -132,7 +133,7 @@ def test_what_is_no_mask_seed_or_action_is_refused_and_nothing_is_changed(
     before = env.batch.get_state()
     with pytest.raises(InvalidValueError, match=message):
         getattr(env, method)(**arguments)
-    assert all(np.array_equal(array, before[name]) for name, array in env.batch.get_state().items())
+    assert_same(env.batch.get_state(), before)
 
 
 def test_the_first_reset_must_begin_all() -> None:

@@ -75,19 +75,13 @@ def blocks(page: Path) -> list[Block]:
 
 
 def _marks(html: str) -> Iterator[tuple[str, str, str]]:
-    for comment in re.findall(r"<!--.*?-->", html, re.DOTALL):
-        mark = MARK.fullmatch(comment)
-        if mark:
-            yield mark[1], mark[2] or "", " ".join(mark[3].split())
+    for kind, command, text in MARK.findall(html):
+        yield kind, command, " ".join(text.split())
 
 
 def _apply(block: Block, marks: list[tuple[str, str, str]]) -> None:
     for kind, command, text in marks:
         if kind == "not run" and command:
             block.skipped[command] = text
-        elif kind == "not run":
-            block.not_run = text
-        elif kind == "output of":
-            block.output_of = text
         else:
-            block.file = text
+            setattr(block, kind.replace(" ", "_"), text)

@@ -16,6 +16,7 @@ from drone_env import cli, get_task
 from drone_env.commands.arguments import REGISTERED, parsed
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
+from tests.tools import ran
 
 # Outputs and large files.
 LEFT_OUT = (".*", "__pycache__", "*.egg-info", "build", "data", "demo", "dist", "htmlcov", "results", "runs")
@@ -88,16 +89,7 @@ def script_of(chosen: list[str], reserved_port: Callable[[], int]) -> str:
 def run(script: str, folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a script in a checkout."""
     programs = f"{folder.parent / 'bin'}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), **environment, "PATH": programs}
-    return subprocess.run(
-        ["bash", "-c", script],
-        cwd=folder,
-        env=variables,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return ran("bash", "-c", script, cwd=folder, **environment, PATH=programs)
 
 
 def check(command: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,7 +106,7 @@ def check(command: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
         if program == "drone-env":
             _check_options(arguments, where, monkeypatch)
         elif program == "make":
-            done = subprocess.run(["make", "-n", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+            done = ran("make", "-n", *arguments)
             assert done.returncode == 0, f"{where}: make {shlex.join(arguments)}: {done.stderr}"
         elif program in ("python", "python3") and arguments and arguments[0].endswith(".py"):
             assert (ROOT / arguments[0]).is_file(), f"{where}: there is no {arguments[0]}"

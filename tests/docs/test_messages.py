@@ -2,11 +2,11 @@
 
 import ast
 import re
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.tools import ROOT, tracked
+
 LIST = Path(__file__).with_name("messages.txt")
 LONGEST = 160
 """Two lines of 80 columns; a placeholder counts as 8."""
@@ -47,10 +47,9 @@ def raised(path: Path) -> Iterator[str]:
 
 def messages() -> str:
     """The messages of the package by file; those of two words are codes and separators."""
-    listed = subprocess.run(["git", "ls-files", "drone_env/*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
     found = {
         name: dict.fromkeys(text for text in raised(ROOT / name) if len(text.split()) > 2)
-        for name in listed.stdout.split()
+        for name in tracked("drone_env/*.py")
     }
     return "".join("\n".join([name, *(f"  {text}" for text in found[name]), "\n"]) for name in found if found[name])
 

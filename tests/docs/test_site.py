@@ -1,28 +1,20 @@
 """What the documentation gets from the code is up to date, and the site is built from it without a warning."""
 
-import os
 import re
-import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
-from tests.docs.pages import ROOT
+from tests.tools import ROOT, ran
 
 FETCHING = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
 OURS = re.compile(r"\bDRONE_ENV_[A-Z]+(?:_[A-Z]+)*\b")
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_MKDOCS_2_WARNING": "1"}
-    command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-
-
 def test_the_tables_are_up_to_date() -> None:
-    done = run("tools/docs_tables.py", "--check")
+    done = ran(sys.executable, "tools/docs_tables.py", "--check")
     assert done.returncode == 0, done.stderr
 
 
@@ -56,7 +48,7 @@ class Fetched(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site; a broken link or anchor, a page outside the navigation or a wrong docstring ends its making."""
     folder = tmp_path_factory.mktemp("site")
-    done = run("-m", "mkdocs", "build", "--site-dir", str(folder))
+    done = ran(sys.executable, "-m", "mkdocs", "build", "--site-dir", folder, NO_MKDOCS_2_WARNING="1")
     assert done.returncode == 0, done.stderr
     return folder
 

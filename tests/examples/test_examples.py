@@ -1,17 +1,15 @@
 """Every file of examples/ is sound, and runs and shows its score beside the optimum. A new one is found by itself."""
 
 import ast
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from tests.docs.shell import check_python
+from tests.tools import ROOT, ran
 
-ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SHORT = {
     "cleanrl_dqn": ["--total-timesteps", "3000", "--maps", "5"],
@@ -38,9 +36,7 @@ def test_an_example_is_sound(example: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("example", [path for path in EXAMPLES if path.stem != ELSEWHERE], ids=lambda path: path.stem)
 def test_an_example_runs_and_shows_its_score_beside_the_optimum(example: Path, tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
-    command = [sys.executable, str(example), *SHORT.get(example.stem, [])]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = ran(sys.executable, example, *SHORT.get(example.stem, []), cwd=tmp_path, TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     if example.stem == "new_task_and_reward":  # the table of `drone-env evaluate`
         assert re.search(r"optimal +0\.9\d+", done.stdout)

@@ -98,6 +98,10 @@ class Endpoint:
         return Infer(status, out, err, folder)
 
 
+Start = Callable[..., Endpoint]
+"""The type of the fixture `endpoint`."""
+
+
 @pytest.fixture(scope="session")
 def scripted_server() -> Generator[str, None, None]:
     """The address of all scripted endpoints, which are in threads of this process."""
@@ -110,7 +114,7 @@ def scripted_server() -> Generator[str, None, None]:
 @pytest.fixture
 def endpoint(
     scripted_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Callable[..., Endpoint]:
+) -> Start:
     """Opens endpoints: `endpoint(pilot="greedy", latency=0.2, faults=[[0, 3, {"status": 500}]])`."""
     numbers = itertools.count()
 

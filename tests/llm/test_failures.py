@@ -1,12 +1,9 @@
 """Endpoints that refuse, break off or send endless answers: what is tried again, and what becomes of flight and run."""
 
-from collections.abc import Callable
-
 import pytest
 
-from .conftest import TOKEN, Endpoint, blocks, verified
+from .conftest import TOKEN, Start, blocks, verified
 
-Start = Callable[..., Endpoint]
 ALWAYS = 10**9
 
 

@@ -4,7 +4,7 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ from drone_env.llm.answers import Answer
 from drone_env.llm.limiter import Options
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
+from tests.toy import LOG_OF_MAP_14
 
-from .conftest import ROOT, TOKEN, Endpoint, blocks, environment, verified
+from .conftest import ROOT, TOKEN, Start, blocks, environment, verified
 from .stored_run import Scripted, fly
 
-Start = Callable[..., Endpoint]
 ROUTES = int(os.environ.get("DRONE_ENV_LLM_ROUTES", "30"))
 """Number of flights with one call each."""
 
@@ -30,7 +30,6 @@ def test_log_lines_to_the_byte(endpoint: Start) -> None:
     """Of `python inference.py`, with its settings from .env and, before that, from the environment."""
     scripted = endpoint(pilot="greedy")
     (scripted.folder / ".env").write_text(f"OPENAI_API_KEY={TOKEN}\nAPI_BASE_URL={scripted.url}\nDRONE_TASK=hard\n")
-    # Map 14 of easy by hand.
     done = subprocess.run(
         [sys.executable, str(ROOT / "inference.py"), "--seeds", "14:15", "--no-report"],
         cwd=scripted.folder,
@@ -39,13 +38,7 @@ def test_log_lines_to_the_byte(endpoint: Start) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout == (
-        b"[START] task=drone_env.graders:grade_easy env=drone_env_v1 model=Qwen/Qwen2.5-72B-Instruct\n"
-        b"[STEP] step=1 action=LEFT reward=0.15 done=false error=null\n"
-        b"[STEP] step=2 action=UP reward=0.15 done=false error=null\n"
-        b"[STEP] step=3 action=UP reward=0.99 done=true error=null\n"
-        b"[END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99\n"
-    )
+    assert done.stdout == LOG_OF_MAP_14.format("Qwen/Qwen2.5-72B-Instruct").encode()
     assert {r["headers"]["authorization"] for r in scripted.requests()} == {f"Bearer {TOKEN}"}
     assert {r["body"]["model"] for r in scripted.requests()} == {"Qwen/Qwen2.5-72B-Instruct"}
     waiting = endpoint(pilot="WAIT").infer("--seeds", "14:15", DRONE_TASK="easy")

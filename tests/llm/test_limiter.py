@@ -13,10 +13,8 @@ from drone_env.llm.limiter import Options, RateLimiter
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 
-from .conftest import Endpoint, blocks, verified
+from .conftest import Start, blocks, verified
 from .stored_run import VirtualClock, fly
-
-Start = Callable[..., Endpoint]
 
 
 def with_limiter(work: Callable[[RateLimiter, VirtualClock], Awaitable[Any]], **options: Any) -> Any:

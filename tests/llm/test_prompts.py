@@ -3,7 +3,6 @@
 import hashlib
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.llm.prompt import FOLDER, VALUES, get_prompt, prompt_ids, read_prompt, text_of_file
 
-from .conftest import Endpoint, verified
+from .conftest import Start, verified
 from .test_prompts_suffice import ODD, texts_of
 
 SHOWN = [*TASKS.values(), *ODD]
@@ -105,7 +104,7 @@ def test_a_template_may_name_every_value(tmp_path: Path) -> None:
 
 
 @pytest.mark.feature("I3")
-def test_the_prompt_asks_for_one_word_and_tells_the_last_steps(endpoint: Callable[..., Endpoint]) -> None:
+def test_the_prompt_asks_for_one_word_and_tells_the_last_steps(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     assert scripted.infer("--task", "easy", "--seeds", "14:15", "--history", "1").status == 0
     (system, user), (_, later), (_, last) = [request["body"]["messages"] for request in scripted.requests()]
@@ -113,18 +112,12 @@ def test_the_prompt_asks_for_one_word_and_tells_the_last_steps(endpoint: Callabl
     for told in ("delivery drone", "Goal: deliver every parcel", "exactly one", "in uppercase"):
         assert told in system["content"]
     assert re.findall(r"\b[A-Z]{2,}\b", system["content"]) == ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
-    assert user["content"].split("\n") == [
-        "Position: (6, 3)",
-        "Battery: 100% (60 units)",
-        "Target: (5, 1)",
-        "Distance: 3",
-        "Step: 0 of 60",
-    ]
+    assert user["content"].startswith("Position: (6, 3)\nBattery: 100% (60 units)\nTarget: (5, 1)\n")
     assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")
     assert last["content"].endswith("Last steps:\n2. UP -> (5, 2). On the way.")
 
 
-def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Callable[..., Endpoint]) -> None:
+def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     scripted = endpoint(pilot="MOVE: LEFT")
     mine = scripted.folder / "mine.toml"
     mine.write_text(OWN)

@@ -1,7 +1,6 @@
 """Reports and the leaderboard: figures by hand, and runs that are not what they say."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,10 +13,8 @@ from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
 from drone_env.results.record import EpisodeRecord, record_of
 
-from .conftest import Endpoint
+from .conftest import Start
 from .stored_run import put_run
-
-Start = Callable[..., Endpoint]
 
 
 def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) -> None:

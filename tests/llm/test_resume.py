@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 
 import pytest
 
@@ -11,9 +10,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.transcript import Transcript
 from tests.tools import eventually
 
-from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, verified
-
-Start = Callable[..., Endpoint]
+from .conftest import ROOT, TOKEN, Start, environment, json_lines, verified
 
 
 def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoint: Start) -> None:

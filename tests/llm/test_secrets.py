@@ -1,16 +1,13 @@
 """The token goes to its endpoint and nowhere else: not along a redirect, not into a file, not onto the terminal."""
 
 import json
-from collections.abc import Callable
 from urllib.parse import quote
 
 import pytest
 
 from drone_env.llm.endpoint import without_secret
 
-from .conftest import TOKEN, Endpoint, verified
-
-Start = Callable[..., Endpoint]
+from .conftest import TOKEN, Start, verified
 
 
 def test_only_what_is_needed_is_sent(endpoint: Start) -> None:

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -15,20 +14,19 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import following
 from drone_env.results.store import FILE_NAME, Store
-from tests.api.serving import Server
+from tests.api.serving import serving
 from tests.tools import reserved_port
 
-from .conftest import Endpoint
+from .conftest import Start
 
 
-def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path) -> None:
+def test_a_server_flies_along(endpoint: Start, tmp_path: Path) -> None:
     async def follow(episode: Episode) -> None:
         with following(server.url, "mine") as on_step:
             assert on_step is not None
             await on_step(episode)
 
-    server = Server(["-m", "drone_env.cli", "serve"], tmp_path / "data", reserved_port(), {})
-    try:
+    with serving(tmp_path / "data", ("-m", "drone_env.cli", "serve")) as server:
         done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
         assert (done.status, done.turns) == (0, {"ok": 3}), done.err
         (stored,) = server.client.get("/memory_logs", timeout=30).json()["episodes"]
@@ -36,11 +34,9 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         # Here the battery is smaller than the server's.
         with pytest.raises(InvalidValueError, match=r"other rules: map 14, step 0: battery_steps.* is 60, must be 25"):
             asyncio.run(follow(Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14)))
-    finally:
-        server.kill()
 
 
-def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Callable[..., Endpoint]) -> None:
+def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoint: Start) -> None:
     waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
     scripted = endpoint(pilot="greedy", faults=[[0, 0, waiting]])
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--max-calls", "5")
@@ -62,7 +58,7 @@ def test_the_store_of_the_data_folder_contains_each_finished_flight_once(endpoin
 
 
 def test_a_store_that_fails_costs_no_paid_flight(
-    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    endpoint: Start, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scripted = endpoint(pilot="greedy")
 
@@ -79,7 +75,7 @@ def test_a_store_that_fails_costs_no_paid_flight(
 
 
 def test_without_a_server_or_docker_nothing_is_sent(
-    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    endpoint: Start, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scripted = endpoint(pilot="greedy")
     done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{reserved_port()}")

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import urllib.request
 import venv
 import zipfile
 from pathlib import Path
@@ -24,18 +23,18 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+import httpx  # noqa: E402
+
 from drone_env import __version__  # noqa: E402
 from tests.stranger import background  # noqa: E402
-from tests.tools import path_of_python, reserved_port  # noqa: E402
+from tests.tools import path_of_python, reserved_port, tracked  # noqa: E402
 
 
 def copy_tracked(folder: Path) -> None:
     """Copy the tracked files into a new folder, as they are now."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
+    for name in tracked():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, folder / name)
 
 
 def build(folder: Path, *kinds: str) -> list[Path]:
@@ -105,23 +104,17 @@ class Installed:
     def check_server(self, files: list[str]) -> None:
         """Check the page with all its files, and a step over HTTP."""
         port = reserved_port()
-        url, command = f"http://127.0.0.1:{port}", [str(self.bin / "drone-env"), "serve", "--port", str(port)]
-        with background(command, port, self.place, self.environment):
-            assert json.loads(get(f"{url}/health"))["status"] == "healthy"
+        command = [str(self.bin / "drone-env"), "serve", "--port", str(port)]
+        with (
+            background(command, port, self.place, self.environment),
+            httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client,
+        ):
+            assert client.get("/health").json()["status"] == "healthy"
             for file in files:
-                assert get(f"{url}/static/{file}"), file
-            body = json.dumps({"task_name": "hard_delivery", "seed": 7}).encode()
-            request = urllib.request.Request(f"{url}/reset", body, {"Content-Type": "application/json"})
-            assert len(json.loads(get(request))["grid"]) == 18
+                assert client.get(f"/static/{file}").raise_for_status().content, file
+            assert len(client.post("/reset", json={"task_name": "hard_delivery", "seed": 7}).json()["grid"]) == 18
             # Last, because the server compiles the first solver for it.
-            assert b"<title>" in get(f"{url}/")
-
-
-def get(request: "str | urllib.request.Request") -> bytes:
-    """Return the body of a response with status 200."""
-    with urllib.request.urlopen(request, timeout=60) as answer:
-        assert answer.status == 200, answer.status
-        return answer.read()
+            assert "<title>" in client.get("/").raise_for_status().text
 
 
 def contents(wheel: Path) -> dict[str, bytes]:
@@ -140,7 +133,7 @@ def check(file: Path, page: list[str], python: str | None = None) -> None:
     """Install a wheel or a source distribution, and check it.
 
     Raises:
-        AssertionError, OSError, RuntimeError: if something does not work.
+        AssertionError, OSError, httpx.HTTPError: if something does not work.
         subprocess.CalledProcessError: if it cannot be installed.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -165,7 +158,7 @@ def main() -> int:
             try:
                 check(file, page_files(wheel), python)
                 print(f"{version} {file.name}: works", flush=True)
-            except (AssertionError, OSError, RuntimeError, subprocess.CalledProcessError) as error:
+            except (AssertionError, OSError, httpx.HTTPError, subprocess.CalledProcessError) as error:
                 failed = 1
                 print(f"{version} {file.name}: failed: {error}", flush=True)
     return failed

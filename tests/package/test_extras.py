@@ -1,7 +1,6 @@
 """Each extra contains the imports of its part of the package, and errors name the missing extra."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -10,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.package.extras import PROJECT, ROOT, brought
-from tests.tools import LEFT_OUT
+from tests.package.extras import PROJECT, brought
+from tests.tools import LEFT_OUT, ROOT, ran
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env": (),
@@ -73,8 +72,7 @@ def not_brought(extras: tuple[str, ...]) -> list[str]:
     # The last two are in Ray.
     there = sorted({*brought(*extras), *sys.stdlib_module_names, "drone_env", "colorama", "psutil"})
     parts = [module for module in modules() if needs(module) == extras]
-    command = [sys.executable, "-c", IMPORT, json.dumps([there, parts])]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = ran(sys.executable, "-c", IMPORT, json.dumps([there, parts]))
     assert done.returncode == 0, done.stderr
     return [line for line in done.stdout.splitlines() if "needs Stable-Baselines3" not in line]  # of no extra
 
@@ -124,9 +122,7 @@ PROGRAMS: Mapping[str, str] = {
 def test_without_extras_every_program_says_in_a_line_which_it_needs(tmp_path: Path) -> None:
     there = sorted({*brought(), *sys.stdlib_module_names, "drone_env"})
     runs = [[str(ROOT / part) if part.endswith(".py") else part for part in run.split()] for run in PROGRAMS]
-    arguments = [sys.executable, "-c", BARE, json.dumps([there, runs])]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    done = ran(sys.executable, "-c", BARE, json.dumps([there, runs]), cwd=tmp_path)
     told = dict(zip(PROGRAMS, json.loads(done.stdout).values(), strict=True))
     assert [f"{k}: {v}" for k, v in told.items() if v[1].count("\n") != 1 or v[0] == "0"] == []
     wrong = {program: told[program] for program, extra in PROGRAMS.items() if f"[{extra}]" not in told[program][1]}

@@ -1,28 +1,20 @@
 """The lock agrees with pyproject.toml, and both with what `pip install -e ".[dev]"` made here."""
 
-import re
-import subprocess
 from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 from packaging.requirements import Requirement
 
 from drone_env.errors import DISTRIBUTION
-from tests.package.extras import PROJECT, ROOT
-from tests.tools import find_uv, missing_tool
+from tests.package.extras import PROJECT, pins
+from tests.tools import find_tool, missing_tool, ran
 
 
 @pytest.mark.feature("P5")
 def test_the_lock_agrees_with_pyproject_toml_and_with_what_is_installed() -> None:
-    checked = subprocess.run(
-        [find_uv(), "lock", "--check", "--offline"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    checked = ran(find_tool("uv"), "lock", "--check", "--offline")
     assert checked.returncode == 0, checked.stderr
-    command = ["export", "--frozen", "--offline", "--extra", "dev", "--no-emit-project", "--no-hashes"]
-    exported = subprocess.run([find_uv(), *command], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert exported.returncode == 0, exported.stderr
-    pins = [Requirement(line) for line in exported.stdout.splitlines() if re.match(r"\w", line)]
-    locked = {pin.name: pin for pin in pins if pin.marker is None or pin.marker.evaluate()}
+    locked = pins("dev")
     extras = PROJECT["optional-dependencies"]
     needed = [Requirement(line) for line in (*PROJECT["dependencies"], *extras["dev"])]
     compared = set()

@@ -13,7 +13,8 @@ import yaml
 
 from drone_env import __version__
 from drone_env.errors import DISTRIBUTION
-from tests.package.installed import ROOT, build, check, page_files
+from tests.package.installed import build, check, page_files
+from tests.tools import ROOT, tracked
 
 NAME = f"{DISTRIBUTION.replace('-', '_')}-{__version__}"
 
@@ -24,16 +25,11 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {path.suffix: path for path in build(tmp_path_factory.mktemp("built"))}
 
 
-def tracked(*folders: str) -> set[str]:
-    listed = subprocess.run(["git", "ls-files", "-z", *folders], cwd=ROOT, capture_output=True, text=True, check=True)
-    return {name for name in listed.stdout.split("\0") if (ROOT / name).is_file()}
-
-
 def test_the_wheel_holds_the_package_and_nothing_else(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:
         names = set(wheel.namelist())
     about = {name for name in names if name.startswith(f"{NAME}.dist-info/")}
-    assert names - about == tracked("drone_env")
+    assert names - about == {*tracked("drone_env")}
     assert {name.removeprefix(f"{NAME}.dist-info/") for name in about} == {
         "METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE", "top_level.txt"
     }  # fmt: skip
@@ -43,7 +39,8 @@ def test_the_source_distribution_holds_what_a_wheel_is_built_from(built: dict[st
     with tarfile.open(built[".gz"]) as archive:
         names = {member.name.removeprefix(f"{NAME}/") for member in archive.getmembers() if member.isfile()}
     made = {name for name in names if name.startswith("drone_delivery_env.egg-info/")} | {"PKG-INFO", "setup.cfg"}
-    assert names - made == tracked("drone_env", "CITATION.cff", "LICENSE", "MANIFEST.in", "README.md", "pyproject.toml")
+    sources = tracked("drone_env", "CITATION.cff", "LICENSE", "MANIFEST.in", "README.md", "pyproject.toml")
+    assert names - made == {*sources}
 
 
 def test_the_description_renders_and_names_every_python(built: dict[str, Path]) -> None:
@@ -72,7 +69,7 @@ def test_the_version_stands_in_one_place_and_in_files_that_agree() -> None:
     literal = re.compile(rf"(?<![\w.=~<>]){re.escape(__version__)}(?![\w.])")
     told = {
         name
-        for name in tracked() - {"uv.lock"}
+        for name in {*tracked()} - {"uv.lock"}
         if "/vendor/" not in name
         # What an older version made, or said, keeps the name of its maker.
         and not name.startswith(("tests/", "docs/quoting.md"))

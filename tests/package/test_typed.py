@@ -7,7 +7,6 @@ is typed to build and to hand in in tests/container.
 import json
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,8 +15,8 @@ from typing import Any
 import pytest
 
 from tests.api.serving import serving
-from tests.package.installed import ROOT, copy_tracked
-from tests.tools import find_uv, missing_tool
+from tests.package.installed import copy_tracked
+from tests.tools import ROOT, find_tool, missing_tool, ran
 
 TRAIN = "train.py --task easy_delivery --episodes 500"
 JSON = "-H 'Content-Type: application/json'"
@@ -45,8 +44,7 @@ def ask(url: str, call: str) -> dict[str, Any]:
 
 
 def test_every_call_by_curl_without_a_cookie_or_a_session(tmp_path: Path) -> None:
-    if shutil.which("curl") is None:
-        missing_tool("curl")
+    find_tool("curl")
     with serving(tmp_path / "data") as server:
         answers = {call.rpartition("8000/")[2].split()[0]: ask(server.url, call) for call in CALLS}
     assert [answers[call]["step_count"] for call in ("step", "state", "path_history")] == [1, 1, 1]
@@ -59,9 +57,7 @@ def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
     pytest.importorskip("torch")
 
     def train() -> str:
-        command = [sys.executable, *shlex.split(str(ROOT / TRAIN))]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        done = ran(sys.executable, *shlex.split(str(ROOT / TRAIN)), cwd=tmp_path)
         assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
         return done.stdout + done.stderr
 
@@ -90,7 +86,7 @@ def test_uv_sync_brings_all_but_pytorch(tmp_path: Path) -> None:
     copy_tracked(clone)
     ours = ("VIRTUAL_ENV", "PYTHONPATH", "UV_PROJECT_ENVIRONMENT", "DRONE_ENV_REQUIRE_TOOLS", "PYTEST_ADDOPTS")
     environment = {name: value for name, value in os.environ.items() if name not in ours}
-    path = f"{clone / '.venv' / 'bin'}{os.pathsep}{Path(find_uv()).parent}{os.pathsep}{os.environ['PATH']}"
+    path = f"{clone / '.venv' / 'bin'}{os.pathsep}{Path(find_tool('uv')).parent}{os.pathsep}{os.environ['PATH']}"
     environment |= {"PATH": path, "UV_PYTHON": sys.executable}  # not another Python than these tests run on
 
     def typed(line: str) -> tuple[int, str]:

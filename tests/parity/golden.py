@@ -147,6 +147,10 @@ def map_bytes(grid: Any, state: Any) -> bytes:
     return little(uncovered) + little(state[[CELL]]) + little(state[PARCELS:])
 
 
+def digests(maps: Any, trajectories: Any) -> dict[str, str]:
+    return {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest()}
+
+
 def golden_hashes(make: Make, seeds: list[int], at_once: int) -> Hashes:
     """The hashes, of so many cells at once: everything that is seen is held in memory."""
     hashes = {}
@@ -159,13 +163,8 @@ def golden_hashes(make: Make, seeds: list[int], at_once: int) -> Hashes:
             maps.update(of_map)
             trajectories.update(of_flight)
             if n == N_FIRST:
-                first = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest()}
-        hashes[name] = {
-            "version": task.version,
-            "maps": maps.hexdigest(),
-            "trajectories": trajectories.hexdigest(),
-            "first": first,
-        }
+                first = digests(maps, trajectories)
+        hashes[name] = {"version": task.version, **digests(maps, trajectories), "first": first}
     return hashes
 
 

@@ -2,10 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,42 +15,13 @@ from tests.parity.golden import (
     golden_hashes,
     golden_seeds,
 )
-from tests.tools import find_python, missing_tool
+from tests.tools import find_python, find_tool, missing_tool, ran
 
-ROOT = Path(__file__).parents[2]
 GOLDEN: Hashes = json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))
 FIRST = {name: {**hashes, **hashes["first"]} for name, hashes in GOLDEN.items()}
 """The hashes over the first seeds alone."""
 THOROUGH = int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000
 ELSEWHERE, EXPECTED = (N_SEEDS, GOLDEN) if THOROUGH else (N_FIRST, FIRST)
-
-
-def hashes_from_another_process(python: str) -> dict[str, Any]:
-    """What `golden.py` prints under this interpreter."""
-    done = subprocess.run(
-        [python, "-W", "error", str(ROOT / "tests/parity/golden.py"), "--seeds", str(ELSEWHERE)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-def python_without_numba(version: str, folder: Path) -> str:
-    """An interpreter of this version with NumPy and Gymnasium alone, made once and kept in `folder`.
-
-    The folder lies in the environment of the tests: in the tree, a validator would take it for a part of the project.
-    """
-    python, ready = str(folder / "bin/python"), folder / "has-numpy-and-gymnasium"
-    if not ready.exists():
-        subprocess.run([find_python(version), "-m", "venv", "--clear", str(folder)], capture_output=True, check=True)
-        install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "numpy", "gymnasium"]
-        if subprocess.run(install, capture_output=True, check=False).returncode != 0:
-            missing_tool(f"NumPy and Gymnasium for Python {version}")
-        ready.touch()
-    return python
 
 
 def test_in_plain_python() -> None:
@@ -73,5 +40,10 @@ def test_compiled() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("version", ["3.10", "3.13"])
 def test_on_another_python_without_numba(version: str) -> None:
-    python = python_without_numba(version, Path(sys.prefix) / f"golden-python-{version}")
-    assert hashes_from_another_process(python) == EXPECTED
+    alone = ["run", "--isolated", "--no-project", "--with", "numpy", "--with", "gymnasium", "--python"]
+    golden = ["python", "-W", "error", "tests/parity/golden.py", "--seeds", ELSEWHERE]
+    done = ran(find_tool("uv"), *alone, find_python(version), *golden)
+    if "Failed to fetch" in done.stderr:
+        missing_tool("an index of packages")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == EXPECTED

@@ -16,6 +16,7 @@ from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.vector import DroneDeliveryVectorEnv
 from drone_env.envs.wrappers import vector
 from tests.property.test_episode import NUMBERS, PROFILES, SEEDS, TASK
+from tests.same import assert_same
 
 several = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "300")) // 10, deadline=None, derandomize=True)
 N = 3
@@ -24,17 +25,6 @@ FORMS: dict[str, tuple[Any, Any]] = {
     "planes": (wrappers.OneHotPlanes, vector.OneHotPlanes),
     "flat": (wrappers.FlatObservation, vector.FlatObservation),
 }
-
-
-def assert_same(got: Any, want: Any) -> None:
-    """Arrays of the same type, shape and values, by the same names."""
-    if isinstance(want, dict):
-        assert got.keys() == want.keys()
-        for name, part in want.items():
-            assert_same(got[name], part)
-    else:
-        assert (got.dtype, got.shape) == (want.dtype, want.shape)
-        assert np.array_equal(got, want)
 
 
 def assert_seen(told: tuple[Any, dict[str, Any]], expected: tuple[Any, dict[str, Any]]) -> None:

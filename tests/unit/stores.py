@@ -1,14 +1,15 @@
 """What the tests of the store share."""
 
 import json
-import time
+import sqlite3
+from collections.abc import Generator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 from drone_env.core.episode import Episode
 from drone_env.planning.optimal import solve
 from drone_env.results.sessions import Session, advance
-from drone_env.results.store import Store, StoredEpisode
+from drone_env.results.store import FILE_NAME, Store, StoredEpisode
 
 
 def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile: str = "tiered") -> Episode:
@@ -31,6 +32,15 @@ def finish_in(row: Session, episode: Episode) -> None:
         advance(row, action)
 
 
+@contextmanager
+def failing(folder: Path, what: str) -> Generator[None, None, None]:
+    """Have the store of a folder refuse something, such as "UPDATE ON sessions", for the time of the block."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as file:
+        file.execute(f"CREATE TRIGGER broken BEFORE {what} BEGIN SELECT RAISE(ABORT, 'the disk is gone'); END")
+        yield
+        file.execute("DROP TRIGGER broken")
+
+
 def latest(store: Store, n: int = 9) -> list[StoredEpisode]:
     """The last episodes, newest first."""
     return list(store.episodes())[::-1][:n]
@@ -40,10 +50,3 @@ def view(folder: Path) -> list[StoredEpisode]:
     content = json.loads((folder / "memory.json").read_bytes())
     assert (content["format"], content["format_version"]) == ("drone_env/memory", 1)
     return [StoredEpisode.model_validate_json(json.dumps(episode)) for episode in content["episodes"]]
-
-
-def eventually(holds: Any) -> None:
-    deadline = time.monotonic() + 100
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)

@@ -9,10 +9,11 @@ from drone_env.agents.batch_rollout import rollout_batch
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
-from drone_env.core.episode import Episode, rollout
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
+from tests.api.live_page import flown
 from tests.which_tasks import SMALL
 
 PAIRS = [
@@ -21,11 +22,6 @@ PAIRS = [
 """Agents with the tasks that they can fly."""
 FEWER = {"pathqnet": 9, "tournet": 5}
 """How many maps those fly that take their time."""
-
-
-def fly(name: str, task: TaskConfig, seed: int) -> Episode:
-    agent, episode = make_agent(name, task), Episode(task, seed=seed)
-    return rollout(episode, begin(agent, name, episode))
 
 
 @pytest.mark.parametrize(("name", "task"), PAIRS, ids=lambda value: getattr(value, "id", value))
@@ -60,7 +56,7 @@ def test_together_the_agents_choose_as_they_do_alone(
 
 
 def test_the_random_agent_draws_all_actions_alike_and_differently_on_each_map() -> None:
-    flights = [fly("random", get_task("hard"), seed).actions for seed in range(60)]
+    flights = [flown("hard", "random", seed=seed).actions for seed in range(60)]
     drawn = [action for actions in flights for action in actions]
     for action in Action:
         assert drawn.count(action) / len(drawn) == pytest.approx(0.2, abs=0.02)
@@ -71,7 +67,7 @@ def test_a_batch_counts_the_first_flight_over_each_map() -> None:
     agent, seeds = make_agent("greedy", "easy"), np.arange(100)
     agent.reset_batch(seeds)
     found = rollout_batch(get_task("easy"), seeds, agent.act_batch, stateless=False)
-    assert found.scores.tolist() == [fly("greedy", get_task("easy"), seed).score for seed in seeds.tolist()]
+    assert found.scores.tolist() == [flown("easy", "greedy", seed=seed).score for seed in seeds.tolist()]
 
 
 @pytest.mark.parametrize("name", ["greedy", "optimal", "tournet"])

@@ -5,10 +5,8 @@ from fractions import Fraction
 
 import pytest
 
-from drone_env.agents import make_agent
-from drone_env.agents.base import begin
 from drone_env.core.actions import Action, Event, Outcome
-from drone_env.core.episode import Episode, rollout
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError
 from drone_env.planning.optimal import solve, solve_episode
@@ -21,6 +19,7 @@ from drone_env.results.analysis import (
     parcel_value,
 )
 from drone_env.results.record import record_of
+from tests.api.live_page import flown
 from tests.toy import toy_episode
 from tests.which_tasks import SMALL
 
@@ -34,11 +33,6 @@ MAP = ["@.0", "..."]
 
 def letters(actions: str) -> list[int]:
     return ["UDLRW".index(letter) for letter in actions]
-
-
-def flown(task: str, agent: str) -> Episode:
-    episode = Episode(task, seed=SEED)
-    return rollout(episode, begin(make_agent(agent, task), agent, episode))
 
 
 def test_a_blunder_by_hand() -> None:

@@ -1,7 +1,6 @@
 """Checkpoints: files that cannot be read or written, and that they run no code."""
 
 import resource
-import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +8,7 @@ import torch
 
 from drone_env.errors import CheckpointError
 from drone_env.rl.run import load_checkpoint, save_checkpoint
+from tests.tools import limited
 from tests.unit.small_training import SMALL, run_in
 
 
@@ -42,15 +42,9 @@ def test_a_failed_write_leaves_the_previous_checkpoint(tmp_path: Path) -> None:
     path = tmp_path / "easy.pth"
     save_checkpoint(path, {"steps": 1})
     before = path.read_bytes()
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))  # as a full disk
-    try:
-        with pytest.raises(OSError, match=r"easy\.pth could not be written|File too large"):
-            save_checkpoint(path, {"tensor": torch.zeros(100_000)})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, ignored)
+    message = r"easy\.pth could not be written|File too large"
+    with limited(resource.RLIMIT_FSIZE, 1000), pytest.raises(OSError, match=message):  # as a full disk
+        save_checkpoint(path, {"tensor": torch.zeros(100_000)})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

@@ -20,19 +20,12 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.planning.optimal import solve
+from tests.toy import LOG_OF_MAP_14
 
 
 def test_fly_to_the_byte_on_a_map_by_hand(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
-    # Map 14 of easy: start (6, 3), parcel (5, 1). Two steps closer at 0.10 + 0.05, then 0.95 + 0.05 clamped to 0.99;
-    # score 0.8 + 0.2 * (1 - 3/60).
     assert main(["fly", "--task", "easy", "--agent", "greedy", "--seed", "14"]) == 0
-    assert capsysbinary.readouterr().out == (
-        b"[START] task=drone_env.graders:grade_easy env=drone_env_v1 model=greedy\n"
-        b"[STEP] step=1 action=LEFT reward=0.15 done=false error=null\n"
-        b"[STEP] step=2 action=UP reward=0.15 done=false error=null\n"
-        b"[STEP] step=3 action=UP reward=0.99 done=true error=null\n"
-        b"[END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99\n"
-    )
+    assert capsysbinary.readouterr().out == LOG_OF_MAP_14.format("greedy").encode()
 
 
 def test_fly_shows_maps_and_saves_a_picture_beside_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,8 @@ from drone_env.planning.optimal import Solution, solve
 from drone_env.results import optima
 from drone_env.results.finished import EpisodeSummary, analyse
 from drone_env.results.store import Store
-from tests.unit.stores import eventually, flown
+from tests.tools import eventually
+from tests.unit.stores import failing, flown
 
 
 def test_an_analysis_looks_at_the_newest(store: Store) -> None:
@@ -58,13 +59,10 @@ def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     store.add_episode(flown(), "someone")
-    with store._database.writing() as connection:
-        connection.execute("CREATE TRIGGER full BEFORE INSERT ON optima BEGIN SELECT RAISE(ABORT, 'disk is full'); END")
-    analysis = store.analysis("easy", patience=240)
+    with failing(store.folder, "INSERT ON optima"):
+        analysis = store.analysis("easy", patience=240)
     assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
     assert caplog.text.count("optima of easy_delivery could not be solved or stored: store ") == 1
-    with store._database.writing() as connection:
-        connection.execute("DROP TRIGGER full")
     assert store.listed(9, patience=240)[0].optimal_score == solve("easy", 7).score
 
 
@@ -84,6 +82,9 @@ def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
     analysis = analyse(TASKS["easy_delivery"], 5, rows)
     assert (analysis.episodes_total, analysis.episodes, analysis.regret_episodes) == (5, 3, 1)
     assert analysis.mean_regret == pytest.approx(0.9375 - 0.9)
+    averages = (analysis.average_reward, analysis.average_score, analysis.average_steps, analysis.average_deliveries)
+    assert averages == pytest.approx((1, 2.3 / 3, 20 / 3, 2 / 3))
+    assert (analysis.deliveries, analysis.success_rate) == (2, pytest.approx(2 / 3))
     # The middle one of three belongs to neither half.
     assert analysis.success_trend == -1
     assert analysis.action_distribution["WAIT"] == 12 / 20

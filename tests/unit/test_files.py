@@ -21,6 +21,7 @@ from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
 from drone_env.server.logs import TrainLog
+from tests.tools import limited
 
 PARSERS: dict[str, Callable[[Path], object]] = {
     "city.toml": read_city,
@@ -107,15 +108,10 @@ def test_a_full_disk_is_reported_with_the_file() -> None:
 
 def test_a_line_that_finds_no_room_is_taken_back(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with (tmp_path / "lines").open("ab", buffering=0) as file:
         append_line(file, "first")
-        resource.setrlimit(resource.RLIMIT_FSIZE, (10, limits[1]))
-        try:
-            with pytest.raises(OSError, match="could not be written whole"):
-                append_line(file, "second")
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        with limited(resource.RLIMIT_FSIZE, 10), pytest.raises(OSError, match="could not be written whole"):
+            append_line(file, "second")
         append_line(file, "third")
     assert (tmp_path / "lines").read_text() == "first\nthird\n"
 

@@ -19,10 +19,13 @@ def state_of(task: str, **changes: object) -> dict:
     return {**DroneState.of(Episode(task, seed=0)).model_dump(mode="json"), **changes}
 
 
+@pytest.mark.feature("E9")
 def test_every_task_has_its_grader() -> None:
     assert list(GRADERS) == list(TASKS)
     standard = {"easy_delivery": grade_easy, "medium_delivery": grade_medium, "hard_delivery": grade_hard}
     assert GRADERS | standard == GRADERS
+    for grader, level in zip(standard.values(), ("easy", "medium", "hard"), strict=True):
+        assert getattr(import_module(f"drone_env.graders.{level}"), f"grade_{level}") is grader
     for task in TASKS.values():
         module, name = task.grader.split(":")
         assert getattr(import_module(module), name) is GRADERS[task.id]
@@ -30,8 +33,10 @@ def test_every_task_has_its_grader() -> None:
         graders.grade_expert  # noqa: B018
 
 
+@pytest.mark.feature("E9")
 def test_only_counts_of_the_graders_own_task_are_graded() -> None:
-    assert grade_easy(state_of("easy", score=0.99)) == 0.20
+    given = state_of("easy", score=0.99)
+    assert grade_easy(given) == grade_easy(DroneState.model_validate(given)) == 0.20  # 0.2 * (0.5 * 1 + 0.5 * 1)
     with pytest.raises(InvalidValueError, match="'easy_delivery' got a state of 'hard_delivery'"):
         grade_easy(state_of("hard"))
     with pytest.raises(InvalidValueError, match="max_steps"):

@@ -1,14 +1,15 @@
 """What importing the package loads, and who may import whom."""
 
 import ast
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / "drone_env"
+from tests.tools import ROOT, ran
+
+PACKAGE = ROOT / "drone_env"
 HEAVY = {
     *("PIL", "fastapi", "fastmcp", "gradio", "httpx", "matplotlib", "numba", "openenv", "pandas", "pydantic"),
     *("pygame", "ray", "torch", "tyro"),
@@ -65,8 +66,9 @@ def floor(part: str) -> int:
 )
 def test_nothing_heavy_is_loaded(code: str, allowed: tuple[str, ...]) -> None:
     code = f"{code}; import sys; print(*sys.modules, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    done = ran(sys.executable, "-c", code)
     loaded = set(done.stderr.split())
+    assert done.returncode == 0
     assert {"drone_env", "numpy"} <= loaded
     assert loaded & HEAVY == set(allowed)
 

@@ -8,7 +8,8 @@ import pytest
 
 from drone_env.results.memory_view import MemoryView
 from drone_env.results.store import Store, StoredEpisode
-from tests.unit.stores import eventually, flown, latest, view
+from tests.tools import eventually
+from tests.unit.stores import flown, latest, view
 
 
 @pytest.mark.feature("L6")

@@ -22,7 +22,7 @@ def test_observation_says_what_the_episode_holds(episode: Episode) -> None:
     assert seen.current_target == episode.target
     assert seen.distance_to_target == episode.distance_to_target
     assert (seen.step_count, seen.max_steps, seen.battery_steps_remaining) == (5, 100, 95)
-    assert seen.battery == 0.95
+    assert (seen.battery, seen.deliveries_total, seen.deliveries_done) == (0.95, 3, episode.deliveries_done)
     assert (seen.reward_last, seen.reward_total) == (episode.reward_last, episode.reward_total)
     assert (seen.score, seen.done, seen.message) == (episode.score, False, episode.message)
     assert set(seen.legend) == {kind.emoji for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN}

@@ -20,13 +20,8 @@ from drone_env.graders import GRADERS
 from drone_env.models import DroneState
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
+from tests.toy import PLUGIN_OF_HOPS
 
-PLUGIN = """
-from dataclasses import replace
-from drone_env import get_task, register_task
-hop = replace(get_task("easy"), id="hop", short_name="hop", grader="drone_env.graders:grade_hop")
-register_task(replace(hop, width=5, height=5))
-"""
 GRADER = "drone_env.graders:grade_courier"
 
 
@@ -83,7 +78,7 @@ def test_a_registered_agent_flies_by_its_name() -> None:
 
 
 def test_the_command_line_imports_the_modules_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "hops.py").write_text(PLUGIN)
+    (tmp_path / "hops.py").write_text(PLUGIN_OF_HOPS)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("DRONE_ENV_PLUGINS", "hops")
-    assert main(["solve", "--task", "hop", "--seed", "7"]) == 0
+    assert main(["solve", "--task", "hops", "--seed", "7"]) == 0

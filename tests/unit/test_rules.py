@@ -22,6 +22,8 @@ def test_the_order_of_actions_events_and_cells_is_frozen() -> None:
 
 
 CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
+    "up and to the left": (["...", ".@.", "..0"], "UL", {}, {"position": (0, 0), "steps": 2}),
+    "down and to the right": (["...", ".@.", "0.."], "DRW", {}, {"position": (2, 2), "steps": 3}),
     "wall above": (["@.", ".0"], "U", {}, {"position": (0, 0), "event": Event.WALL, "reward_last": 0.32}),
     # The first event that holds
     "wall above terrain": (["@T.", "..0"], "RU", {}, {"event": Event.WALL}),
@@ -56,6 +58,7 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
 }
 
 
+@pytest.mark.feature("E3")
 @pytest.mark.parametrize("case", CASES)
 def test_by_hand(case: str) -> None:
     drawing, actions, changes, expected = CASES[case]

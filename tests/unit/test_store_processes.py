@@ -21,7 +21,8 @@ from drone_env.models import DIRECTIONS
 from drone_env.results.record import replay
 from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import eventually, latest, opened, view
+from tests.tools import eventually
+from tests.unit.stores import latest, opened, view
 
 KILLS = max(2, int(os.environ.get("DRONE_ENV_EXAMPLES", "200")) // 100)
 

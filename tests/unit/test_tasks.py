@@ -48,6 +48,7 @@ def test_numbers(name: str) -> None:
 
 def test_families() -> None:
     assert [task.short_name for task in TASKS.values()] == [*NUMBERS, "city_small", "city"]
+    assert [task.gym_id for task in TASKS.values()][6:] == ["DroneDelivery-City-Small-v1", "DroneDelivery-City-v1"]
     assert [task.family for task in TASKS.values()] == ["standard"] * 3 + ["skyline"] * 3 + ["city"] * 2
     assert replace(EASY, family="courier").rules() == EASY.rules() != replace(EASY, trees=5).rules()
     assert "family" not in EASY.rules()

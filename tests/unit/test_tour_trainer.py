@@ -17,7 +17,8 @@ from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.samples import SampleGenerator, Samples
 from drone_env.rl.tour_config import SHARES, TourConfig, randomise, variant
 from drone_env.rl.tournet import TourTrainer
-from tests.unit.small_training import SMALL_TOUR, assert_same, finished, parameters
+from tests.same import assert_same
+from tests.unit.small_training import SMALL_TOUR, finished, parameters
 
 
 def test_samples_come_from_train_maps_of_the_tasks_by_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,25 +18,22 @@ from drone_env.errors import InvalidValueError
 from drone_env.rl.run import load_checkpoint, save_checkpoint
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
-from tests.unit.small_training import SMALL_TOUR, assert_same, finished
+from tests.same import assert_same
+from tests.unit.small_training import SMALL_TOUR, finished
 
 # That it goes on
 
 
-def state_of(trainer: TourTrainer) -> dict[str, Any]:
+def shared(state: dict[str, Any]) -> dict[str, Any]:
     """All that two equal runs share."""
-    state = trainer.get_state()
-    del state["cpu_seconds"]
-    for line in state["history"]:
-        del line["cpu_seconds"]
+    times = [state.pop("seconds", 1), state.pop("cpu_seconds"), *(line.pop("cpu_seconds") for line in state["history"])]
+    assert min(times) > 0
     return state
 
 
-def assert_equal_windows(a: TourTrainer, b: TourTrainer) -> None:
-    for x, y in zip(a._windows, b._windows, strict=True):
-        assert len(x) == len(y)
-        for one, other in zip(x, y, strict=True):
-            assert all(map(np.array_equal, (*one.features, one.values), (*other.features, other.values)))
+def windows(trainer: TourTrainer) -> list[Any]:
+    """The lessons that it holds."""
+    return list(map(list, trainer._windows))
 
 
 def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None:
@@ -46,7 +43,7 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
     list(islice(whole.train(), 8))
     for updates in (1, 3, 4):
         list(islice(parts.train(), updates))
-    assert_equal_windows(whole, parts)
+    assert_same(windows(whole), windows(parts))
     save_checkpoint(tmp_path / "run.pth", parts.get_state())
     # Another seed, for what the checkpoint fails to bring with it; its configuration is the same.
     other = TourTrainer(replace(config, seed=1))
@@ -54,10 +51,10 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
     other.set_state(load_checkpoint(tmp_path / "run.pth"))
     for trainer in (whole, parts, other):
         next(iter(trainer.train()))
-    assert_equal_windows(whole, other)
+    assert_same(windows(whole), windows(other))
     assert max(len(window) for window in whole._windows) == config.window
-    assert_same(state_of(whole), state_of(parts))
-    assert_same(state_of(whole), state_of(other))
+    for trainer in (parts, other):
+        assert_same(shared(whole.get_state()), shared(trainer.get_state()))
 
 
 def test_samples_without_a_choice_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,9 +139,4 @@ def test_interrupted_it_saves_and_goes_on_to_the_same_end(
     assert main(["train", "--network", "tournet", "--task", "skyline_easy"]) == 0
     assert f"going on from data/{file}: 3 of 4 updates" in capsys.readouterr().err
     assert main([*EASY, "--data", "whole", "--results", "whole"]) == 0
-    states = [load_checkpoint(tmp_path / folder / file) for folder in ("data", "whole")]
-    for state in states:
-        assert state.pop("seconds") > 0
-        assert state.pop("cpu_seconds") > 0
-        assert all(line.pop("cpu_seconds") > 0 for line in state["history"])
-    assert_same(*states)
+    assert_same(*(shared(load_checkpoint(tmp_path / folder / file)) for folder in ("data", "whole")))

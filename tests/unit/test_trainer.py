@@ -20,7 +20,8 @@ from drone_env.rl.common import Validation, Validator
 from drone_env.rl.dqn import Trainer
 from drone_env.rl.models import PathQNet
 from drone_env.rl.run import load_checkpoint, save_checkpoint
-from tests.unit.small_training import SMALL, assert_same, finished, parameters
+from tests.same import assert_same
+from tests.unit.small_training import SMALL, finished, parameters
 
 
 @pytest.fixture(scope="module")

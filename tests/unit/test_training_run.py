@@ -20,7 +20,8 @@ from drone_env.rl.dqn import Progress, Trainer
 from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line
 from drone_env.rl.tour_config import TourConfig
 from drone_env.server.logs import TrainLog
-from tests.unit.small_training import SMALL, assert_same, run_in
+from tests.same import assert_same
+from tests.unit.small_training import SMALL, run_in
 
 # Checkpoints
 
