@@ -63,6 +63,6 @@ export function mountControls(root, context, fleet, acts) {
 /** The present step: `Step 12 of 35 · LEFT · Delivery`. */
 function sentence(track, step, { world }) {
   const { step: at, action, event } = track.frameAt(step);
-  const happened = action && event !== "wait" ? title(event) : null;
+  const happened = action && !["step", "wait"].includes(event) ? title(event) : null;
   return [`Step ${at} of ${track.done ? track.steps : world.maxSteps}`, action, happened].filter(Boolean).join(" · ");
 }
