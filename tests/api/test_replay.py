@@ -118,8 +118,13 @@ def test_the_worst_move_says_what_the_best_ones_gain(
         ),
         (
             "skyline_easy",
-            ["UP", "UP", "LEFT", "UP", "LEFT", "UP", "LEFT", "RIGHT", "UP"],
+            ["UP", "UP", "DOWN", "LEFT", "RIGHT", "UP", "RIGHT", "RIGHT", "UP"],
             "Buildings cost 3 units; the drone reached a pad with an empty battery.",
+        ),
+        (
+            "skyline_easy",
+            ["UP", "DOWN", "UP", "UP", "UP", *["RIGHT"] * 6],
+            "Each step costs a unit; the drone was on a pad and did not wait.",
         ),
         ("easy", ["WAIT"] * 60, "Each step costs a unit."),
     ],

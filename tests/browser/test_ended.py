@@ -65,7 +65,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(strip).to_contain_text(
         f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcel, "
         f"{60 - last} battery units after {last} steps, "
-        f"a best flight ends with {annotation['optimal_battery']} after {annotation['optimal_steps']}."
+        f"a best flight ends with {annotation['optimal_battery']} after {annotation['optimal_steps']} steps."
     )
     expect(strip).to_contain_text("What counts: parcels (80 points), then battery left (10) and steps left (10).")
     expect(strip).to_contain_text(f"The lowest score is {points(LOWEST)}, the highest {points(HIGHEST)}.")

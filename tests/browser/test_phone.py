@@ -86,6 +86,21 @@ def test_a_person_flies_by_touch_over_a_map_that_is_crisp(phone: Page) -> None:
         expect_step(phone, step, 60, action)
 
 
+def test_a_tap_that_is_on_its_way_at_the_end_of_a_flight_presses_nothing(phone: Page) -> None:
+    show(phone, "/?task=skyline_easy&seed=7&pilot=human")
+    expect_step(phone, 0, 60)
+    phone.evaluate("""() => {
+        const view = document.getElementById("view-fly");
+        new MutationObserver(() => (view.dataset.rested = "")).observe(view, { attributeFilter: ["inert"] });
+    }""")
+    for _ in range(11):  # back and forth until the battery is empty
+        for key in ("ArrowLeft", "ArrowRight"):
+            phone.keyboard.press(key)
+    expect(phone.locator("#view-fly")).to_have_attribute("data-rested", "")
+    phone.get_by_role("button", name="Try again from").tap()
+    expect(phone.locator("#results-title")).to_be_hidden()
+
+
 def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: Page) -> None:
     phone.set_viewport_size({"width": 844, "height": 390})
     show(phone, "/?task=easy&seed=18&pilot=human&lesson=1")

@@ -167,7 +167,9 @@ def why_failed(flown: Episode) -> str:
     if away is None:
         return f"{costs.capitalize()}."
     distance = f"a pad was {away} {'cell' if away == 1 else 'cells'} away"
-    end = distance if away else "the drone reached a pad with an empty battery"
+    reached = [(step.x, step.y) for step in flown.path[-2:]].count((x, y)) == 1
+    here = "the drone reached a pad with an empty battery" if reached else "the drone was on a pad and did not wait"
+    end = distance if away else here
     return f"{costs.capitalize()}; {end}."
 
 

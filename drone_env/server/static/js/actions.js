@@ -47,7 +47,7 @@ export function actionsOf(context, fleet) {
       else clock.goTo(clock.cursor + 1);
     },
     undo: () => fleet.undo(),
-    reset: () => start({}, {}, "Restart"),
+    reset: () => start({}, {}, "Start over"),
     newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
     fork(options) {

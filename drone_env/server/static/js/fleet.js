@@ -1,5 +1,5 @@
 // The live flights of this page: requests to the server, and its messages.
-import { Emitter } from "./base.js";
+import { Emitter, recall, remember } from "./base.js";
 import { toast } from "./dom.js";
 import { NEXT } from "./fleet_states.js";
 import { sentence, who } from "./format.js";
@@ -8,6 +8,9 @@ import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
 import { Track } from "./track.js";
 
+/** Key of the ids of the last flights that this visitor has flown by hand, and how many are kept. */
+const FLOWN = "drone-env-flown";
+const KEPT = 200;
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
 
@@ -339,6 +342,8 @@ export class Fleet extends Emitter {
       const track = this.tracks[flight];
       track?.frames.push(frame);
       if (track) this.stage.changed(track);
+      // The race goes on without the visitor.
+      if (flight === this.human && frame.done && this.automatic) this.play();
     }
   }
 
@@ -369,6 +374,10 @@ export class Fleet extends Emitter {
     if (!track) return;
     track.episode = episode;
     track.live = false;
+    const { automatic, name } = this.pilot(track.pilot);
+    const flown = (recall(FLOWN) ?? "").split(" ");
+    if (!automatic && flown.includes(episode.id)) track.called = name;
+    else if (!automatic && !track.brought) remember(FLOWN, [episode.id, ...flown].slice(0, KEPT).join(" "));
     this.stage.changed(track);
     this.emit("ended", track);
   }

@@ -99,7 +99,7 @@ export function leaderboard(context, board, compare) {
     grid("Leaderboard, smallest loss first", columns, rows, below),
     more.length ? opener(everyone, "people", () => compare.draw(!everyone), `More people: ${more.length}`) : "",
     el("p.note.below", {
-      text: `Each row gives means over the maps that the pilot flew; ± is a 95 % confidence interval. The pilot that loses the fewest of 100 points against the optimum of each map is first. “Few” means under ${ENOUGH} maps. ${how}${forks}`,
+      text: `Each row gives means over the maps that the pilot flew; ± is a 95 % confidence interval. The pilot that loses least against the optimum of each map is first. “Few” means under ${ENOUGH} maps. ${how}${forks}`,
     }),
   );
 }

@@ -4,6 +4,9 @@ import { announce, bring, el, leaveFocus, setText } from "./dom.js";
 import { counted, fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
 
+/** Milliseconds without taps after the end of a flight by hand. */
+const REST = 700;
+
 /** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
 export function mountStrip(root, context, fleet, acts) {
   const { stage } = context;
@@ -35,6 +38,7 @@ export function mountStrip(root, context, fleet, acts) {
   const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
   const first = el("div.strip-first", head, place, reason, el("div.strip-actions", again, next, afresh, watch), undoes);
   root.append(first, why, counts, worstLine, more);
+  const view = document.getElementById("view-fly");
   let announced = null;
   fleet.on("ended", (track) => track === stage.track && nextFrame(() => bring(first)));
 
@@ -73,6 +77,11 @@ export function mountStrip(root, context, fleet, acts) {
     setText(next, `Next: ${title(after.short_name)}`);
     next.hidden = last.outcome !== "delivered" || after === stage.world.task;
     if (announced === track) return;
+    // The card takes the place of the pad: a tap that is on its way presses nothing.
+    if (own && !track.brought && matchMedia("(pointer: coarse)").matches) {
+      view.inert = true;
+      setTimeout(() => (view.inert = false), REST);
+    }
     announced = track;
     analysis.hidden = Boolean(track.past);
     if (!track.past) analyse(stage.world.task);
@@ -105,7 +114,7 @@ function summary({ world }, { last, annotation, steps, done }) {
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
   parts.push(`${last.deliveries_done} of ${counted(world.parcels.length, "parcel")}`);
   parts.push(`${last.battery_units} battery units after ${steps} steps`);
-  if (annotation) parts.push(`a best flight ends with ${annotation.optimal_battery} after ${annotation.optimal_steps}`);
+  if (annotation) parts.push(`a best flight ends with ${annotation.optimal_battery} after ${annotation.optimal_steps} steps`);
   return `${parts.join(", ")}.`;
 }
 
