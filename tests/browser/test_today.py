@@ -4,6 +4,7 @@ from datetime import datetime, timezone
 
 from playwright.sync_api import Page, expect
 
+from drone_env.core.tasks import get_task
 from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
 from drone_env.server.map_choice import map_of_the_day
@@ -28,6 +29,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     # Junk in the storage is no name and no result.
     page.evaluate("localStorage['drone-env-name'] = '<b>'; localStorage['drone-env-best'] = '[[1], 7, null]'")
     over(page, seed, f"/?task={task}&seed={seed}&pilot=human")
+    expect_step(page, 0, get_task(task).max_steps)
     refused = page.get_by_role("alert").filter(has_text="without spaces")
     for name, shown in (("Ada", 0), ("not a name", 1), (" undo ", 0)):
         field.fill(name)
