@@ -53,6 +53,12 @@ def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
 
     monkeypatch.setattr("drone_env.commands.evaluate.local_engine", fly)
     folder = tmp_path / "results"
-    assert main(["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]) == 130
+    command = ["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]
+    # What a shell starts in the background ignores SIGINT.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(command) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert len(list((folder / "pieces").iterdir())) == 1
     assert f"interrupted; the same command goes on from {folder}" in capsys.readouterr().err
