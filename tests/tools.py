@@ -96,7 +96,7 @@ def eventually(holds: Callable[[], object], told: Callable[[], str] = lambda: ""
 
     Args:
         holds: The condition.
-        told: What to say if it does not come true.
+        told: Returns the message of a failure.
     """
     deadline = time.monotonic() + 100
     while not holds():

@@ -53,7 +53,7 @@ LOG_OF_MAP_14 = """\
 [STEP] step=3 action=UP reward=0.99 done=true error=null
 [END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99
 """
-"""What is printed of the best flight over map 14 of easy.
+"""The printed lines of the best flight over map 14 of easy.
 
 Start (6, 3), parcel (5, 1). Two steps closer at 0.10 + 0.05, then 0.95 + 0.05 clamped to 0.99; score
 0.8 + 0.2 * (1 - 3/60).

@@ -132,7 +132,7 @@ def test_many_people_leave_the_leaderboard_readable(page: Page, server: Server) 
     lines = rows(page, "Leaderboard")
     expect(lines).to_have_count(4)
     expect(lines.filter(has_text="Greedy")).to_have_count(1)
-    # Who is ticked stays listed, also from a link.
+    # Ticked pilots stay listed, also from a link.
     show(page, "/?view=compare&task=city_small&pilots=greedy,human%20(Person-7)")
     expect(page.locator("dl.paired")).to_contain_text("Person-7 scores higher")
     expect(lines).to_have_count(5)

@@ -29,7 +29,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(note).to_have_text("The parcel in 22 steps")
     paint = page.get_by_role("group", name="Paint")
     expect(paint.get_by_role("radio", name="Building")).to_be_checked()
-    # The last parcel stays, and the page says so.
+    # The last parcel stays, with a message.
     paint.get_by_text("Road").click()
     drag(page, (11, 11))
     expect(page.locator(".toast")).to_contain_text("A map needs a parcel.")

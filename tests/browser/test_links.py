@@ -196,7 +196,7 @@ def test_after_a_reload_every_address_on_the_way_back_shows_what_it_showed(
     page.go_forward()
     expect_step(page, 1, 60, "WAIT")
     expect(page).to_have_url(own)
-    # An address with less in it says what is shown, too.
+    # The page completes a shorter address.
     show(page, "/?task=skyline_easy")
     expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=\d+&pilot=human$"))
 
@@ -214,13 +214,13 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     )
     expect_step(page, 0, 160)
     expect(page).to_have_url(re.compile(r"\?task=hard&seed=6&pilots=greedy,human$"))
-    # Nor do moves that are none, or too few.
+    # Unknown or missing moves are ignored, too.
     for fork, moves in ((2, "UX"), (3, "UL")):
         show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork={fork}&of=greedy&actions={moves}")
         expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: actions={moves}.")
         expect_step(page, 0, 160)
     problem, start = page.locator(".problem:visible"), page.get_by_role("button", name="Start", exact=True)
-    # What is refused leaves the flights that are shown; the way back leads to them.
+    # A refused start keeps the flights that are shown; Back leads to them.
     expect(page).to_have_url(re.compile(r"pilots=greedy,human$"))
     shown, heading = page.url, page.locator(".plan-head").inner_text()
     show(page, "/?task=easy&seed=-4")

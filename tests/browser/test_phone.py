@@ -53,7 +53,7 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
         expect(phone.locator(f".view:visible {sign}").first).to_be_visible()
         expect(phone.get_by_role("link", name=name, exact=True)).to_be_in_viewport(ratio=1)
         expect_no_wider(phone)
-    # Nor does a table of Compare, and all its columns are there.
+    # The tables of Compare do not scroll sideways either, and show all columns.
     for chosen, sign in (("pilots=greedy,random", "dl.paired"), ("pilot=random", ".opened tr")):
         show(phone, f"/?view=compare&task=easy&{chosen}")
         expect(phone.locator(sign).first).to_be_visible()

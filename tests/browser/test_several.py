@@ -143,7 +143,7 @@ def test_while_a_race_is_on_parcels_count_not_promises(page: Page, server: Serve
         expect(names).to_have_text(ranked)
         seen.add(" ".join(ranked))
     assert len(seen) > 2, seen
-    # One who has not moved has every promise, and stands behind who has delivered.
+    # A pilot that has not moved could still score most, but ranks behind one that has delivered.
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots=human,optimal")
     expect(names).to_have_text(["You", "Optimal"])
     press(page, "Step")
@@ -186,7 +186,7 @@ def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
     expect(standings(tab)).to_have_text(shown, use_inner_text=True)
     expect(tab).to_have_url(link)
     ended(tab)
-    # Who opens the link has not flown.
+    # The flight is not credited to the visitor who opens the link.
     assert {row["agent"] for row in get(server, "episodes", task="easy", seed=64)["episodes"]} == {
         "human (Ada)",
         "random",

@@ -56,8 +56,6 @@ interface Context extends Emitter {
   /** Whether a layer is shown. */
   shows(id: string): boolean;
   showLayer(id: string, shown: boolean): void;
-  /** A task by its id, short name or grader. */
-  task(name: string | null): Answer<"TaskInfo"> | undefined;
   /** Loads the task of a drawn map, which `/tasks` does not list. */
   meet(name: string | null): Promise<void>;
 }

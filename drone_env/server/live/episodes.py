@@ -342,7 +342,7 @@ def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Epi
         own = fork.step == 0 and HUMAN in agents
         forking = agents.index(HUMAN) if own else len(agents) - 1
         agents[forking] = str(Provenance.of_fork(agents[forking], fork.step, fork.of))
-    # Who opens the link to a finished flight has not flown it.
+    # A finished flight is not credited to the visitor who opens its link.
     over = fork is not None and any(one.ended for one in fly_directions(start.copy(), fork.actions))
     flying = [Provenance.parse(agent) for agent in agents]
     for number, one in enumerate(flying):

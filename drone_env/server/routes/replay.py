@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from drone_env.agents.base import BatchAgent
 from drone_env.core.actions import Action, Outcome
 from drone_env.core.cells import CELL_KINDS
-from drone_env.core.episode import Episode
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
@@ -112,7 +112,7 @@ def _annotated(record: EpisodeRecord) -> str:
     network, network_score = network_flight(analysis.task, analysis.seed)
     answer = AnalysedFlight(
         worst_step=worst.step if lost else None,
-        worst_why=better(analysis, worst) if lost else "",
+        worst_why=gain_of_best(analysis, worst) if lost else "",
         why=why,
         network=network,
         network_score=network_score,
@@ -128,16 +128,14 @@ def _annotated(record: EpisodeRecord) -> str:
     return answer.model_dump_json()
 
 
-def better(analysis: FlightAnalysis, move: Move) -> str:
+def gain_of_best(analysis: FlightAnalysis, move: Move) -> str:
     """What the best actions gain over a move that lost something, if all further moves are best ones."""
     task, solver = analysis.task, job_context().solver_of(analysis.task, analysis.seed)
     before = [one.action for one in analysis.moves[: move.step - 1]]
 
     def end(action: Action) -> Episode:
         flight = Episode(task, seed=analysis.seed).fly([*before, action])
-        while not flight.ended:
-            flight.step(solver.optimal_actions(flight)[0])
-        return flight
+        return rollout(flight, lambda _: solver.optimal_actions(flight)[0])
 
     best, flown = end(move.best_actions[0]), end(move.action)
     if best.deliveries_done > flown.deliveries_done:

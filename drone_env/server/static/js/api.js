@@ -16,7 +16,7 @@ export class ApiError extends Error {
   }
 }
 
-/** The answer of a request; if the server refuses it, null, and the page says why. @template T @param {() => T|Promise<T>} ask */
+/** The answer of a request; null if the server refuses it. A message then shows the reason. @template T @param {() => T|Promise<T>} ask */
 export async function tried(ask) {
   try {
     return await ask();

@@ -161,7 +161,7 @@ class Compare {
   draw(everyone = this.everyone) {
     this.everyone = everyone;
     const { context, task, board, pilots, opened, ticked, maps, pairing } = this;
-    // Who was chosen stays listed: no row may move when a box is unticked.
+    // Chosen pilots stay listed, so that no row moves when a box is unticked.
     for (const pilot of [opened, ...ticked]) this.listed.add(pilot);
     const drawn = JSON.stringify([board, pilots, opened, ticked, everyone, maps, pairing]);
     if (this.drawn === drawn) return;

@@ -132,7 +132,7 @@ export class Fleet extends Emitter {
       ended: (over || actions) && flown > (actions?.length || clock.cursor) ? flown : null,
     };
     if (this.forked) return chosen;
-    // Who opens the link to a finished flight has not flown it.
+    // A finished flight is not credited to the visitor who opens its link.
     const by = track && (track.done ? track.by : track.unnamed);
     return { ...chosen, of: track && (track.steps || by !== track.pilot) ? by : null };
   }
@@ -151,7 +151,7 @@ export class Fleet extends Emitter {
     return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
   }
 
-  /** The name and the colour of a pilot; of a flight that is not this visitor's, a person is not "You". */
+  /** The name and the colour of a pilot. In flights of other visitors, a person is not called "You". */
   look(id, past = false) {
     const { name, colour } = this.pilot(id);
     return { name: past ? who(this.context, id) : name, colour: `--pilot-${colour}` };

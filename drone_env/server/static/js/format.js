@@ -62,7 +62,7 @@ export function who({ pilots }, agent) {
   });
 }
 
-/** A message of the server; the name of a file or a field stays as it is. */
+/** Capitalises a message of the server, unless it begins with the name of a file or a field. */
 export const sentence = (text) => text.replace(/^[a-z](?=[a-z]*[ ,:;])/, (letter) => letter.toUpperCase());
 
 const LONGEST = 40;

@@ -156,7 +156,7 @@ async function saveRecord(context) {
 /** The file field, and the choice of a flight if the file contains several. */
 export function mountFiles(root, past, open) {
   const field = fileField("flight-file", ".json,.jsonl", (file) => {
-    // What the file holds, or why it is refused, is below the choices.
+    // The open choices would cover the flights and the error.
     root.closest("details").open = false;
     return open(() => past.openFile(file));
   });

@@ -1,5 +1,5 @@
 // The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
-import { nextFrame } from "./base.js";
+import { nextFrame, TOUCH } from "./base.js";
 import { announce, bring, el, leaveFocus, setText } from "./dom.js";
 import { counted, fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
@@ -78,7 +78,7 @@ export function mountStrip(root, context, fleet, acts) {
     next.hidden = last.outcome !== "delivered" || after === stage.world.task;
     if (announced === track) return;
     // The card takes the place of the pad: a tap that is on its way presses nothing.
-    if (own && !track.brought && matchMedia("(pointer: coarse)").matches) {
+    if (TOUCH && own && !track.brought) {
       view.inert = true;
       setTimeout(() => (view.inert = false), REST);
     }
