@@ -8,23 +8,18 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from drone_env.errors import InvalidValueError
 
-PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
-"""Default folders of stored data in the working directory."""
 RUNS, EVALUATIONS, MAPS = "llm", "evaluations", "maps"
 """Folders in the data folder: runs of language models, evaluations, and maps that were drawn on the page."""
 
 
-def data_folder(part: str = "") -> Path:
-    """Return the default data folder, or that of a part: `results` or `sweep`.
-
-    It is in `DRONE_ENV_DATA`; if that is not set, it is the one in `PLACES`.
-    """
+def data_folder(part: Literal["", "results"] = "") -> Path:
+    """Return the default folder of stored data, or that of curves: in `DRONE_ENV_DATA`, else `data` and `results`."""
     configured = os.environ.get("DRONE_ENV_DATA")
-    return Path(configured, part) if configured else Path(PLACES[part])
+    return Path(configured, part) if configured else Path(part or "data")
 
 
 def open_file(path: str | Path) -> BufferedReader:
@@ -170,7 +165,7 @@ def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None
 
 
 def is_begun(folder: Path, config: str, what: str) -> bool:
-    """Return whether a folder contains the file `config` of an earlier start of `what`, such as "a sweep".
+    """Return whether a folder contains the file `config` of an earlier start of `what`, such as "a run".
 
     Raises:
         InvalidValueError: if it is a file, or contains other files than a process leaves that is killed at its start.

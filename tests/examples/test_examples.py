@@ -17,6 +17,7 @@ SHORT = {
     "new_task_and_reward": ["--episodes", "20", "--maps", "2"],
     "openenv_client": ["--task", "easy", "--maps", "2"],
     "pytorch_loop": ["--total-timesteps", "2048", "--maps", "5"],
+    "sweep": ["--episodes", "16", "--seeds", "1", "--maps", "5", "--out", "sweep"],
     "sb3_ppo": ["--total-timesteps", "2048", "--maps", "5"],
 }
 """Flags that keep them short; an example that is not named here runs as it is."""

@@ -106,7 +106,6 @@ PROGRAMS: Mapping[str, str] = {
     "drone_env.cli infer": "llm",
     "drone_env.cli serve": "server",
     "drone_env.cli train": "train",
-    "drone_env.cli sweep --task easy --set lr=1e-3 --out x": "train",
     "drone_env.cli dataset --task easy --maps 1 --out x": "data",
     "drone_env.cli city x.osm --out y.toml": "city",
     "drone_env.cli evaluate --engine ray --task easy": "cluster",

@@ -104,10 +104,10 @@ def test_the_folder_is_data_or_what_the_environment_names(monkeypatch: pytest.Mo
     assert data_folder() == Path("data")
     monkeypatch.setenv("DRONE_ENV_DATA", "")
     assert data_folder() == Path("data")
-    assert [data_folder(part) for part in ("results", "sweep")] == [Path("results"), Path("runs/sweep")]
+    assert [data_folder(part) for part in ("", "results")] == [Path("data"), Path("results")]
     monkeypatch.setenv("DRONE_ENV_DATA", "/somewhere/else")
     assert data_folder() == Path("/somewhere/else")
-    assert data_folder("sweep") == Path("/somewhere/else/sweep")
+    assert data_folder("results") == Path("/somewhere/else/results")
 
 
 @pytest.mark.parametrize(
