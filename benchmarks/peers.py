@@ -41,7 +41,6 @@ from drone_env.agents.sb3_policy import Sb3Agent
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError
 from drone_env.files import write_json
 from drone_env.rl.common import Validator
@@ -103,8 +102,7 @@ class Cells(BaseFeaturesExtractor):
 
 def agent_of(task: TaskConfig, model: PPO | MaskablePPO) -> Sb3Agent:
     """What flies by the likeliest actions of a model; MaskablePPO never takes one that would bump."""
-    wrapper = OneHotPlanes if isinstance(model.observation_space, spaces.Dict) else FlatObservation
-    return Sb3Agent(task, model.policy, wrapper)
+    return Sb3Agent(task, model)
 
 
 class Judge(BaseCallback):

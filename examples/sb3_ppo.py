@@ -38,6 +38,6 @@ model = PPO(
     device="cpu",
 )
 model.learn(total_timesteps=args.total_timesteps)
-flown = evaluate(model, args.task, "validation", args.maps, wrapper="FlatObservation")
+flown = evaluate(model, args.task, "validation", args.maps)
 figures = summarise(flown)
 print(f"score {figures['mean_score']:.4f}, optimum of the same {args.maps} maps {figures['mean_optimal_score']:.4f}")

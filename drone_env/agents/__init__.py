@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drone_env.agents.base import Agent, BatchAgent
-from drone_env.agents.named import agent_named, moved_sb3_name, sb3_file
+from drone_env.agents.named import agent_named
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
@@ -49,25 +49,23 @@ def network_file(name: str) -> tuple[str, Path] | None:
 def file_of(name: str) -> Path | None:
     """The file in the name of an agent; None if there is none."""
     network = network_file(name)
-    return sb3_file(name) if network is None else network[1]
+    return None if network is None else network[1]
 
 
-def elsewhere(name: str, file: Path) -> str:
+def rebase_agent_path(name: str, file: Path) -> str:
     """The name of an agent after its file, if it has one, is moved."""
     network = network_file(name)
-    return moved_sb3_name(name, file) if network is None else f"{network[0]}:{file}"
+    return name if network is None else f"{network[0]}:{file}"
 
 
 def make_agent(name: str, task: str | TaskConfig) -> Agent:
     """Make an agent for a task by its name, as commands take it.
 
     Names are those of `AGENTS`; `pathqnet:FILE`, the network in a file, likewise for all `NETWORK_AGENTS`;
-    `MODULE:NAME`, your own class or function; `FILE.zip:WRAPPER`, a policy that Stable-Baselines3 saved, with the
-    observation wrapper of its training (`FILE.zip` for none). Reading such a file runs code that it contains: only name
-    files that you trust.
+    `MODULE:NAME`, your own class or function, or a model of Stable-Baselines3 that the module loads.
 
     Raises:
-        UnknownNameError: if there is no such agent, task or wrapper; the message lists the valid names.
+        UnknownNameError: if there is no such agent or task; the message lists the valid names.
         InvalidValueError: if there is no such module, or its member cannot fly.
         UnsupportedTaskError: if the agent cannot fly that task.
         OSError: if the file cannot be read.
@@ -82,7 +80,7 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         return AGENTS[name](task)
     made = agent_named(name, task)
     if made is None:
-        raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME", "FILE.zip:WRAPPER"])
+        raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME"])
     return made
 
 
@@ -97,9 +95,9 @@ __all__ = [
     "PathQNetAgent",
     "RandomAgent",
     "TournetAgent",
-    "elsewhere",
     "file_of",
     "make_agent",
     "network_file",
+    "rebase_agent_path",
     "register_agent",
 ]

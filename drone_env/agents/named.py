@@ -1,4 +1,4 @@
-"""Agents outside the registry: your own classes and functions, and policies of Stable-Baselines3."""
+"""Agents outside the registry: your own classes and functions, and models of Stable-Baselines3."""
 
 import hashlib
 import re
@@ -14,9 +14,8 @@ from uuid import uuid4
 from drone_env.agents.base import Agent, named_failures
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidValueError
 
-SB3_FILE = re.compile(r"(?P<file>.+\.zip)(:(?P<wrapper>[\w.]+(:\w+)?))?")
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 MODULE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 
@@ -42,64 +41,36 @@ class FunctionAgent:
         return self._act(observation)
 
 
-def sb3_file(name: str) -> Path | None:
-    """The Stable-Baselines3 file in the name of an agent; None if there is none."""
-    match = SB3_FILE.fullmatch(name)
-    return None if match is None else Path(match["file"])
-
-
-def moved_sb3_name(name: str, file: Path) -> str:
-    """The name of an agent after its Stable-Baselines3 file is moved."""
-    match = SB3_FILE.fullmatch(name)
-    return name if match is None else f"{file}{name[match.end('file') :]}"
-
-
 def agent_named(name: str, task: TaskConfig) -> Agent | None:
-    """The agent of `MODULE:NAME`, `FILE.zip` or `FILE.zip:WRAPPER`; None if a name has none of these forms.
+    """The agent of `MODULE:NAME`; None if a name is not of that form.
 
-    A class is instantiated with the task, a function is called for each action, anything else is an agent. Modules are
-    imported from Python's path or the working directory.
+    Modules are imported from Python's path or the working directory.
 
     Raises:
-        UnknownNameError: if there is no such wrapper.
         InvalidValueError: if there is no such module, or no agent of that name in it.
-        OSError: if the file cannot be read.
-        CheckpointError: if it contains no policy for the task.
+        UnsupportedTaskError: if it is a model for other observations.
     """
-    if match := SB3_FILE.fullmatch(name):
-        from drone_env.agents.sb3_policy import load_policy
-
-        return load_policy(Path(match["file"]), task, match["wrapper"] and _wrapper(match["wrapper"]))
-    if match := MODULE.fullmatch(name):
-        return as_agent(_member(match["module"], match["name"], f"agent {name!r}"), task)
-    return None
+    match = MODULE.fullmatch(name)
+    return as_agent(_member(match["module"], match["name"], f"agent {name!r}"), task) if match else None
 
 
-def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None) -> Agent:
+def as_agent(policy: Any, task: TaskConfig) -> Agent:
     """Make an agent of a policy.
 
     Args:
-        policy: An agent, a class of one, a function of the observation, or a model of Stable-Baselines3.
+        policy: An agent, a class of one (it gets the task), a function of the observation, or a model of
+            Stable-Baselines3.
         task: The task.
-        wrapper: The observation wrapper of a model's training, or its name.
 
     Raises:
-        UnknownNameError: if there is no such wrapper.
-        InvalidValueError: if it is none of these or a class without a task, there is a wrapper without a model, or the
-            model needs normalised observations.
+        InvalidValueError: if it is none of these or a class without a task, or the model needs normalised observations.
         AgentError: if the constructor of a class fails.
-        CheckpointError: if the model takes other observations than the wrapped task has.
+        UnsupportedTaskError: if the model takes other observations than the task has.
     """
     if hasattr(policy, "predict") and hasattr(policy, "observation_space"):
         from drone_env.agents.sb3_policy import Sb3Agent
 
-        normalised = policy.get_vec_normalize_env() if hasattr(policy, "get_vec_normalize_env") else None
-        if normalised is not None and normalised.norm_obs:
-            raise InvalidValueError("this model takes observations of VecNormalize: train it with norm_obs=False")
-        wrapper = _wrapper(wrapper) if isinstance(wrapper, str) else wrapper
-        return Sb3Agent(task, getattr(policy, "policy", policy), wrapper)
-    if wrapper is not None:
-        raise InvalidValueError(f"only a model of Stable-Baselines3 takes a wrapper, got {policy!r}")
+        return Sb3Agent(task, policy)
     agent = policy
     if isinstance(policy, type):
         with named_failures(policy.__qualname__, task, lambda: "constructor"):
@@ -130,19 +101,6 @@ def _identity(policy: Any) -> dict[str, object]:
     except (OSError, TypeError):
         content = uuid4().bytes
     return {"agent": f"{module}:{code.__qualname__}", "source": hashlib.sha256(content).hexdigest()[:16]}
-
-
-def _wrapper(name: str) -> Any:
-    """A wrapper of this package by its name, or of any module as `MODULE:NAME`."""
-    if ":" in name:
-        module, _, member = name.partition(":")
-        return _member(module, member, f"wrapper {name!r}")
-    from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
-
-    shipped = {wrapper.__name__: wrapper for wrapper in (FlatObservation, OneHotPlanes)}
-    if name not in shipped:
-        raise UnknownNameError("wrapper", name, [*shipped, "MODULE:NAME"])
-    return shipped[name]
 
 
 def _member(module: str, name: str, user: str) -> Any:

@@ -1,109 +1,66 @@
-"""Policies of Stable-Baselines3 as agents: from a model, or from the file that `model.save` writes."""
+"""Models of Stable-Baselines3 as agents."""
 
 import hashlib
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
 from drone_env.core.tasks import TaskConfig
-from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.errors import CheckpointError, InvalidValueError
-from drone_env.files import open_file
+from drone_env.envs.forms import observation_space, planes_space, to_planes, to_vector, vector_space
+from drone_env.errors import InvalidValueError, UnsupportedTaskError
 from drone_env.planning.from_observation import episode_of
 
 
 class Sb3Agent(StatelessAgent):
-    """Takes the likeliest action of a policy (`predict(deterministic=True)`).
+    """Takes the likeliest action of a model (`predict(deterministic=True)`); a MaskablePPO gets the action mask.
 
-    A policy of MaskablePPO gets the action mask.
-
-    Args:
-        task: The task.
-        policy: The policy of a model.
-        wrapper: The observation wrapper of its training; None for none.
+    The observation space of the model decides what it gets: the plain observation, or the form of `OneHotPlanes` or
+    `FlatObservation`.
 
     Raises:
-        CheckpointError: if the observation space of the policy is not that of the wrapped task.
-        InvalidValueError: if the policy is recurrent.
+        UnsupportedTaskError: if the task has no observation of that space.
+        InvalidValueError: if the model is recurrent or takes the normalised observations of `VecNormalize`.
     """
 
-    def __init__(self, task: TaskConfig, policy: Any, wrapper: Callable[[Any], Any] | None = None) -> None:
-        env = DroneDeliveryEnv(task)
-        self._wrapped: Any = env if wrapper is None else wrapper(env)
-        name = "none" if wrapper is None else getattr(wrapper, "__name__", str(wrapper))
-        expected, space = policy.observation_space, self._wrapped.observation_space
-        if space != expected:
-            raise CheckpointError(f"this policy takes {expected}; {task.id!r} with wrapper {name} has {space}")
-        if hasattr(policy, "lstm_actor"):
-            raise InvalidValueError("recurrent policies are not supported: write an agent that keeps their state")
-        self._task, self._policy = task, policy
-        self._masked = "maskable" in type(policy).__module__
-        policy.set_training_mode(False)
+    def __init__(self, task: TaskConfig, model: Any) -> None:
+        plain = observation_space(task)
+        forms: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+            "plain": (plain, dict),
+            "planes": (planes_space(plain), to_planes),
+            "flat": (vector_space(plain), to_vector),
+        }
+        fitting = [(name, to_form) for name, (space, to_form) in forms.items() if space == model.observation_space]
+        if not fitting:
+            allowed = " or ".join(f"{space}" for space, _ in forms.values())
+            raise UnsupportedTaskError(
+                f"this model takes {model.observation_space}; on {task.id!r} it can be {allowed}"
+            )
+        ((form, self._to_form),) = fitting
+        normalised = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
+        if hasattr(model.policy, "lstm_actor") or getattr(normalised, "norm_obs", False):
+            raise InvalidValueError("recurrent models and VecNormalize(norm_obs=True) need a class of your own")
+        self._task, self._policy = task, model.policy
+        self._masked = "maskable" in type(model.policy).__module__
         weights = hashlib.sha256()
-        for key, tensor in policy.state_dict().items():
+        for key, tensor in model.policy.state_dict().items():
             weights.update(key.encode() + tensor.detach().cpu().numpy().tobytes())
+        policy = f"{type(model.policy).__module__}.{type(model.policy).__qualname__}"
         self.config: Mapping[str, object] = {
             "agent": "sb3",
-            "version": 1,
-            "policy": f"{type(policy).__module__}.{type(policy).__qualname__}",
+            "version": 2,
+            "policy": policy,
             "weights": weights.hexdigest()[:16],
-            "wrapper": name,
+            "form": form,
         }
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The likeliest actions, int64[N]."""
-        each: Any = [{"grid": grid, "telemetry": values} for grid, values in zip(grids, telemetry, strict=True)]
         masks: dict[str, Any] = {}
         if self._masked:
+            each: Any = [{"grid": grid, "telemetry": values} for grid, values in zip(grids, telemetry, strict=True)]
             masks["action_masks"] = np.array([episode_of(self._task, one).action_mask() for one in each], np.bool_)
-        return np.asarray(self._policy.predict(self._wrap(each), deterministic=True, **masks)[0], np.int64)
-
-    def _wrap(self, obs: Any) -> Any:
-        """The wrapped observations of N episodes, stacked."""
-        if not isinstance(self._wrapped, DroneDeliveryEnv):
-            obs = [self._wrapped.observation(one) for one in obs]
-        if isinstance(obs[0], dict):
-            return {name: np.stack([one[name] for one in obs]) for name in obs[0]}
-        return np.stack(obs)
-
-
-def load_policy(file: Path, task: TaskConfig, wrapper: Any) -> Sb3Agent:
-    """The policy in a file that `model.save` wrote, of any algorithm. Reading the file runs code from it.
-
-    Raises:
-        OSError: if the file cannot be read.
-        CheckpointError: if it contains no policy, or one for other observations.
-        InvalidValueError: if Stable-Baselines3 is not installed, or the policy is recurrent.
-    """
-    try:
-        from stable_baselines3.common.save_util import load_from_zip_file
-    except ModuleNotFoundError as error:
-        raise InvalidValueError(
-            f"{file} is read by Stable-Baselines3, which is not installed: pip install stable-baselines3"
-        ) from error
-    with open_file(file) as opened:
-        try:
-            data, params, _ = load_from_zip_file(opened, device="cpu")
-            stored = cast(dict[str, Any], data)
-            policy = stored["policy_class"](
-                stored["observation_space"],
-                stored["action_space"],
-                _no_schedule,
-                **(stored.get("policy_kwargs") or {}),
-            )
-            policy.load_state_dict(params["policy"])
-        except (ValueError, KeyError, TypeError, RuntimeError) as error:
-            raise CheckpointError(f"{file} contains no policy of Stable-Baselines3: {error}") from None
-    try:
-        return Sb3Agent(task, policy, wrapper)
-    except CheckpointError as error:
-        raise CheckpointError(f"{file}: {error}") from None
-
-
-def _no_schedule(_: float) -> float:
-    """Dummy learning rate schedule for inference."""
-    return 0.0
+        observations = self._to_form({"grid": grids, "telemetry": telemetry})
+        return np.asarray(self._policy.predict(observations, deterministic=True, **masks)[0], np.int64)

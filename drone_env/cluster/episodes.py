@@ -10,7 +10,7 @@ from typing import Any, cast
 import ray
 from ray.exceptions import RayError, RayTaskError
 
-from drone_env.agents import elsewhere, file_of
+from drone_env.agents import file_of, rebase_agent_path
 from drone_env.cluster.nodes import Driver, check_node, failure, nodes_with_cpus, this_driver
 from drone_env.errors import ClusterError
 from drone_env.results.evaluate import run_episodes
@@ -63,4 +63,4 @@ def _fly(driver: Driver, key: EpisodesKey, content: bytes | None) -> Results:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"file{cast(Path, file_of(key.agent)).suffix}"
         file.write_bytes(content)
-        return run_episodes(key._replace(agent=elsewhere(key.agent, file)))
+        return run_episodes(key._replace(agent=rebase_agent_path(key.agent, file)))

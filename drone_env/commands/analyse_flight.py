@@ -8,7 +8,7 @@ import tyro
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
-from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed, warn_about_pickles
+from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed
 from drone_env.commands.printing import print_json
 from drone_env.core.episode import Episode, rollout
 from drone_env.errors import InvalidValueError
@@ -49,7 +49,6 @@ def analyse_flight(
         analysed = analysis.analyse_flight(load_record(file))
     elif file is None and task is not None:
         name = "greedy" if agent is None else agent
-        warn_about_pickles([name])
         start, pilot = Episode(task), make_agent(name, task)
         start.reset(seed)
         flown = start.copy()

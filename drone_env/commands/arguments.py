@@ -2,8 +2,7 @@
 
 import io
 import re
-import sys
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from functools import partial, wraps
 from itertools import dropwhile, takewhile
@@ -13,7 +12,6 @@ from typing import Annotated, Any
 import tyro
 
 from drone_env.agents import AGENTS
-from drone_env.agents.named import sb3_file
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS, SPLITS, split_seeds
 from drone_env.core.tasks import TASKS
@@ -25,7 +23,7 @@ SHORT_NAMES = [task.short_name for task in TASKS.values()]
 TASK = "|".join((*SHORT_NAMES, "CITY.toml"))
 TaskName = Annotated[str, tyro.conf.arg(metavar=TASK)]
 ChosenTask = Annotated[str | None, tyro.conf.arg(metavar=TASK)]
-AGENT = "|".join((*AGENTS, "MODULE:NAME", "FILE.zip:WRAPPER"))
+AGENT = "|".join((*AGENTS, "MODULE:NAME"))
 AgentName = Annotated[str, tyro.conf.arg(metavar=AGENT)]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=AGENT)]
 ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT)]
@@ -74,12 +72,6 @@ def temporary_reward_profiles() -> Generator[None, None, None]:
     finally:
         REWARD_PROFILES.clear()
         REWARD_PROFILES.update(before)
-
-
-def warn_about_pickles(agents: Iterable[str]) -> None:
-    """Warn on standard error that files of Stable-Baselines3 are unpickled."""
-    for file in dict.fromkeys(filter(None, map(sb3_file, agents))):
-        print(f"{file}: reading it runs code that it contains; name only files that you trust", file=sys.stderr)
 
 
 def parse_seeds(text: str) -> range:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName, warn_about_pickles
+from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
@@ -61,7 +61,6 @@ def dataset(
 
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
-    warn_about_pickles(agents)
     seeds = split_seeds(split, maps, offset)
     config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, formats, turns, prompt)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:

@@ -17,7 +17,6 @@ from drone_env.commands.arguments import (
     SeedRange,
     SplitName,
     select_maps,
-    warn_about_pickles,
 )
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
@@ -63,7 +62,7 @@ def evaluate(
 
     Args:
         task: One or more tasks; `all` for every registered task.
-        agents: One or more agents: names, `MODULE:NAME` for your own, `FILE.zip:WRAPPER` for a policy of
+        agents: One or more agents: names, `MODULE:NAME` for your own agent or a model of
             Stable-Baselines3 and its observation wrapper (docs/agents.md).
         split: Fly the first maps of this split. Default: test. Training never uses validation and test.
         episodes: Number of maps of the split. Default: 1000.
@@ -142,7 +141,6 @@ def fly_grid(
         raise InvalidValueError("--task and --agents take one name or more")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    warn_about_pickles(agents)
     chosen = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
     grid = {t: {a: _cell(t, a, maps, split, repeats) for a in agents} for t in dict.fromkeys(chosen)}
     # At least one agent must support a task, and so must every agent of a file.

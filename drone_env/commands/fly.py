@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
-from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName, warn_about_pickles
+from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
 from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
@@ -38,7 +38,6 @@ def fly(
         record: Save the flight to this JSON file, for `replay` and `analyse-flight`, or append it to this .jsonl file.
     """
     episode = Episode(task, reward_profile)
-    warn_about_pickles([agent])
     pilot = make_agent(agent, task)
     if picture is not None:
         if picture.suffix != ".png":

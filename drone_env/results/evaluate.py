@@ -143,11 +143,10 @@ def evaluate(
     *,
     seeds: range | None = None,
     repeat: int = 0,
-    wrapper: Any = None,
 ) -> Results:
     """Fly maps with any policy and solve each map; pass the results to `summarise`.
 
-    An agent with `act_batch` and a model fly all maps in one batch; other policies fly one map at a time.
+    Models and agents with `act_batch` fly all maps in one batch; other policies fly one map at a time.
 
     Args:
         policy: The name of an agent as `make_agent` takes it, an agent (`reset`, `act`), a class of one, a function
@@ -157,7 +156,6 @@ def evaluate(
         episodes: Fly this many of its first maps.
         seeds: Fly these maps instead of a split's.
         repeat: The number of the repeat; it seeds a stochastic agent.
-        wrapper: The observation wrapper that a model was trained with, or its name.
 
     Raises:
         UnknownNameError: if there is no such task, split, version or agent.
@@ -170,7 +168,7 @@ def evaluate(
     if isinstance(policy, str):
         agent = make_agent(policy, task)
     else:
-        agent = as_agent(policy, task, wrapper)
+        agent = as_agent(policy, task)
         name = f"{agent.config.get('agent', type(agent).__name__)}"
     key = episodes_key(task, name, maps, split if seeds is None else "custom", repeat=repeat, made=agent)
     return _fly_and_solve(task, key, agent)

@@ -28,15 +28,15 @@ def boards(data: Path) -> Any:
 def test_where_files_lie_is_not_told(tmp_path: Path) -> None:
     folder = put_evaluation(tmp_path, "mine", "random", MAPS)
     config = folder / "evaluation.json"
-    config.write_text(config.read_text().replace("random on", "/home/me/model.zip:FlatObservation on"))
-    assert boards(tmp_path)["boards"][0]["rows"][0]["agent"] == "model.zip:FlatObservation"
+    config.write_text(config.read_text().replace("random on", "pathqnet:/home/me/model.safetensors on"))
+    assert boards(tmp_path)["boards"][0]["rows"][0]["agent"] == "pathqnet:model.safetensors"
     (piece,) = (folder / "pieces").iterdir()
     piece.write_bytes(b"no piece")
     damaged = boards(tmp_path)["unranked"][0]["reason"]
     piece.unlink()
     missing = boards(tmp_path)["unranked"][0]["reason"]
     assert damaged.startswith("mine/pieces/easy_delivery-v1-")
-    assert missing.startswith("1 of 1 pieces of model.zip:FlatObservation on")
+    assert missing.startswith("1 of 1 pieces of pathqnet:model.safetensors on")
 
 
 def test_an_evaluation_of_too_many_maps_is_not_looked_at(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 as agents: from memory, and from the files that they are saved in."""
+"""Models of Stable-Baselines3 as agents."""
 
 from pathlib import Path
 from typing import Any
@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from drone_env import evaluate, make_agent
-from drone_env.cli import main
+from drone_env import evaluate
+from drone_env.agents.named import as_agent
 from drone_env.core.episode import Episode, choices
 from drone_env.core.tasks import get_task
-from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
-from drone_env.errors import CheckpointError
-from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.sb3 import DroneDeliveryVecEnv
+from drone_env.errors import InvalidValueError, UnsupportedTaskError
+from drone_env.results.evaluate import episodes_key
 
 MAPS = range(100, 116)
 NETWORK: Any = {"policy_kwargs": {"net_arch": [8]}, "seed": 3, "device": "cpu"}
@@ -22,13 +24,16 @@ NETWORK: Any = {"policy_kwargs": {"net_arch": [8]}, "seed": 3, "device": "cpu"}
 
 def model_of(kind: Any, form: str, task: str = "easy") -> Any:
     """A model that has learned nothing, and so flies in its own way."""
+    if form == "plain":
+        return kind("MultiInputPolicy", DummyVecEnv([lambda: DroneDeliveryEnv(task)]), **NETWORK)
     policy = {"dict": "MultiInputPolicy", "flat": "MlpPolicy"}[form]
     return kind(policy, DroneDeliveryVecEnv(task, 2, observation=form), **NETWORK)
 
 
 def scores_in_its_own_world(model: Any, form: str, task: str) -> list[float]:
     """The scores of the likeliest actions, flown in the environment that the model was made for."""
-    env = DroneDeliveryVecEnv(task, len(MAPS), observation=form)
+    single: Any = [lambda: DroneDeliveryEnv(task)] * len(MAPS)
+    env: Any = DummyVecEnv(single) if form == "plain" else DroneDeliveryVecEnv(task, len(MAPS), observation=form)
     env.seed(MAPS.start)
     seen, scores = env.reset(), dict[int, float]()
     while len(scores) < len(MAPS):
@@ -39,35 +44,33 @@ def scores_in_its_own_world(model: Any, form: str, task: str) -> list[float]:
 
 
 @pytest.mark.parametrize("task", ["easy", "skyline_easy"])
-@pytest.mark.parametrize(("kind", "form"), [(PPO, "flat"), (PPO, "dict"), (DQN, "flat")])
-def test_a_model_flies_as_it_does_in_the_environment_it_was_made_for(
-    kind: Any, form: str, task: str, tmp_path: Path
-) -> None:
-    model, wrapper = model_of(kind, form, task), FORMS[form].__name__
-    expected = scores_in_its_own_world(model, form, task)
-    assert evaluate(model, task, seeds=MAPS, wrapper=wrapper).scores.tolist() == expected
-    model.save(tmp_path / "model.zip")
-    key = episodes_key(task, f"{tmp_path / 'model.zip'}:{wrapper}", MAPS)
-    assert run_episodes(key).scores.tolist() == expected
+@pytest.mark.parametrize(("kind", "form"), [(PPO, "flat"), (PPO, "dict"), (DQN, "flat"), (PPO, "plain")])
+def test_a_model_flies_as_it_does_in_the_environment_it_was_made_for(kind: Any, form: str, task: str) -> None:
+    model = model_of(kind, form, task)
+    assert evaluate(model, task, seeds=MAPS).scores.tolist() == scores_in_its_own_world(model, form, task)
 
 
-def test_a_policy_is_known_by_its_weights(tmp_path: Path) -> None:
-    names = []
+def test_a_model_is_known_by_its_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "saved_models.py").write_text(
+        "from stable_baselines3 import PPO\n"
+        "first, same, learned = (PPO.load(f'{n}.zip', device='cpu') for n in range(3))"
+    )
+    monkeypatch.chdir(tmp_path)
     for number, steps in enumerate((0, 0, 4)):
         model = model_of(PPO, "flat")
         model.n_steps = model.rollout_buffer.buffer_size = 2
         if steps:
             model.learn(steps)
-        model.save(tmp_path / f"{number}.zip")
-        names.append(f"{tmp_path / f'{number}.zip'}:FlatObservation")
-    first, same, learned = (episodes_key("easy", name, range(1)).config_hash for name in names)
+        model.save(f"{number}.zip")
+    names = ("first", "same", "learned")
+    first, same, learned = (episodes_key("easy", f"saved_models:{name}", range(1)).config_hash for name in names)
     assert first == same != learned
 
 
-def test_a_masked_policy_is_told_what_would_bump(tmp_path: Path) -> None:
+def test_a_masked_model_is_told_what_would_bump() -> None:
     task = get_task("skyline_easy")
-    model_of(MaskablePPO, "dict", task.id).save(tmp_path / "model.zip")
-    agent = make_agent(f"{tmp_path / 'model.zip'}:OneHotPlanes", task)
+    agent = as_agent(model_of(MaskablePPO, "dict", task.id), task)
     for seed in MAPS:
         agent.reset(seed)
         episode = Episode(task, seed=seed)
@@ -76,39 +79,9 @@ def test_a_masked_policy_is_told_what_would_bump(tmp_path: Path) -> None:
             episode.step(action)
 
 
-def test_a_wrapper_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "my_wrapper.py").write_text(
-        "from drone_env.envs.wrappers import FlatObservation\nclass Mine(FlatObservation):\n    pass\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    model_of(PPO, "flat").save(tmp_path / "model.zip")
-    scores = [
-        run_episodes(episodes_key("easy", f"{tmp_path / 'model.zip'}:{wrapper}", MAPS)).scores.tolist()
-        for wrapper in ("FlatObservation", "my_wrapper:Mine")
-    ]
-    assert scores[0] == scores[1]
-
-
-def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "model.zip"
-    model_of(PPO, "flat").save(file)
-    with pytest.raises(CheckpointError, match=r"takes Box.*; 'easy_delivery' with wrapper none has"):
-        make_agent(f"{file}", "easy")
-    file.write_bytes(b"no archive")
-    with pytest.raises(CheckpointError, match="contains no policy of Stable-Baselines3"):
-        make_agent(f"{file}:FlatObservation", "easy")
-
-
-def test_the_command_says_that_it_trusts_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "model.zip"
-    model_of(PPO, "flat").save(file)
-    told = f"{file}: reading it runs code that it contains; name only files that you trust\n"
-    maps = ["--task", "easy", "--seeds", "3:5"]
-    for command in (
-        ["fly", "--agent"],
-        ["analyse-flight", "--task", "easy", "--agent"],
-        ["evaluate", *maps, "--agents", "greedy"],
-        ["compare", *maps, "greedy"],
-    ):
-        assert main([*command, f"{file}:FlatObservation"]) == 0
-        assert capsys.readouterr().err.startswith(told)
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(UnsupportedTaskError, match=r"takes Box.*; on 'medium_delivery' it can be Dict.* or Box"):
+        evaluate(model_of(PPO, "flat"), "medium")
+    env = VecNormalize(DroneDeliveryVecEnv("easy", 2, observation="flat"))
+    with pytest.raises(InvalidValueError, match="need a class of your own"):
+        evaluate(PPO("MlpPolicy", env, **NETWORK), "easy")

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from drone_env.agents.named import moved_sb3_name, sb3_file
+from drone_env.agents import file_of, rebase_agent_path
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import ChatMessage
@@ -208,6 +208,6 @@ def _without_folder(reason: str, path: Path) -> str:
 
 
 def _without_place(agent: str) -> str:
-    """Hide the path of a policy's file."""
-    file = sb3_file(agent)
-    return agent if file is None or not file.is_absolute() else moved_sb3_name(agent, Path(file.name))
+    """Hide the path of a network's file."""
+    file = file_of(agent)
+    return agent if file is None or not file.is_absolute() else rebase_agent_path(agent, Path(file.name))
