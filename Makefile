@@ -102,7 +102,7 @@ $(PYTHONS): python-%: $(VENV)/.dev
 adapters: $(VENV)/.dev
 	VENV=$(VENV) TORCH='$(TORCH)' tools/verify.sh adapters verifiers
 
-# The campaigns: many more cases, other Pythons, oldest dependencies, deliberate faults; takes hours.
+# The campaigns: many more cases, other Pythons, oldest dependencies; takes hours.
 verify: $(VENV)/.dev
 	VENV=$(VENV) TORCH='$(TORCH)' tools/verify.sh
 

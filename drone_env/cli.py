@@ -20,7 +20,7 @@ DESCRIPTION = (
 )
 COMMANDS = (
     *("fly", "evaluate", "compare", "leaderboard", "solve", "audit", "analyse-flight"),
-    *("train", "infer", "play", "replay", "dataset", "city", "serve", "doctor"),
+    *("train", "infer", "replay", "dataset", "city", "serve", "doctor"),
 )
 
 

@@ -24,11 +24,6 @@ coverage() {
     --cov-report=html
 }
 
-mutants() {
-  "$VENV/bin/uv" pip install --quiet --python $python 'cosmic-ray>=8.7'
-  $python tools/mutation.py
-}
-
 # environment NAME: a virtual environment beside the other, with PyTorch.
 environment() {
   [[ -x $VENV/$1/bin/python ]] || $python -m venv "$VENV/$1"
@@ -68,7 +63,7 @@ other_python() {
   make test VENV="$VENV/$OTHER_PYTHON" PYTHON="$OTHER_PYTHON"
 }
 
-(($#)) || set -- campaigns coverage mutants adapters verifiers wheels lowest other_python
+(($#)) || set -- campaigns coverage adapters verifiers wheels lowest other_python
 for campaign in "$@"; do
   "$campaign"
 done

@@ -13,7 +13,7 @@ from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 DEFAULT_PROFILE = "aligned"
-"""The default of `Episode`, Gymnasium, training, datasets, `play`, `audit`, Inspect and TRL."""
+"""The default of `Episode`, Gymnasium, training, datasets, `audit`, Inspect and TRL."""
 ORIGINAL_PROFILE = "tiered"
 """The default of flat HTTP, the page, `fly`, `infer` and `inference.py`, as in the original project."""
 

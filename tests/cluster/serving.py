@@ -1,8 +1,7 @@
-"""Several servers on one data folder behind nginx, as `deploy` has it."""
+"""Several servers on one data folder behind nginx, configured by `deploy/nginx.conf`."""
 
 import os
-import shlex
-import shutil
+import re
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,35 +10,31 @@ from typing import Any
 from tests.api.serving import Server
 from tests.tools import ROOT, eventually, find_tool, is_taken, reserved_port
 
-DEPLOY = ROOT / "deploy"
 COMMAND = ["-m", "drone_env.cli", "serve"]
 FAILURES = "max_fails=2 fail_timeout=5s"
 
 
 class Nginx:
-    """A running nginx with the configuration of `deploy`.
+    """A running nginx with the configuration of `deploy/nginx.conf`.
 
     Args:
-        folder: For its files; must be there.
-        ports: Those of the servers.
+        folder: For its files; must exist.
+        ports: The ports of the servers.
         failures: When a server counts as failed.
     """
 
     def __init__(self, folder: Path, ports: Iterable[int], failures: str = FAILURES) -> None:
         self.command = [find_tool("nginx"), "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
-        self.servers = folder / "drone-env-servers.conf"
         port = reserved_port()
         self.url = f"http://127.0.0.1:{port}"
-        shutil.copytree(DEPLOY, folder, dirs_exist_ok=True)
-        self.servers.write_text("".join(f"server 127.0.0.1:{each} {failures};\n" for each in ports), encoding="utf-8")
-        site, main = folder / "drone-env.conf", folder / "nginx.conf"
-        listen, text = "listen 127.0.0.1:8080;", site.read_text(encoding="utf-8")
-        assert text.count(listen) == 1
-        site.write_text(text.replace(listen, f"listen 127.0.0.1:{port};"), encoding="utf-8")
+        text = (ROOT / "deploy" / "nginx.conf").read_text(encoding="utf-8")
+        text, listens = re.subn(r"listen 127\.0\.0\.1:8080;", f"listen 127.0.0.1:{port};", text)
+        servers = " ".join(f"server 127.0.0.1:{each} {failures};" for each in ports)
+        text, upstreams = re.subn(r"(server 127\.0\.0\.1:\d+ [^;]*;\s*)+", f"{servers}\n", text)
+        assert (listens, upstreams) == (1, 2)
         # pytest's folders belong to whoever runs the tests, and root's nginx would have workers of another user.
         user = "user root;\n" if os.geteuid() == 0 else ""
-        main.write_text(user + main.read_text(encoding="utf-8"), encoding="utf-8")
-        self._draining: list[subprocess.Popen[bytes]] = []
+        (folder / "nginx.conf").write_text(user + text, encoding="utf-8")
         self.process = subprocess.Popen([*self.command, "-g", "daemon off;"])
         try:
             eventually(lambda: is_taken(port), (folder / "error.log").read_text)
@@ -47,19 +42,8 @@ class Nginx:
             self.close()
             raise
 
-    def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
-        """`deploy/drain.sh out` or `in`, running."""
-        find_tool("ss")
-        variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "200"}
-        command = [str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"]
-        self._draining.append(subprocess.Popen(command, env={**os.environ, **variables}))
-        return self._draining[-1]
-
     def close(self) -> None:
         """End it."""
-        for process in self._draining:
-            process.kill()
-            process.wait()
         self.process.terminate()
         try:
             self.process.wait(timeout=60)

@@ -1,4 +1,4 @@
-"""Several servers behind nginx, configured as in `deploy`: one is killed, one is drained."""
+"""Several servers behind nginx, with `deploy/nginx.conf`: one is killed."""
 
 import asyncio
 import os
@@ -130,48 +130,6 @@ def test_a_server_is_killed_among_its_sessions_and_comes_back(running: Cluster) 
             await asyncio.gather(*[session.close() for session in again])
             await until_answered(running, killed, "/ws", before, len(again))  # it had the fewest
             await asyncio.gather(*[session.close() for session in whole])
-
-    asyncio.run(all_of_it())
-
-
-def test_a_server_is_drained_and_no_session_breaks(running: Cluster) -> None:
-    async def ends(process: "asyncio.Future[int]", http: list[HttpSession]) -> int:
-        while not process.done():
-            await fly_all(http, 1)
-            await asyncio.sleep(0.1)
-        return await process
-
-    async def all_of_it() -> None:
-        async with Client(running.url) as client:
-            http = [HttpSession(client, 3000 + seed, counts=True) for seed in range(12)]
-            sockets = [SocketSession(running.url, 4000 + seed) for seed in range(6)]
-            await asyncio.gather(*[session.open() for session in http])
-            for session in sockets:
-                await session.open()
-            drained = await busiest(running, http)
-            draining = running.nginx.drain("out", drained)
-            waiting = asyncio.ensure_future(asyncio.to_thread(draining.wait))
-            await asyncio.gather(fly_all(http, 10), fly_all(sockets, 40))
-            later = [SocketSession(running.url, 5000 + seed) for seed in range(6)]
-            await asyncio.sleep(2)
-            assert draining.poll() is None, "there still are sockets"
-            before = running.latest(drained)
-            await asyncio.gather(*[session.open() for session in later])
-            await asyncio.gather(fly_all(http, 5), fly_all(sockets, 5), fly_all(later, 5))
-            assert running.answered(drained, "/step", before) == 0
-            await asyncio.gather(*[session.close() for session in sockets])
-            assert await ends(waiting, http) == 0
-            await asyncio.to_thread(running.servers[drained].stop)
-            await asyncio.gather(fly_all(http, 5), fly_all(later, 5))
-            assert not [session for session in [*sockets, *later] if session.lost]
-
-            running.start(drained)
-            assert running.nginx.drain("in", drained).wait(120) == 0
-            await fly_until_used(running, drained, http)
-            await asyncio.gather(*[session.check() for session in http])
-            # A reload of nginx closes connections that lie idle: each can break one request.
-            assert sum(session.broken for session in http) <= 2 * len(http)
-            await asyncio.gather(*[session.close() for session in later])
 
     asyncio.run(all_of_it())
 
