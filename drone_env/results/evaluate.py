@@ -17,6 +17,7 @@ from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
+from drone_env.planning.optimal import solve
 from drone_env.results.result import EpisodesKey, Results, concatenate, repeated
 from drone_env.results.statistics import Summary
 
@@ -94,26 +95,27 @@ def config_hash(task: TaskConfig, name: str, agent: Agent) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def run_episodes(key: EpisodesKey, agent: Agent | None = None) -> Results:
+def run_episodes(key: EpisodesKey) -> Results:
     """Fly every episode of a key and solve its map.
-
-    Args:
-        key: The task, maps and agent.
-        agent: The agent of the key, if it exists already; None to make it by its name.
 
     Raises:
         UnknownNameError: if the key contains an unknown task, version or agent.
         InvalidValueError: if the key was made under another configuration.
         AgentError, InvalidValueError: if the agent fails, as `evaluate`.
     """
+    return _fly_and_solve(get_task(key.task, key.version), key, _agent_of(key))
+
+
+def _agent_of(key: EpisodesKey) -> Agent:
+    """Return the agent of a key, whose configuration must be that of the key."""
     task = get_task(key.task, key.version)
-    agent = agent or make_agent(key.agent, task)
+    agent = make_agent(key.agent, task)
     digest = config_hash(task, key.agent, agent)
     if digest != key.config_hash:
         raise InvalidValueError(
             f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {digest}"
         )
-    return _fly_and_solve(task, key, agent)
+    return agent
 
 
 def _fly_and_solve(task: TaskConfig, key: EpisodesKey, agent: Agent) -> Results:
@@ -204,8 +206,10 @@ def summarise(results: Results, *again: Results) -> dict[str, Any]:
 
 
 def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
-    """Fly one key after another in this process."""
-    return map(run_episodes, keys)
+    """Fly one key after another in this process; consecutive keys of one agent and task share the agent."""
+    made = lru_cache(maxsize=1)(_agent_of)  # called with the key of any maps
+    for key in keys:
+        yield _fly_and_solve(get_task(key.task, key.version), key, made(key._replace(seeds=(0, 1), repeat=0)))
 
 
 def evaluate_keys(
@@ -259,9 +263,11 @@ Flown = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int
 def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
     """Return the optimal flight over each map, None if a map is too large; cached for the comparison of all agents."""
     try:
-        return _fly(task, "optimal", make_agent("optimal", task), np.arange(start, stop, dtype=np.int64))
+        best = [solve(task, seed) for seed in range(start, stop)]
     except TooLargeError:
         return None
+    scores, steps, deliveries = zip(*((flight.score, flight.steps, flight.deliveries) for flight in best), strict=True)
+    return np.array(scores), np.array(steps, np.int32), np.array(deliveries, np.int32)
 
 
 def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> Flown:
