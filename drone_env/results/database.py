@@ -58,10 +58,11 @@ CREATE TABLE IF NOT EXISTS sessions (
     episode_id TEXT,
     opened_at REAL NOT NULL,
     touched_at REAL NOT NULL,
-    address TEXT
+    address TEXT,
+    owner TEXT NOT NULL
 ) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS sessions_by_use ON sessions (touched_at);
-CREATE INDEX IF NOT EXISTS finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
+CREATE INDEX IF NOT EXISTS sessions_by_owner ON sessions (owner);
 CREATE UNIQUE INDEX IF NOT EXISTS unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
 CREATE TABLE IF NOT EXISTS own_tasks (
     task TEXT NOT NULL,
@@ -73,8 +74,9 @@ CREATE TABLE IF NOT EXISTS own_tasks (
 """`episodes.number` is the order of storing; `episodes.episode` is a `StoredEpisode` as JSON.
 
 `optima.score` is null if the map is too large to be solved. `sessions.address` is the address whose callers share the
-session because they name none; it is null after somebody has named the session. `own_tasks` contains a digest of each
-task that is not one of the package's, since another task may be registered under its name later.
+session because they name none; it is null after somebody has named the session. `sessions.owner` is the address that
+opened it, for its share. `own_tasks` contains a digest of each task that is not one of the package's, since another
+task may be registered under its name later.
 """
 
 

@@ -98,6 +98,7 @@ class TestSessions:
 def test_a_session_that_is_ended_is_gone_and_its_place_free(tmp_path: Path) -> None:
     with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
         header = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+        assert client.post("/step", json=UP, headers=header).status_code == 200
         full = client.post("/reset", headers=NEW)
         assert (full.status_code, full.json()["code"], full.headers["Retry-After"]) == (503, "no_room", "5")
         assert client.post("/reset", headers=header).status_code == 200
