@@ -80,9 +80,11 @@ async def call_tool(session: OpenEnvSession, name: object, arguments: object) ->
     """
     if not isinstance(name, str) or name not in TOOLS:
         raise ToolError("tool_not_found", f"there is no such tool; tools: {', '.join(TOOLS)}")
+    if not isinstance(arguments, dict | None):
+        raise ToolError("invalid_args", "arguments must be an object")
     reward, flown = None, 0
     try:
-        given = TOOLS[name][0].model_validate({} if arguments is None else arguments)
+        given = TOOLS[name][0].model_validate(arguments or {})
         if isinstance(given, FlyArguments):
             episode, reward, flown = await session.fly(given.route)
             text = flown_text(episode, flown)

@@ -57,9 +57,10 @@ class Http(HttpToolsProtocol):
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
         self._refusal = INVALID
         self._used_at = self.loop.time()
-        # Refusing connections here means that uvicorn never refuses requests.
+        # uvicorn would refuse requests while the tasks of closed connections end.
+        most, self.limit_concurrency = self.limit_concurrency, None
         others = len(self.connections) - 1
-        if self.limit_concurrency is not None and others >= self.limit_concurrency - 1:
+        if most is not None and others >= most - 1:
             log.warning("%d connections are open, which is the limit: unused ones are closed", others)
             if not self._make_room():
                 self._end(503, "too many connections are open", b"retry-after: 5\r\n")

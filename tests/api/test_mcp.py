@@ -183,7 +183,9 @@ def test_a_call_without_a_session_and_a_stream_are_refused(shared_client: TestCl
     assert (answer.status_code, answer.json()["error"]["code"]) == (400, -32602)
     assert "Mcp-Session-Id" in answer.json()["error"]["message"]
     assert shared_client.delete("/mcp").status_code == 400
-    assert shared_client.get("/mcp", headers={"Accept": "text/event-stream"}).status_code == 405
+    assert shared_client.post("/mcp/", json=request("ping"), follow_redirects=False).status_code == 200
+    stream = shared_client.get("/mcp", headers={"Accept": "text/event-stream"})
+    assert (stream.status_code, stream.headers["Allow"]) == (405, "DELETE, POST")
     foreign = {"Origin": "https://elsewhere.example"}
     assert shared_client.post("/mcp", json=request("ping"), headers=foreign).status_code == 403
 

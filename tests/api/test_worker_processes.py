@@ -152,7 +152,6 @@ def test_too_many_jobs_are_refused_by_caller_and_in_all(
     pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers, "WAITING", 3)
-    monkeypatch.setattr(workers, "WAITING_PER_CALLER", 2)
     running = pool.submit(wait_at, gate, caller="a")
     eventually(running.running)
     waiting = [pool.submit(abs, -3, caller="a") for _ in range(2)]

@@ -19,6 +19,10 @@ from drone_env.server.state import AppStateDep, caller_address
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
 named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
 BODY_ERRORS = error_responses(400, 413, 415, 422)
+REFUSED: dict[int | str, dict[str, Any]] = {
+    400: {"model": dict[str, Any], "description": "Not JSON, an unknown version of MCP, or no session."},
+    404: {"model": dict[str, Any], "description": "The session has ended."},
+}
 api = TaskApi()
 
 
@@ -54,7 +58,9 @@ async def schema() -> dict[str, dict[str, Any]]:
     return {name: message.model_json_schema() for name, message in messages.items()}
 
 
-@router.post("/mcp", response_model=dict[str, Any], responses=error_responses(400, 404, 413, 415, 422))
+# Some clients add a slash, and do not follow the redirect.
+@router.post("/mcp/", include_in_schema=False)
+@router.post("/mcp", response_model=dict[str, Any], responses=error_responses(413, 415, 422) | REFUSED)
 async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()] = None) -> Response:
     """MCP over JSON-RPC 2.0, with the tools `reset`, `fly` and `look`.
 
@@ -80,7 +86,8 @@ async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()
     return Response(to_json(answer), media_type="application/json", headers=headers)
 
 
-@router.delete("/mcp", status_code=204, responses=error_responses(400, 404))
+@router.delete("/mcp/", include_in_schema=False)
+@router.delete("/mcp", status_code=204, responses=REFUSED)
 async def end_mcp(request: Request, shared: AppStateDep) -> Response:
     """End the session that the header `Mcp-Session-Id` names."""
     try:
@@ -91,6 +98,12 @@ async def end_mcp(request: Request, shared: AppStateDep) -> Response:
         return _refused(error, None)
     await asyncio.to_thread(shared.store.end_session, named)
     return Response(status_code=204)
+
+
+@router.api_route("/mcp", methods=["GET", "HEAD", "OPTIONS", "PATCH", "PUT", "TRACE"], include_in_schema=False)
+async def no_stream() -> None:
+    """Clients of MCP ask for a stream of events; 405 means that there is none."""
+    raise RequestError(405, "http", "Method Not Allowed", {"Allow": "DELETE, POST"})
 
 
 def _refused(error: ToolError, number: object) -> Response:
