@@ -7,6 +7,7 @@ They use httptools, because h11 takes longer for a request than flying and stori
 
 import asyncio
 import logging
+import time
 from collections import Counter
 from typing import Any, NoReturn, cast
 
@@ -56,7 +57,7 @@ class Http(HttpToolsProtocol):
         self._in_head = True
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
         self._refusal = INVALID
-        self._used_at = self.loop.time()
+        self._used_at = time.monotonic()
         # uvicorn would refuse requests while the tasks of closed connections end.
         most, self.limit_concurrency = self.limit_concurrency, None
         others = len(self.connections) - 1
@@ -75,7 +76,7 @@ class Http(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Parse data, or buffer it during a response."""
-        self._used_at = self.loop.time()
+        self._used_at = time.monotonic()
         self._unread = self._unread + data if self._unread else data
         self._reads += len(data) < SMALL
         self._read()

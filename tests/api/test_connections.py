@@ -235,9 +235,10 @@ def test_a_full_server_closes_what_the_greediest_address_uses_least(caplog: pyte
         greedy = [connect()]
         other = connect_from("127.0.0.2")
         greedy += [connect() for _ in range(3)]
-        greedy[2].sendall(WHOLE[:-2])
-        for sock in (other, greedy[0], greedy[1], greedy[3]):
+        for sock in (greedy[2], other, greedy[0], greedy[1], greedy[3]):
             assert asked(sock).startswith(b"HTTP/1.1 200 ")
+            if sock is greedy[2]:
+                sock.sendall(WHOLE[:-2])
         # Both newcomers are served, also the one of the same address; the one with half a request goes first.
         newcomers = [connect(), connect_from("127.0.0.3")]
         for sock in newcomers:
