@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
+from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, StoreError, UnknownNameError
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
     SELECT_BEST,
@@ -115,8 +115,14 @@ class Store:
         self._database.close()
 
     def check(self) -> None:
-        """Check that the file was not deleted or replaced; every method that writes does so too."""
+        """Check that the file was not deleted or replaced, as every method that writes does, and that writes succeed.
+
+        Raises:
+            StoreError: if nothing can be stored.
+        """
         self._database.check()
+        if self._database.failed:
+            raise StoreError(f"store {self._database.path}: the last write failed")
 
     def __enter__(self) -> Self:
         return self
@@ -423,6 +429,7 @@ class Store:
         Raises:
             StoreError: if it could not be written.
         """
+        self._database.probe()
         with self._database.writing() as connection:
             return connection.execute(EXPIRE, (self._clock() - idle_seconds,)).rowcount
 

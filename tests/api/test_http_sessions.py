@@ -122,6 +122,11 @@ def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
             assert (answer.status_code, answer.json()["code"]) == (503, "store")
             assert "the disk is gone" in answer.json()["detail"]
             assert answer.headers["Retry-After"] == "5"
+        # The health check says so until something can be written again, which the server tries at times.
+        sessions = client.app.state.shared.sessions  # pyright: ignore
+        assert client.get("/health").status_code == 503
+    sessions.expire()
+    assert client.get("/health").status_code == 200
     state = client.get("/state", headers=session).json()
     assert (state["seed"], state["step_count"]) == (7, 0)
     # What was flown before the failure is not flown twice.
