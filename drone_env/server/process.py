@@ -127,7 +127,13 @@ def run(
                 Multiprocess(config, [listening]).run()
             else:
                 server = uvicorn.Server(config)
-                server.run([listening])
+                try:
+                    server.run([listening])
+                finally:
+                    if server.force_exit:  # a second Ctrl-C; the interpreter would wait for threads that never end
+                        for child in multiprocessing.active_children():
+                            child.kill()
+                        os._exit(0)
                 if not server.started:
                     sys.exit(STARTUP_FAILED)
 

@@ -188,7 +188,8 @@ class Workers:
             result, error = process.connection.recv()
         except (EOFError, OSError):
             error = self._error_of(process, job)
-            is_final = is_new or job.dropped or isinstance(error, TooLargeError)
+            is_busy = isinstance(error, RequestError) and error.status == 503
+            is_final = is_new or is_busy or isinstance(error, TooLargeError)
             return (None, error, None) if is_final else self._run(job, None)
         except Exception:  # for example arguments that cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
@@ -219,6 +220,8 @@ class Workers:
         status = None if process is None else process.end()
         if job.dropped:
             return RequestError(503, "dropped", "nobody waits for this job any more")
+        if process is None or status == -signal.SIGTERM:  # for example, all processes of the group were told to stop
+            return RequestError(503, "busy", "the worker was stopped: try again later")
         if sys.platform != "win32" and status == -signal.SIGXCPU:
             return TooLargeError(too_long(self._settings.job_seconds))
         if status:
