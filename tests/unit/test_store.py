@@ -2,7 +2,6 @@
 
 import sqlite3
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -151,8 +150,7 @@ def test_many_may_open_a_new_folder_at_once(tmp_path: Path) -> None:
 
 def test_a_store_that_stays_busy_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    sleep = time.sleep
-    monkeypatch.setattr(time, "sleep", lambda seconds: (waits.append(seconds), sleep(seconds)))
+    monkeypatch.setattr("drone_env.results.database.time.sleep", waits.append)
     with Store(tmp_path, busy_seconds=0.1) as store:
         session_id = opened(store)
         other = sqlite3.connect(tmp_path / FILE_NAME, isolation_level=None)
