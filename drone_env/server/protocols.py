@@ -57,6 +57,8 @@ class Http(HttpToolsProtocol):
         self._in_head = True
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
         self._refusal = INVALID
+        self.address = "" if self.client is None else network_of(self.client[0])
+        """The address of the other side."""
         self._used_at = time.monotonic()
         # uvicorn would refuse requests while the tasks of closed connections end.
         most, self.limit_concurrency = self.limit_concurrency, None
@@ -162,11 +164,6 @@ class Http(HttpToolsProtocol):
         self.connections.discard(closed)  # the transport reports the loss later
         closed.transport.abort() if closed.answering else closed.transport.close()
         return True
-
-    @property
-    def address(self) -> str:
-        """The address of the other side."""
-        return "" if self.client is None else network_of(self.client[0])
 
     def _read(self) -> None:
         """Parse up to the end of one request. The end of its response continues with the next."""
