@@ -132,8 +132,11 @@ def test_every_endpoint_there_is_answers(http: TestClient) -> None:
     fly(http, *BEST)
     episode = get(http, "/episodes")["episodes"][0]["id"]
     bodies = BODIES | {"/annotate": get(http, f"/episodes/{episode}")}
-    for method, path in sorted(routes - {("post", "/predict"), ("post", "/reset"), ("delete", "/session")}):
+    ends = {("delete", "/mcp"), ("delete", "/session")}
+    for method, path in sorted(routes - ends - {("post", "/predict"), ("post", "/reset")}):
         filled = path.format(task_name="easy", seed=7, episode_id=episode)
         answer = http.request(method, filled, json=bodies.get(path), params=QUERIES.get(path))
         assert answer.status_code == 200, (method, path, answer.text)
     assert http.delete("/session").status_code == 204
+    begun = http.post("/mcp", json={"jsonrpc": "2.0", "id": 1, "method": "initialize"}).headers
+    assert http.delete("/mcp", headers={"Mcp-Session-Id": begun["Mcp-Session-Id"]}).status_code == 204

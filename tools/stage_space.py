@@ -27,9 +27,10 @@ PARTS = (
 MARK = ".staged"
 """Marks a folder as one that this command made, and may replace."""
 IN_A_SPACE = """
-# Only Hugging Face's proxy reaches the Space, and says whether the visitor came by HTTPS. Browsers keep the session's
-# cookie in the frame of another site only if it is marked for HTTPS.
-ENV FORWARDED_ALLOW_IPS=*
+# Only Hugging Face's proxy reaches the Space, from a private address, and says whether the visitor came by HTTPS.
+# Browsers keep the session's cookie in the frame of another site only if it is marked for HTTPS. Proxies append to
+# X-Forwarded-For, so the visitor is the last public address; visitors can send the first ones themselves.
+ENV FORWARDED_ALLOW_IPS=10.0.0.0/8,100.64.0.0/10,127.0.0.0/8,169.254.0.0/16,172.16.0.0/12,192.168.0.0/16,::1,fc00::/7
 """
 
 

@@ -58,10 +58,11 @@ CREATE TABLE IF NOT EXISTS sessions (
     episode_id TEXT,
     opened_at REAL NOT NULL,
     touched_at REAL NOT NULL,
-    address TEXT
+    address TEXT,
+    owner TEXT NOT NULL
 ) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS sessions_by_use ON sessions (touched_at);
-CREATE INDEX IF NOT EXISTS finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
+CREATE INDEX IF NOT EXISTS sessions_by_owner ON sessions (owner);
 CREATE UNIQUE INDEX IF NOT EXISTS unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
 CREATE TABLE IF NOT EXISTS own_tasks (
     task TEXT NOT NULL,
@@ -73,8 +74,9 @@ CREATE TABLE IF NOT EXISTS own_tasks (
 """`episodes.number` is the order of storing; `episodes.episode` is a `StoredEpisode` as JSON.
 
 `optima.score` is null if the map is too large to be solved. `sessions.address` is the address whose callers share the
-session because they name none; it is null after somebody has named the session. `own_tasks` contains a digest of each
-task that is not one of the package's, since another task may be registered under its name later.
+session because they name none; it is null after somebody has named the session. `sessions.owner` is the address that
+opened it, for its share. `own_tasks` contains a digest of each task that is not one of the package's, since another
+task may be registered under its name later.
 """
 
 
@@ -92,7 +94,10 @@ class Database:
 
     def __init__(self, path: Path, busy_seconds: float = BUSY_SECONDS) -> None:
         self.path = path
+        self.failed = False
+        """Whether a write has failed since the last `probe`."""
         self._busy_seconds = busy_seconds
+        self._gave_up = False
         # Session ids are secrets; SQLite gives its other files the same permissions.
         path.touch(mode=0o600)
         # A thread that begins a second transaction gets an error of SQLite instead of a deadlock.
@@ -145,10 +150,25 @@ class Database:
             StoreError: if a statement fails, the file stays busy or is gone, or this thread is already in such a block.
         """
         with self._errors(), self._write_lock:
-            self._when_free(lambda: self._writer.execute("BEGIN IMMEDIATE"))
-            with self._writer:
-                yield self._writer
-                self.check()
+            try:
+                self._when_free(lambda: self._writer.execute("BEGIN IMMEDIATE"))
+                with self._writer:
+                    yield self._writer
+                    self.check()
+            except sqlite3.Error:
+                self.failed = True
+                raise
+
+    def probe(self) -> None:
+        """Write something if a write has failed, to see whether the disk has room again.
+
+        Raises:
+            StoreError: if this write fails, too.
+        """
+        if self.failed:
+            with self.writing() as connection:
+                connection.execute(f"PRAGMA user_version = {VERSION}")
+            self.failed = False
 
     def check_task(self, connection: sqlite3.Connection, task: TaskConfig, claim: bool = False) -> None:
         """Check that the rows under the name of a task belong to this task.
@@ -195,15 +215,22 @@ class Database:
             raise StoreError(f"store {self.path}: {error}{remedy}") from error
 
     def _when_free(self, operation: Callable[[], object]) -> None:
-        """Run an operation once no other process writes, and give up after `busy_seconds`."""
-        deadline = time.monotonic() + self._busy_seconds
+        """Run an operation once no other process writes, and give up after `busy_seconds`.
+
+        Until the next success nobody else waits, so that all who wait in a queue fail together.
+        """
+        deadline = time.monotonic() + (0 if self._gave_up else self._busy_seconds)
         while True:
             try:
                 operation()
+                self._gave_up = False
                 return
             except sqlite3.OperationalError as error:
                 # Python 3.10 has no error code.
-                if "locked" not in str(error) or time.monotonic() > deadline:
+                if "locked" not in str(error):
+                    raise
+                if time.monotonic() > deadline:
+                    self._gave_up = True
                     raise
             time.sleep(POLL_SECONDS)
 

@@ -30,6 +30,7 @@ class Session:
         opened_at: When the session was opened, in seconds since 1970.
         touched_at: When it was last used.
         address: The address whose callers share it without naming it; None after somebody has named it.
+        owner: The address that opened it; empty if it is unknown.
         episode: The episode in memory after all actions; None if it is not in memory.
         finished: Episodes that have ended and are not stored yet.
     """
@@ -45,6 +46,7 @@ class Session:
     opened_at: float = 0.0
     touched_at: float = 0.0
     address: str | None = None
+    owner: str = ""
     episode: Episode | None = field(default=None, compare=False)
     finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
 
@@ -111,6 +113,19 @@ def advance(session: Session, action: int) -> float:
             session.finished.append(stored)
             session.episode_id = stored.id
     return reward
+
+
+def in_share(own: int, taken: int, capacity: int) -> bool:
+    """Return whether an address may take one more of `capacity` places: it holds fewer than are free.
+
+    One address thus takes at most half of the places, two take a third each, and a newcomer finds one free.
+
+    Args:
+        own: The places that the address holds.
+        taken: The places that all addresses hold.
+        capacity: The number of places.
+    """
+    return own < capacity - taken
 
 
 def flight_of(episode: Episode) -> Flight:

@@ -8,7 +8,7 @@ each process: it does not survive a fork.
 import secrets
 import sqlite3
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
+from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, StoreError, UnknownNameError
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
     SELECT_BEST,
@@ -36,7 +36,7 @@ from drone_env.results.memory_view import MemoryView
 from drone_env.results.optima import Map, Optima, Submit
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.results.result import Results
-from drone_env.results.sessions import Session, flight_of, new_episode_id
+from drone_env.results.sessions import Session, flight_of, in_share, new_episode_id
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
@@ -48,7 +48,12 @@ NEWEST = "ORDER BY number DESC LIMIT ?"
 SELECT_STORED = "SELECT number, episode FROM episodes"
 COUNT = "SELECT count(*) FROM sessions"
 END = "DELETE FROM sessions WHERE id = ?"
-OLDEST = "SELECT id FROM sessions WHERE touched_at <= ? AND episode_id IS NOT NULL ORDER BY touched_at LIMIT 1"
+OWN = "SELECT count(*) FROM sessions WHERE owner = ?"
+EVICTABLE = """
+    SELECT id FROM sessions
+    WHERE (actions = '' OR episode_id IS NOT NULL AND touched_at <= :finished) AND (:all OR owner = :owner)
+    ORDER BY actions != '', touched_at
+"""
 EXPIRE = "DELETE FROM sessions WHERE touched_at <= ?"
 UPDATE = """
     UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent,
@@ -110,8 +115,14 @@ class Store:
         self._database.close()
 
     def check(self) -> None:
-        """Check that the file was not deleted or replaced; every method that writes does so too."""
+        """Check that the file was not deleted or replaced, as every method that writes does, and that writes succeed.
+
+        Raises:
+            StoreError: if nothing can be stored.
+        """
         self._database.check()
+        if self._database.failed:
+            raise StoreError(f"store {self._database.path}: the last write failed")
 
     def __enter__(self) -> Self:
         return self
@@ -276,36 +287,55 @@ class Store:
 
     # Sessions
 
-    def open_session(self, episode: Episode, agent: str, capacity: int, address: str | None = None) -> str:
+    def open_session(
+        self,
+        episode: Episode,
+        agent: str,
+        capacity: int,
+        address: str | None = None,
+        owner: str = "",
+        keep: Collection[str] = (),
+    ) -> str:
         """Open a session on an episode at its start and return its secret id.
 
-        If there is no room, the finished session that was idle longest, and for at least 30 s, is evicted.
+        If there is no room, the session without steps that was idle longest is evicted, or else the finished one that
+        was idle longest, and for at least 30 s. An owner with sessions evicts only its own.
 
         Args:
             episode: The episode.
             agent: Name of the pilot.
             capacity: Maximum number of open sessions.
             address: The address whose callers share it without naming it (`unnamed_session`).
+            owner: The address that opens it, which has a share of the sessions (`in_share`); empty if it is unknown.
+            keep: Sessions that are not evicted.
 
         Raises:
-            CapacityError: if `capacity` sessions are open; expire the idle ones first.
+            CapacityError: if `capacity` sessions are open, or the owner has its share; expire the idle ones first.
             InvalidValueError: if the agent's name is not one printable line.
             StoreError: if it could not be written.
         """
         session_id = secrets.token_urlsafe(24)
         now, agent = self._clock(), check_agent(agent)
-        row = (session_id, *flight_of(episode), agent, "", None, now, now, address)
+        row = (session_id, *flight_of(episode), agent, "", None, now, now, address, owner)
         with self._database.writing() as connection:
             self._database.check_task(connection, episode.task, claim=True)
             (taken,) = connection.execute(COUNT).fetchone()
-            if taken >= capacity:
-                finished = connection.execute(OLDEST, (now - FINISHED_SECONDS,)).fetchone()
-                if finished is None:
+            own = connection.execute(OWN, (owner,)).fetchone()[0] if owner else 0
+            if not in_share(own, taken, capacity):
+                values = {"finished": now - FINISHED_SECONDS, "all": not own, "owner": owner}
+                found = (row["id"] for row in connection.execute(EVICTABLE, values))
+                evicted = next((id_ for id_ in found if id_ not in keep), None)
+                if evicted is None and taken < capacity:
+                    raise CapacityError(
+                        f"this address has {own} of {capacity} sessions, its share: end one, or raise "
+                        "DRONE_ENV_CAPACITY"
+                    )
+                if evicted is None:
                     raise CapacityError(f"all {capacity} sessions are taken: try again later")
-                connection.execute(END, (finished["id"],))
+                connection.execute(END, (evicted,))
             # An address has at most one unnamed session.
             connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
-            connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
+            connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
         return session_id
 
     @contextmanager
@@ -399,6 +429,7 @@ class Store:
         Raises:
             StoreError: if it could not be written.
         """
+        self._database.probe()
         with self._database.writing() as connection:
             return connection.execute(EXPIRE, (self._clock() - idle_seconds,)).rowcount
 

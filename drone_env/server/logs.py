@@ -10,6 +10,7 @@ from datetime import datetime, timezone
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
+from urllib.parse import quote
 
 from pydantic import Field
 
@@ -55,7 +56,8 @@ class RequestLog:
             number=self.count,
             time=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
             method=method,
-            path=path[:LONGEST_PATH],
+            # Control characters, and those that change the direction of text, as they were sent.
+            path="".join(one if one.isprintable() else quote(one, errors="replace") for one in path[:LONGEST_PATH]),
             status=status,
             milliseconds=round(seconds * 1000, 3),
         )

@@ -5,19 +5,21 @@ from functools import lru_cache
 from typing import Any, cast
 
 from pydantic import Field, ValidationError
+from starlette.datastructures import Headers
 
 from drone_env import __version__
-from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, text_of
+from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, NoSessionError, text_of
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
 from drone_env.models import Message
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState
 
-SESSION_HEADER = "Mcp-Session-Id"
+SESSION_HEADER, VERSION_HEADER = "Mcp-Session-Id", "MCP-Protocol-Version"
 INVALID_REQUEST, NO_METHOD, INVALID, FAILED = -32600, -32601, -32602, -32603
-SERVER_ERROR = -32000
-PROTOCOLS = ("2025-11-25", "2025-06-18", "2025-03-26")
+SERVER_ERROR, NO_SESSION = -32000, -32001
+"""Clients of MCP start a new session if they read `NO_SESSION` with status 404."""
+PROTOCOLS = ("2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05")
 """Versions of MCP, newest first."""
 
 
@@ -48,12 +50,18 @@ class ToolError(Exception):
         kind: OpenEnv's type of error.
         message: The message for people.
         code: The code of JSON-RPC.
+        status: The HTTP status of an error in the headers.
     """
 
-    def __init__(self, kind: str, message: str, code: int = INVALID) -> None:
+    def __init__(self, kind: str, message: str, code: int = INVALID, status: int = 400) -> None:
         super().__init__(message)
         self.kind = kind
         self.code = code
+        self.status = status
+
+    def answer(self, number: object) -> dict[str, Any]:
+        """Return the JSON-RPC response to the request with this id."""
+        return {**_numbered(number), "error": {"code": self.code, "message": str(self)}}
 
 
 @lru_cache(maxsize=1)
@@ -72,9 +80,11 @@ async def call_tool(session: OpenEnvSession, name: object, arguments: object) ->
     """
     if not isinstance(name, str) or name not in TOOLS:
         raise ToolError("tool_not_found", f"there is no such tool; tools: {', '.join(TOOLS)}")
+    if not isinstance(arguments, dict | None):
+        raise ToolError("invalid_args", "arguments must be an object")
     reward, flown = None, 0
     try:
-        given = TOOLS[name][0].model_validate(arguments)
+        given = TOOLS[name][0].model_validate(arguments or {})
         if isinstance(given, FlyArguments):
             episode, reward, flown = await session.fly(given.route)
             text = flown_text(episode, flown)
@@ -107,8 +117,31 @@ async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[
     return {"observation": observation, "reward": data["reward"], "done": data["done"]}
 
 
+async def named_session(shared: AppState, headers: Headers) -> str | None:
+    """Return the session that the headers of a request name.
+
+    Raises:
+        ToolError: if there is no such session, or the version of MCP is unknown.
+    """
+    version, named = headers.get(VERSION_HEADER, PROTOCOLS[0]), headers.get(SESSION_HEADER)
+    if version not in PROTOCOLS:
+        # A modern code, such as -32022, would keep newer clients from falling back to `initialize`.
+        message = f"{VERSION_HEADER} is one of {', '.join(PROTOCOLS)}, got {version[:100]!r}"
+        raise ToolError("invalid_request", message, INVALID_REQUEST)
+    if named is not None:
+        try:
+            await asyncio.to_thread(shared.store.read_session, named)
+        except NoSessionError as error:
+            raise ToolError("invalid_request", f"Session not found: {error}", NO_SESSION, 404) from None
+    return named
+
+
 async def rpc(
-    shared: AppState, request: Any, session: OpenEnvSession | None = None, named: str | None = None
+    shared: AppState,
+    request: Any,
+    session: OpenEnvSession | None = None,
+    named: str | None = None,
+    owner: str = "",
 ) -> dict[str, Any]:
     """Return the JSON-RPC response to a request.
 
@@ -116,24 +149,30 @@ async def rpc(
         shared: The parts of the server.
         request: The request.
         session: The session of a connection; None over HTTP, where each request names one.
-        named: The session that the header of the request names.
+        named: The session that the header of the request names, as clients of MCP do.
+        owner: The address of the caller.
     """
     fields = cast(dict[str, Any], request) if isinstance(request, dict) else {}
-    number, method, params = fields.get("id"), fields.get("method"), fields.get("params", {})
-    answer: dict[str, Any] = {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
+    number, method, params = fields.get("id"), fields.get("method"), fields.get("params")
     try:
         if fields.get("jsonrpc") != "2.0" or not isinstance(method, str):
-            message = 'Invalid Request: a request has "jsonrpc": "2.0" and a method'
+            message = 'Invalid Request: a request is one object with "jsonrpc": "2.0" and a method'
             raise ToolError("invalid_request", message, INVALID_REQUEST)
-        if not isinstance(params, dict):
+        if not isinstance(params, dict | None):
             raise ToolError("invalid_args", "params must be an object")
-        return answer | {"result": await _call(shared, method, cast(dict[str, Any], params), session, named)}
+        result = await _call(shared, method, cast(dict[str, Any], params or {}), session, named, owner)
+        return {**_numbered(number), "result": result}
     except ToolError as error:
-        return answer | {"error": {"code": error.code, "message": str(error)}}
+        return error.answer(number)
 
 
 async def _call(
-    shared: AppState, method: str, params: dict[str, Any], session: OpenEnvSession | None, named: str | None
+    shared: AppState,
+    method: str,
+    params: dict[str, Any],
+    session: OpenEnvSession | None,
+    named: str | None,
+    owner: str,
 ) -> dict[str, Any]:
     if method == "ping":
         return {}
@@ -142,15 +181,21 @@ async def _call(
     try:
         if method in ("initialize", "openenv/session/create"):
             if session is None:
-                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset())
+                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), owner=owner)
             opened = {"session_id": named if session is None else session.episode_id}
             return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
-        named = params.get("session_id", named)
+        by_header, named = "session_id" not in params and named is not None, params.get("session_id", named)
         if method in ("tools/call", "openenv/session/close") and session is None and not isinstance(named, str):
             raise InvalidValueError("session_id: send the one from openenv/session/create")
         if method == "tools/call":
             session = session or OpenEnvSession(shared, named)
-            return _result(await call_tool(session, params.get("name"), params.get("arguments", {})))
+            try:
+                return _result(await call_tool(session, params.get("name"), params.get("arguments")))
+            except ToolError as error:
+                # MCP shows a failed call to the model. OpenEnv's clients read no `isError`, and need an exception.
+                if not by_header or error.kind == "tool_not_found":
+                    raise
+                return {"content": [{"type": "text", "text": str(error)}], "isError": True}
         # That of a connection ends with it.
         if method == "openenv/session/close" and session is None:
             await asyncio.to_thread(shared.store.end_session, str(named))
@@ -160,6 +205,10 @@ async def _call(
     except (LookupError, InvalidValueError) as error:
         raise ToolError("invalid_args", str(error)) from None
     raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
+
+
+def _numbered(number: object) -> dict[str, Any]:
+    return {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
 
 
 def _greeting(version: object) -> dict[str, Any]:

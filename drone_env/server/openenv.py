@@ -21,12 +21,13 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
 from drone_env.llm.prompt import get_prompt
 from drone_env.models import DroneState
+from drone_env.results.sessions import in_share
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.mcp import rpc, step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
-from drone_env.server.state import AppState
+from drone_env.server.state import AppState, caller_address
 
 log = logging.getLogger(__name__)
 
@@ -75,8 +76,10 @@ class OpenEnvSocket:
             await socket.accept()
             capacity = self.shared.settings.capacity
             try:
-                if len(self.touched) >= capacity:
-                    message = f"{capacity} sessions are open, which is the limit: try again later"
+                own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
+                if not in_share(own, len(self.touched), capacity):
+                    taken = f"{len(self.touched)} of {capacity} sessions are open, {own} of this address"
+                    message = f"{taken}, which is the limit: try again later"
                     raise RefusedError("CAPACITY_REACHED", message)
                 self.touched[socket] = self._clock()
                 await self._serve(socket, await self._open(socket))

@@ -115,6 +115,7 @@ def run(
             server_header=False,
             ws_max_size=LARGE,
             ws_per_message_deflate=False,
+            ws_ping_timeout=max(settings.idle_seconds, 60.0),  # longer than two pings
             limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,
             timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
@@ -126,7 +127,13 @@ def run(
                 Multiprocess(config, [listening]).run()
             else:
                 server = uvicorn.Server(config)
-                server.run([listening])
+                try:
+                    server.run([listening])
+                finally:
+                    if server.force_exit:  # a second Ctrl-C; the interpreter would wait for threads that never end
+                        for child in multiprocessing.active_children():
+                            child.kill()
+                        os._exit(0)
                 if not server.started:
                     sys.exit(STARTUP_FAILED)
 

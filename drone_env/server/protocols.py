@@ -7,6 +7,8 @@ They use httptools, because h11 takes longer for a request than flying and stori
 
 import asyncio
 import logging
+import time
+from collections import Counter
 from typing import Any, NoReturn, cast
 
 import httptools
@@ -14,6 +16,8 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from drone_env.server.security import network_of
 
 log = logging.getLogger(__name__)
 
@@ -53,12 +57,17 @@ class Http(HttpToolsProtocol):
         self._in_head = True
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
         self._refusal = INVALID
-        # Refusing connections here means that uvicorn never refuses requests.
+        self.address = "" if self.client is None else network_of(self.client[0])
+        """The address of the other side."""
+        self._used_at = time.monotonic()
+        # uvicorn would refuse requests while the tasks of closed connections end.
+        most, self.limit_concurrency = self.limit_concurrency, None
         others = len(self.connections) - 1
-        if self.limit_concurrency is not None and others >= self.limit_concurrency - 1:
-            log.warning("%d connections are open, which is the limit: others are refused", others)
-            self._end(503, "too many connections are open", b"retry-after: 5\r\n")
-            return
+        if most is not None and others >= most - 1:
+            log.warning("%d connections are open, which is the limit: unused ones are closed", others)
+            if not self._make_room():
+                self._end(503, "too many connections are open", b"retry-after: 5\r\n")
+                return
         self._limit_time()
 
     @property
@@ -69,6 +78,7 @@ class Http(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Parse data, or buffer it during a response."""
+        self._used_at = time.monotonic()
         self._unread = self._unread + data if self._unread else data
         self._reads += len(data) < SMALL
         self._read()
@@ -135,6 +145,25 @@ class Http(HttpToolsProtocol):
         """Close the connection when the client has read the response, or after `END_SECONDS`."""
         super().shutdown()
         self.loop.call_later(END_SECONDS, self.transport.abort)
+
+    def _make_room(self) -> bool:
+        """Close a connection of the address with the most, and return whether there was one.
+
+        It is the one that was unused for longest among those without a request. If there is none, it is any other,
+        unless the new connection is from the same address.
+        """
+        others = [other for other in self.connections if isinstance(other, Http) and other is not self]
+        counts = Counter(other.address for other in others)
+        most = max(counts, key=counts.__getitem__, default=None)
+        closable = [
+            other for other in others if other.address == most and not (other.answering and most == self.address)
+        ]
+        if not closable:
+            return False
+        closed = min(closable, key=lambda other: (other.answering, other._used_at))
+        self.connections.discard(closed)  # the transport reports the loss later
+        closed.transport.abort() if closed.answering else closed.transport.close()
+        return True
 
     def _read(self) -> None:
         """Parse up to the end of one request. The end of its response continues with the next."""
@@ -221,12 +250,16 @@ class WebSockets(WebSocketsSansIOProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start with an empty buffer."""
         super().connection_made(transport)
+        # A client that computes answers no ping, and some tunnels drop pongs. Anything that it sends is a sign of life.
+        self.ping_timeout = None
+        self._heard_at = self.loop.time()
         self._unread = bytearray()
         self._turn: asyncio.Handle | None = None
         self._control_frames = self._counted_at = 0.0
 
     def data_received(self, data: bytes) -> None:
         """Parse the head of the request, which the first call contains completely, or a frame."""
+        self._heard_at = self.loop.time()
         if self.handshake_initiated:
             self._unread += data
             if self._turn is None:
@@ -273,6 +306,14 @@ class WebSockets(WebSocketsSansIOProtocol):
         if not self.transport.is_closing():
             super().shutdown()
         self.loop.call_later(END_SECONDS, self.transport.abort)
+
+    def send_keepalive_ping(self) -> None:
+        """Send a ping and schedule the next, or close the connection if nothing came for `ws_ping_timeout`."""
+        limit = self.config.ws_ping_timeout
+        if limit is not None and self.loop.time() - self._heard_at > limit:
+            self.keepalive_timeout()
+        else:
+            super().send_keepalive_ping()
 
     def _take_turn(self) -> None:
         """Parse one frame. Other tasks run before the next."""

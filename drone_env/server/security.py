@@ -21,7 +21,7 @@ from drone_env.server.settings import Settings
 OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
 WITHOUT_HINTS = re.compile(
-    r"/(reset|step|state|session|path_history|health|metadata|schema|mcp|graders|kinds|list_environments|openapi\.json"
+    r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
     rf"|(grade|tasks|{ENV_NAME})/?.*|(.+/)?ws)"
 )
 """The paths of a server that withholds hints. All others, such as `/values` and `/live`, may show a better flight."""
@@ -185,13 +185,16 @@ def shared_address(scope: Scope) -> str | None:
 
 
 def stranger_address(scope: Scope, host: str) -> str | None:
-    """Return the address of a caller, or None if only this machine can reach the server.
-
-    A proxy may forward strangers. For IPv6 it is the /64 network, because one host owns all its addresses.
-    """
+    """Return `network_of` a caller, or None if only this machine can reach the server; a proxy forwards strangers."""
     client = (scope.get("client") or ("unknown",))[0].lower()
     if not _comes_through_proxy(scope) and is_local_name(client) and listens_on_loopback(scope, host):
         return None
+    return network_of(client)
+
+
+@lru_cache(maxsize=1024)
+def network_of(client: str) -> str:
+    """Return an address; for IPv6 its /64 network, because one host owns all addresses there."""
     try:
         address = ipaddress.ip_address(client)
     except ValueError:

@@ -6,7 +6,7 @@ episode. Cached sessions are never changed, so that threads may read them withou
 
 import threading
 from collections import OrderedDict
-from collections.abc import Generator
+from collections.abc import Collection, Generator
 from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
@@ -77,7 +77,14 @@ class Sessions:
         self._cache: OrderedDict[str, Session] = OrderedDict()
         self._lock = threading.Lock()
 
-    def reset(self, session: str | None, options: ResetOptions, address: str | None = None) -> tuple[str, Episode]:
+    def reset(
+        self,
+        session: str | None,
+        options: ResetOptions,
+        address: str | None = None,
+        owner: str = "",
+        keep: Collection[str] = (),
+    ) -> tuple[str, Episode]:
         """Start an episode in the session, or in a new one if there is none.
 
         Args:
@@ -85,6 +92,8 @@ class Sessions:
             options: The body of the request.
             address: The address of a caller without an id, who shares the session of the address. A shared session
                 without steps is not reused, because the caller who opened it may still use its id.
+            owner: The address of any caller, who has a share of the sessions.
+            keep: Sessions that are not evicted.
 
         Returns:
             The session id, and the episode at its start.
@@ -101,7 +110,7 @@ class Sessions:
             with suppress(NoSessionError):
                 return session, self._begin(session, options, address, flown=address is not None)
         episode = start_episode(options, None)
-        arguments = episode, options.agent or ANONYMOUS, self.capacity, address
+        arguments = episode, options.agent or ANONYMOUS, self.capacity, address, owner, keep
         try:
             opened = self.store.open_session(*arguments)
         except CapacityError:

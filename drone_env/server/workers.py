@@ -23,6 +23,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import Scores, solve_maps
+from drone_env.results.sessions import in_share
 from drone_env.server.exceptions import FAILED, RequestError
 from drone_env.server.jobs import serve, too_long, too_much
 from drone_env.server.map_choice import DEFAULT_TASK, is_registered
@@ -33,7 +34,6 @@ PROCESSES = max(2, (os.cpu_count() or 1) // 2)
 """Number of workers. The first runs only quick jobs, so that a slow map does not delay other callers."""
 WAITING = 64
 """Most waiting jobs."""
-WAITING_PER_CALLER = 16
 END_SECONDS = 2
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 PRELOADED = ["__main__", "drone_env.server.worker_preload"]
@@ -97,7 +97,7 @@ class Workers:
                 raise RequestError(503, "not_started", "the server is stopping")
             queue = self._queues[quick]
             own = queue.get(caller, ())
-            if sum(map(len, queue.values())) >= WAITING or len(own) >= WAITING_PER_CALLER:
+            if not in_share(len(own), sum(map(len, queue.values())), WAITING):
                 raise RequestError(503, "busy", "too many requests are waiting for their turn: try again later")
             queue.setdefault(caller, deque()).append(job)
             if not self._threads:
@@ -188,7 +188,8 @@ class Workers:
             result, error = process.connection.recv()
         except (EOFError, OSError):
             error = self._error_of(process, job)
-            is_final = is_new or job.dropped or isinstance(error, TooLargeError)
+            is_busy = isinstance(error, RequestError) and error.status == 503
+            is_final = is_new or is_busy or isinstance(error, TooLargeError)
             return (None, error, None) if is_final else self._run(job, None)
         except Exception:  # for example arguments that cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
@@ -219,6 +220,8 @@ class Workers:
         status = None if process is None else process.end()
         if job.dropped:
             return RequestError(503, "dropped", "nobody waits for this job any more")
+        if process is None or status == -signal.SIGTERM:  # for example, all processes of the group were told to stop
+            return RequestError(503, "busy", "the worker was stopped: try again later")
         if sys.platform != "win32" and status == -signal.SIGXCPU:
             return TooLargeError(too_long(self._settings.job_seconds))
         if status:

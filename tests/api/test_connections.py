@@ -5,7 +5,7 @@ import logging
 import re
 import socket
 import sys
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import pytest
@@ -208,17 +208,55 @@ def test_requests_of_any_shape_are_understood_or_refused(shape: str) -> None:
     assert answered.count(b"ok") == outcome.count("200") * (shape != "without a body") + kept
 
 
-def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    with running(answer, connections=3) as connect:
-        first, *_ = kept = [connect() for _ in range(3)]
-        for sock in kept:
+def closed(sock: socket.socket) -> bool:
+    """Whether the server has closed a connection."""
+    sock.setblocking(False)
+    with suppress(BlockingIOError):
+        everything(sock)
+        return True
+    return False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the whole of 127.0.0.0/8")
+def test_a_full_server_closes_what_the_greediest_address_uses_least(caplog: pytest.LogCaptureFixture) -> None:
+    release = asyncio.Event()
+    loops: list[asyncio.AbstractEventLoop] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == "/slow":
+            loops.append(asyncio.get_running_loop())
+            await release.wait()
+        await answer(scope, receive, send)
+
+    def connect_from(address: str) -> socket.socket:
+        return opened.enter_context(socket.create_connection(greedy[0].getpeername(), 60, (address, 0)))
+
+    with ExitStack() as opened, running(app, connections=5) as connect:
+        greedy = [connect()]
+        other = connect_from("127.0.0.2")
+        greedy += [connect() for _ in range(3)]
+        for sock in (greedy[2], other, greedy[0], greedy[1], greedy[3]):
             assert asked(sock).startswith(b"HTTP/1.1 200 ")
-        for _ in range(5):
-            assert everything(connect()).startswith(b"HTTP/1.1 503 ")
-        assert set(caplog.messages) == {"3 connections are open, which is the limit: others are refused"}
-        first.close()
-        eventually(lambda: asked(connect()).startswith(b"HTTP/1.1 200 "))
-        assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+            if sock is greedy[2]:
+                sock.sendall(WHOLE[:-2])
+        # Both newcomers are served, also the one of the same address; the one with half a request goes first.
+        newcomers = [connect(), connect_from("127.0.0.3")]
+        for sock in newcomers:
+            assert asked(sock).startswith(b"HTTP/1.1 200 ")
+        assert [closed(sock) for sock in greedy] == [True, False, True, False]
+        assert not closed(other)
+        # Without an unused connection the greediest loses one that works, but not to itself.
+        working = [greedy[1], greedy[3], newcomers[0]]
+        for number, sock in enumerate(working, 1):
+            sock.settimeout(60)
+            sock.sendall(WHOLE.replace(b"/", b"/slow", 1))
+            eventually(lambda number=number: len(loops) == number)
+        assert everything(connect()).startswith(b"HTTP/1.1 503 ")
+        assert asked(connect_from("127.0.0.4")).startswith(b"HTTP/1.1 200 ")
+        loops[0].call_soon_threadsafe(release.set)
+        for sock in working[1:]:
+            assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
+    assert set(caplog.messages) == {"5 connections are open, which is the limit: unused ones are closed"}
 
 
 def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,6 +98,7 @@ class TestSessions:
 def test_a_session_that_is_ended_is_gone_and_its_place_free(tmp_path: Path) -> None:
     with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
         header = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+        assert client.post("/step", json=UP, headers=header).status_code == 200
         full = client.post("/reset", headers=NEW)
         assert (full.status_code, full.json()["code"], full.headers["Retry-After"]) == (503, "no_room", "5")
         assert client.post("/reset", headers=header).status_code == 200
@@ -121,6 +122,11 @@ def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
             assert (answer.status_code, answer.json()["code"]) == (503, "store")
             assert "the disk is gone" in answer.json()["detail"]
             assert answer.headers["Retry-After"] == "5"
+        # The health check says so until something can be written again, which the server tries at times.
+        sessions = client.app.state.shared.sessions  # pyright: ignore
+        assert client.get("/health").status_code == 503
+    sessions.expire()
+    assert client.get("/health").status_code == 200
     state = client.get("/state", headers=session).json()
     assert (state["seed"], state["step_count"]) == (7, 0)
     # What was flown before the failure is not flown twice.

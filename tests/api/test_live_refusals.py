@@ -134,19 +134,22 @@ def test_the_page_is_open_and_offers_the_token_as_a_subprotocol(tmp_path: Path) 
 
 def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
     with (
-        TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client,
+        TestClient(create_app(Settings(data=tmp_path, capacity=4))) as client,
         client.websocket_connect("/live") as socket,
         client.websocket_connect("/live"),
     ):
         page = Page(socket)
         (shown,) = page.start("greedy")
+        page.send("step")
+        page.until("frames")
         with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
             late.receive_text()
         assert (closed.value.code, closed.value.reason) == (1013, "too many pages are open")
+        # The second of the two does not evict the first, which has no steps either.
         page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
         assert page.until("error")["code"] == "no_room"
         # The place that the first of the two had is free again, and the flight before them is flown on.
         assert client.post("/reset").status_code == 200
         page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        assert client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).json()["step_count"] == 1
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 2
+        assert client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).json()["step_count"] == 2

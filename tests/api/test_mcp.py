@@ -27,10 +27,13 @@ def opened(client: TestClient) -> str:
     return post(client, "openenv/session/create")["result"]["session_id"]
 
 
-CALLS: list[dict[str, Any]] = [
+NO_TOOLS: list[dict[str, Any]] = [
     {},
-    *({"name": name, "arguments": {}} for name in ("none", "fly", ["fly"], None, "x" * 5000)),
-    *({"name": "fly", "arguments": arguments} for arguments in ([], {"route": "UP", "more": 1}, {"x": 1}, None)),
+    *({"name": name, "arguments": {}} for name in ("none", ["fly"], None, "x" * 5000)),
+]
+CALLS: list[dict[str, Any]] = [
+    {"name": "fly"},
+    *({"name": "fly", "arguments": arguments} for arguments in ([], {}, {"route": "UP", "more": 1}, {"x": 1}, None)),
     *({"name": "fly", "arguments": {"route": route}} for route in (None, "SIDEWAYS", "", [], ["UP"] * (MAX_ROUTE + 1))),
     {"name": "look", "arguments": {"x": 1}},
     *({"name": "reset", "arguments": {"seed": seed}} for seed in (2**53, 1e9, "7", -1)),
@@ -41,7 +44,7 @@ WRONG: list[tuple[Any, int]] = [
     ({"jsonrpc": "2.0", "method": ["ping"]}, -32600),
     *((request(method), -32601) for method in ("tools/none", "x" * 5000)),
     ({"jsonrpc": "2.0", "method": "tools/call", "params": []}, -32602),
-    *((request("tools/call", **call), -32602) for call in CALLS),
+    *((request("tools/call", **call), -32602) for call in (*NO_TOOLS, *CALLS)),
 ]
 
 
@@ -58,9 +61,13 @@ def test_an_invalid_request_is_an_error_and_the_flight_goes_on(
             over_http.append(shared_client.post("/mcp", json=call, headers=headers).json())
             socket.send_json(call)
             over_socket.append(socket.receive_json())
+    assert over_socket[2]["error"]["code"] == code
+    if wrong in [request("tools/call", **call) for call in CALLS]:
+        # For a client of MCP it is a result, which a model reads.
+        (told,) = over_http[2].pop("result").pop("content")
+        assert told == {"type": "text", "text": over_socket[2].pop("error")["message"]}
     assert over_http == over_socket
     assert over_http[1] == over_http[3]
-    assert over_http[2]["error"]["code"] == code
 
 
 @pytest.mark.parametrize("path", ["/mcp", "/ws"])
@@ -108,7 +115,6 @@ def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_cli
         socket.send_json({"type": "state"})
         assert socket.receive_json()["data"]["code"] == "EXECUTION_ERROR"
     assert shared_client.post("/mcp", json=request("none")).json()["error"]["code"] == -32601
-    assert post(shared_client, "tools/call", name="look")["error"]["code"] == -32602
     for gone in (session, "none", "\ud800", "", 7):
         body = json.dumps(request("openenv/session/close", session_id=gone))
         answer = shared_client.post("/mcp", content=body, headers={"Content-Type": "application/json"})
@@ -117,9 +123,79 @@ def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_cli
         assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
 
 
-def test_without_room_no_session_is_opened(tmp_path: Path) -> None:
+LOOK = request("tools/call", name="look", arguments=None)
+
+
+def headers(session: str | None = None, version: str | None = None) -> dict[str, str]:
+    named = {"Mcp-Session-Id": session, "MCP-Protocol-Version": version}
+    return {name: value for name, value in named.items() if value is not None}
+
+
+@pytest.mark.parametrize(
+    ("message", "version", "status"),
+    [
+        (LOOK, None, 200),
+        (LOOK | {"id": "a"}, "2025-06-18", 200),
+        ({"jsonrpc": "2.0", "id": 1, "method": "ping", "params": None}, "2025-03-26", 200),
+        ({"jsonrpc": "2.0", "method": "notifications/initialized"}, "2025-11-25", 202),
+        ({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 1}}, None, 202),
+        ({"jsonrpc": "2.0", "id": 1, "result": {}}, None, 202),
+        ({"jsonrpc": "2.0", "id": 1, "error": {"code": -32601, "message": "no roots"}}, None, 202),
+        (request("server/discover"), "2026-07-28", 400),
+        (LOOK, "1999-01-01", 400),
+        (LOOK, "", 400),
+    ],
+)
+def test_a_session_of_mcp_is_found_until_it_is_deleted(
+    shared_client: TestClient, message: Any, version: str | None, status: int
+) -> None:
+    # Some clients start again with the session that is gone.
+    begun = shared_client.post("/mcp", json=request("initialize"), headers=headers("gone"))
+    named = headers(begun.headers["Mcp-Session-Id"], version)
+    answer = shared_client.post("/mcp", json=message, headers=named)
+    assert answer.status_code == status
+    assert (answer.content == b"") == (status == 202)
+    if status == 400:
+        # A client of a newer version then tries `initialize`.
+        assert answer.json()["error"]["code"] == -32600
+        assert "2025-11-25, 2025-06-18" in answer.json()["error"]["message"]
+        assert shared_client.delete("/mcp", headers=named).status_code == 400
+        return
+    assert shared_client.delete("/mcp", headers=named).status_code == 204
+    for late in (
+        shared_client.post("/mcp", json=message, headers=named),
+        shared_client.delete("/mcp", headers=named),
+        shared_client.post("/mcp", json=message, headers=headers("never")),
+    ):
+        assert (late.status_code, late.json()["error"]["code"]) == (404, -32001)
+
+
+@pytest.mark.parametrize(
+    ("asked", "version"),
+    [("2025-06-18", "2025-06-18"), ("2024-11-05", "2024-11-05"), ("1999-01-01", "2025-11-25"), ([1], "2025-11-25")],
+)
+def test_the_version_is_negotiated(shared_client: TestClient, asked: Any, version: str) -> None:
+    assert post(shared_client, "initialize", protocolVersion=asked)["result"]["protocolVersion"] == version
+
+
+def test_a_call_without_a_session_and_a_stream_are_refused(shared_client: TestClient) -> None:
+    answer = shared_client.post("/mcp", json=LOOK)
+    assert (answer.status_code, answer.json()["error"]["code"]) == (400, -32602)
+    assert "Mcp-Session-Id" in answer.json()["error"]["message"]
+    assert shared_client.delete("/mcp").status_code == 400
+    assert shared_client.post("/mcp/", json=request("ping"), follow_redirects=False).status_code == 200
+    stream = shared_client.get("/mcp", headers={"Accept": "text/event-stream"})
+    assert (stream.status_code, stream.headers["Allow"]) == (405, "DELETE, POST")
+    foreign = {"Origin": "https://elsewhere.example"}
+    assert shared_client.post("/mcp", json=request("ping"), headers=foreign).status_code == 403
+
+
+def test_a_session_without_steps_gives_way_to_a_new_one(tmp_path: Path) -> None:
+    """Some clients of MCP initialize before every call, and delete nothing."""
     with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
-        assert "Mcp-Session-Id" in client.post("/mcp", json=request("initialize", protocolVersion=[1])).headers
+        for _ in range(3):
+            begun = client.post("/mcp", json=request("initialize")).headers["Mcp-Session-Id"]
+        client.post("/mcp", json=request("tools/call", name="fly", arguments={"route": "UP"}), headers=headers(begun))
         for method in ("openenv/session/create", "initialize"):
             refused = client.post("/mcp", json=request(method))
             assert refused.json()["error"]["code"] == -32000

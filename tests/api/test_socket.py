@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,28 @@ def test_one_connection_more_than_there_is_room_for_is_told_so(tmp_path: Path) -
                 second.receive_text()
         assert closed.value.code == 1013
         assert ask(first, {"type": "state"})["type"] == "state"
+
+
+@pytest.mark.parametrize("path", ["/ws", "/live"])
+def test_an_address_opens_as_many_sockets_as_are_free_for_others(tmp_path: Path, path: str) -> None:
+    app = create_app(Settings(data=tmp_path, capacity=4))
+
+    def opens(client: TestClient) -> bool:
+        socket = opened.enter_context(client.websocket_connect(path))
+        socket.send_json({"type": "state"} if path == "/ws" else {"type": "subscribe", "topics": ["requests"]})
+        try:
+            return "CAPACITY_REACHED" not in socket.receive_text()
+        except WebSocketDisconnect:
+            return False
+
+    with TestClient(app, client=("192.0.2.1", 1)) as one, ExitStack() as opened:
+        # All addresses of an IPv6 network belong to one host.
+        network = [TestClient(app, client=(f"2001:db8::{number}", 1)) for number in (1, 2)]
+        another = TestClient(app, client=("192.0.2.2", 1))
+        for other in (*network, another):
+            other.portal = one.portal
+        clients = [one, one, one, *network, another, another]
+        assert [opens(client) for client in clients] == [True, True, False, True, False, True, False]
 
 
 def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: Clock) -> None:

@@ -23,6 +23,8 @@ def test_no_route_shows_a_hint(tmp_path: Path) -> None:
     best = solve("hard", 7)
     with TestClient(create_app(Settings(data=tmp_path, withhold_hints=True))) as client:
         bodies = BODIES | {"/reset": {"task_name": "hard", "seed": 7}}
+        named = {"Mcp-Session-Id": client.post("/reset", headers={"X-Session-Id": "new"}).json()["session_id"]}
+        client.cookies.clear()
         client.post("/reset", json=bodies["/reset"])
         described = client.get("/openapi.json").json()["paths"]
         assert set(described) > SERVED
@@ -32,7 +34,7 @@ def test_no_route_shows_a_hint(tmp_path: Path) -> None:
         routes = [(method, path) for path, methods in described.items() for method in methods]
         for method, path in sorted([*routes, *pages], reverse=True):
             filled = path.format(task_name="hard", seed=7, episode_id="0" * 16)
-            answer = client.request(method, filled, json=bodies.get(path))
+            answer = client.request(method, filled, json=bodies.get(path), headers=named)
             if path in SERVED:
                 assert answer.status_code in (200, 204), (method, path, answer.text)
                 assert str(best.score) not in answer.text

@@ -115,6 +115,9 @@ def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) ->
     assert pool.submit(abs, -3, caller="a").result() == 3, "the process died before the job"
     with pytest.raises(RequestError, match="the server failed"):
         pool.submit(signal.raise_signal, signal.SIGKILL, caller="a").result()
+    with pytest.raises(RequestError, match="was stopped: try again later") as stopped:
+        pool.submit(signal.raise_signal, signal.SIGTERM, caller="a").result()
+    assert stopped.value.status == 503
 
 
 def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Path, tmp_path: Path) -> None:
@@ -152,7 +155,6 @@ def test_too_many_jobs_are_refused_by_caller_and_in_all(
     pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers, "WAITING", 3)
-    monkeypatch.setattr(workers, "WAITING_PER_CALLER", 2)
     running = pool.submit(wait_at, gate, caller="a")
     eventually(running.running)
     waiting = [pool.submit(abs, -3, caller="a") for _ in range(2)]

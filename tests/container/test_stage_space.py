@@ -1,12 +1,15 @@
 """The staged Space, from a clean export of the repository, by OpenEnv's own checks."""
 
+import asyncio
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 import yaml
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from tests.package.installed import copy_tracked
 from tests.tools import tracked
@@ -65,8 +68,23 @@ def test_openenv_takes_it_and_leaves_the_page_and_the_start_as_they_are(space: P
     assert front_matter(pushed / "README.md")["base_path"] == "/"
     known = instructions(pushed / "Dockerfile")
     assert [json.loads(rest) for name, rest in known if name == "CMD"] == [START]
-    assert ("ENV", "FORWARDED_ALLOW_IPS=*") in known
+    (trusted,) = [rest.split("=")[1] for name, rest in known if name == "ENV" and rest.startswith("FORWARDED")]
+    assert address_of(trusted, "198.51.100.1, 203.0.113.9, 10.1.2.3") == "203.0.113.9"
+    assert address_of(trusted, "10.9.9.9, 203.0.113.9") == "203.0.113.9"
     assert "/health" in dict(known)["HEALTHCHECK"]
+
+
+def address_of(trusted: str, forwarded: str) -> str:
+    """The address of a visitor whose request the proxy forwards with this `X-Forwarded-For`."""
+    seen: list[str] = []
+
+    async def app(scope: Any, *_: object) -> None:
+        seen.append(scope["client"][0])
+
+    headers = [(b"x-forwarded-for", forwarded.encode())]
+    scope: Any = {"type": "http", "client": ("10.20.0.1", 1), "scheme": "http", "headers": headers}
+    asyncio.run(ProxyHeadersMiddleware(app, trusted)(scope, cast(Any, None), cast(Any, None)))
+    return seen[0]
 
 
 def test_all_sources_are_pushed(pushed: Path) -> None:

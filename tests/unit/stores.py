@@ -21,8 +21,15 @@ def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile
     return episode
 
 
-def opened(store: Store, task: str = "easy_delivery", seed: int = 7, capacity: int = 256) -> str:
-    return store.open_session(Episode(task, "tiered", seed), "someone", capacity)
+def opened(
+    store: Store, task: str = "easy_delivery", seed: int = 7, capacity: int = 256, owner: str = "", steps: int = 0
+) -> str:
+    session_id = store.open_session(Episode(task, "tiered", seed), "someone", capacity, owner=owner)
+    if steps:
+        with store.session(session_id) as row:
+            for _ in range(steps):
+                advance(row, 4)
+    return session_id
 
 
 def finish_in(row: Session, episode: Episode) -> None:

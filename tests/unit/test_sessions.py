@@ -58,7 +58,7 @@ def test_ids_are_long_random_and_kept_from_others(store: Store) -> None:
 def test_of_the_finished_the_one_that_was_not_used_for_longest_gives_way(tmp_path: Path) -> None:
     now = 1_000_000.0
     with Store(tmp_path, lambda: now) as store:
-        ids = [opened(store, capacity=3) for _ in range(3)]
+        ids = [opened(store, capacity=3, steps=1) for _ in range(3)]
         for session_id in (ids[1], ids[0]):
             now += 10
             with store.session(session_id) as row:
@@ -72,6 +72,39 @@ def test_of_the_finished_the_one_that_was_not_used_for_longest_gives_way(tmp_pat
         with pytest.raises(NoSessionError):
             store.read_session(ids[1])
         assert [store.read_session(id_).id for id_ in (ids[0], ids[2])] == [ids[0], ids[2]]
+
+
+def test_a_session_without_steps_gives_way_first_and_an_address_keeps_to_its_share(tmp_path: Path) -> None:
+    now = 1_000_000.0
+
+    def opened_by(owner: str, steps: int = 0) -> str:
+        nonlocal now
+        now += 1
+        return opened(store, capacity=8, owner=owner, steps=steps)
+
+    with Store(tmp_path, lambda: now) as store:
+        held = {owner: [opened_by(owner) for _ in range(20)] for owner in ("greedy", "second")}
+        # The greedy one has half of the places, the second half of the rest; each evicts only its own.
+        left = {owner: [id_ for id_ in ids if _is_open(store, id_)] for owner, ids in held.items()}
+        assert left == {"greedy": held["greedy"][-4:], "second": held["second"][-2:]}
+        flying = [opened_by("greedy", steps=1) for _ in range(4)]
+        with pytest.raises(CapacityError, match="4 of 8 sessions, its share"):
+            opened_by("greedy")
+        newcomers = [opened_by(name, steps=1) for name in ("a", "b")]
+        # Now all places are taken: a newcomer gets that of a session without steps.
+        assert store.count_sessions() == 8
+        newcomers += [opened_by(name, steps=1) for name in ("c", "d")]
+        assert not any(_is_open(store, id_) for id_ in held["second"])
+        assert all(_is_open(store, id_) for id_ in (*flying, *newcomers))
+        with pytest.raises(CapacityError, match="all 8 sessions are taken"):
+            opened_by("e")
+
+
+def _is_open(store: Store, session_id: str) -> bool:
+    try:
+        return store.read_session(session_id).id == session_id
+    except NoSessionError:
+        return False
 
 
 @pytest.mark.parametrize("session_id", ["", "nobody", "\ud800", "' OR 1=1"])

@@ -148,16 +148,28 @@ def test_many_may_open_a_new_folder_at_once(tmp_path: Path) -> None:
     assert len(view(tmp_path / "new")) == 8
 
 
-def test_a_store_that_stays_busy_is_an_error(tmp_path: Path) -> None:
+def test_a_store_that_stays_busy_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr("drone_env.results.database.time.sleep", waits.append)
     with Store(tmp_path, busy_seconds=0.1) as store:
         session_id = opened(store)
         other = sqlite3.connect(tmp_path / FILE_NAME, isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(StoreError, match="locked"), store.session(session_id):
             pytest.fail("the block must not be entered")
+        # Those behind it in the queue have waited, too.
+        assert waits
+        waits.clear()
+        with pytest.raises(StoreError, match="locked"), store.session(session_id):
+            pytest.fail("the block must not be entered")
+        assert not waits
+        with pytest.raises(StoreError, match="last write failed"):
+            store.check()
         assert store.read_session(session_id).actions == ()
         other.execute("ROLLBACK")
         other.close()
+        store.expire_sessions(60)
+        store.check()
         with store.session(session_id) as row:
             advance(row, 4)
         assert store.read_session(session_id).actions == (4,)

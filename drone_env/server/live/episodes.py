@@ -49,7 +49,7 @@ class LiveEpisode:
     Args:
         row: The session.
         shared: The parts of the server.
-        caller: The address of the page, for the queue of the workers.
+        caller: The address of the page.
 
     Raises:
         EpisodeError: if the agent of the session is not a pilot of the page.
@@ -360,7 +360,8 @@ def _open(
     try:
         for agent, beginning in zip(agents, beginnings, strict=True):
             options = ResetOptions(task_name=task, seed=start.seed, reward_profile=profile, agent=agent)
-            session, _ = shared.sessions.reset(None, options)
+            own = [live.row.id for live in opened]
+            session, _ = shared.sessions.reset(None, options, owner=caller, keep=own)
             live = LiveEpisode(shared.sessions.read(session), shared, caller)
             opened.append(live)
             actions, frames, planned = beginning or ((), None, None)

@@ -18,6 +18,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.errors import TooLargeError, UnknownNameError
+from drone_env.results.sessions import in_share
 from drone_env.server.exceptions import FAILED, status_of
 from drone_env.server.frames import Frame
 from drone_env.server.json_routes import LARGE, TRY_LATER, received
@@ -54,7 +55,8 @@ class LiveSocket:
         # Clients may disconnect at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
-            if len(self.pages) >= self.shared.settings.capacity:
+            own = sum(page.caller == caller_address(socket) for page in self.pages)
+            if not in_share(own, len(self.pages), self.shared.settings.capacity):
                 await socket.close(TRY_LATER, TOO_MANY_PAGES)
                 return
             page = Page(socket, self.shared)
@@ -84,7 +86,7 @@ class Page:
         self.speed = SPEED
         self._socket = socket
         self._shared = shared
-        self._caller = caller_address(socket)
+        self.caller = caller_address(socket)
         self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
@@ -148,11 +150,11 @@ class Page:
                     self._values_due.set()
                 case Start():
                     last = self.episodes[0].episode if self.episodes else None
-                    opened = await open_flights(command, self._shared, self._caller, last)
+                    opened = await open_flights(command, self._shared, self.caller, last)
                     await self._replace(opened, command.number)
                 case Attach():
                     sessions = dict.fromkeys(command.sessions)
-                    opened = [await attach(session, self._shared, self._caller) for session in sessions]
+                    opened = [await attach(session, self._shared, self.caller) for session in sessions]
                     await self._replace(opened, command.number)
                 case Plain():  # "end"
                     await self._replace([], None)

@@ -222,11 +222,11 @@ def pilots(shared: AppStateDep) -> PilotList:
 @router.head("/health", include_in_schema=False)
 @router.get("/health", responses=error_responses(503))
 async def health(shared: AppStateDep) -> Health:
-    """Whether the server works and its files are in place; requires no token."""
+    """Whether the server works and can store steps; requires no token."""
     try:
         shared.store.check()
     except StoreError:
         # The error itself would reveal the folder.
-        why = "files of the data folder were deleted, moved or replaced while in use: nothing more is stored"
-        raise RequestError(503, "store", f"{why} until they are back or the server restarts") from None
+        why = "nothing can be stored: the disk is full, or files of the data folder are locked, or were deleted, moved"
+        raise RequestError(503, "store", f"{why} or replaced while in use; the server's log says more") from None
     return Health(version=__version__)

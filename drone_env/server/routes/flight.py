@@ -40,7 +40,7 @@ from drone_env.server.json_routes import LARGE_BODY, JsonRequest, JsonRoute
 from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
 from drone_env.server.sessions import COOKIE, HEADER, LONGEST_ID, Caller
-from drone_env.server.state import SESSION_ERRORS, AppState, AppStateDep, CallerDep
+from drone_env.server.state import SESSION_ERRORS, AppState, AppStateDep, CallerDep, caller_address
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
 STEP_HEADER = "x-step-count"
@@ -186,7 +186,7 @@ def reset(
     `episode_id`, as from OpenEnv's clients, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
-    session, episode = shared.sessions.reset(caller.named, options, caller.address)
+    session, episode = shared.sessions.reset(caller.named, options, caller.address, caller_address(request))
     first = flat_json(episode) if options.episode_id is None else openenv_json(episode, None)
     # Not validated again, for speed; tests compare it with the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
