@@ -25,8 +25,6 @@ The bound limits memory and traffic: the server stores, sends and copies each st
 """
 DEFAULT_MAPS = 1000
 """Maximum number of stored maps, unless the settings set another."""
-SHARE = 10
-"""A stranger may store 1 / SHARE of the maps."""
 
 
 def name_of(content: bytes) -> str:
@@ -64,17 +62,15 @@ class DrawnMaps:
     def __init__(self, folder: Path, most: int | None) -> None:
         self._folder, self._most = folder, most
         self._read = lru_cache(maxsize=128)(_read)
-        self._strangers: dict[str, str] = {}
-        """The address of the stranger who drew a map, by its name; in this process only."""
         self._lock = threading.Lock()
 
-    def keep(self, text: str, task: TaskConfig, stranger: str | None) -> None:
+    def keep(self, text: str, task: TaskConfig, trusted: bool) -> None:
         """Store a map, unless it is stored already.
 
         Args:
             text: The file of its city.
             task: Its task, whose id is `name_of` the text.
-            stranger: The address of an untrusted caller, None for a trusted one.
+            trusted: Whether the caller may store maps without a setting that allows it.
 
         Raises:
             RequestError: if this server stores no maps.
@@ -83,18 +79,16 @@ class DrawnMaps:
         with self._lock:
             if self.find(task.id) is not None:
                 return
-            most = self._most if self._most is not None else DEFAULT_MAPS if stranger is None else 0
+            most = self._most if self._most is not None else DEFAULT_MAPS if trusted else 0
             if most == 0:
                 detail = "this server keeps no drawn maps: save yours as a file, and fly it on a server of your own"
                 raise RequestError(403, "maps_off", detail)
             try:
-                self._make_room(most, stranger)
+                self._make_room(most)
                 self._folder.mkdir(parents=True, exist_ok=True)
                 write_text(self._file(task.id), text)
             except OSError as error:
                 raise StoreError(f"the map could not be stored: {error.strerror}") from error
-            if stranger is not None:
-                self._strangers[task.id] = stranger
 
     def find(self, name: str) -> TaskConfig | None:
         """The task of a map by its id or grader, None if there is no such map.
@@ -119,15 +113,11 @@ class DrawnMaps:
         except OSError as error:
             raise StoreError(f"the map {match[1]!r} could not be read: {error.strerror}") from error
 
-    def _make_room(self, most: int, stranger: str | None) -> None:
-        """Delete maps until there is room for another: a stranger's own if they have reached their share."""
-        used = {file.stem: file.stat().st_mtime_ns for file in self._folder.glob("drawn_*.toml")}
-        self._strangers = {name: address for name, address in self._strangers.items() if name in used}
-        own = [name for name, address in self._strangers.items() if address == stranger]
-        excess = len(own) - max(1, most // SHARE) + 1
-        names, count = (own, excess) if stranger is not None and excess > 0 else (used, len(used) - most + 1)
-        for name in sorted(names, key=used.__getitem__)[: max(0, count)]:
-            self._file(name).unlink(missing_ok=True)
+    def _make_room(self, most: int) -> None:
+        """Delete the least recently used maps until there is room for another."""
+        used = {file: file.stat().st_mtime_ns for file in self._folder.glob("drawn_*.toml")}
+        for file in sorted(used, key=used.__getitem__)[: max(0, len(used) - most + 1)]:
+            file.unlink(missing_ok=True)
 
     def _file(self, name: str) -> Path:
         return self._folder / f"{name}.toml"

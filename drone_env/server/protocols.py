@@ -17,8 +17,6 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from drone_env.server.security import network_of
-
 log = logging.getLogger(__name__)
 
 REQUEST_SECONDS = 30.0
@@ -57,7 +55,7 @@ class Http(HttpToolsProtocol):
         self._in_head = True
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
         self._refusal = INVALID
-        self.address = "" if self.client is None else network_of(self.client[0])
+        self.address = "" if self.client is None else self.client[0]
         """The address of the other side."""
         self._used_at = time.monotonic()
         # uvicorn would refuse requests while the tasks of closed connections end.

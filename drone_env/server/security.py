@@ -184,25 +184,10 @@ def shared_address(scope: Scope) -> str | None:
     return client[0]
 
 
-def stranger_address(scope: Scope, host: str) -> str | None:
-    """Return `network_of` a caller, or None if only this machine can reach the server; a proxy forwards strangers."""
+def is_stranger(scope: Scope, host: str) -> bool:
+    """Return whether a caller may be on another machine; a proxy forwards such callers."""
     client = (scope.get("client") or ("unknown",))[0].lower()
-    if not _comes_through_proxy(scope) and is_local_name(client) and listens_on_loopback(scope, host):
-        return None
-    return network_of(client)
-
-
-@lru_cache(maxsize=1024)
-def network_of(client: str) -> str:
-    """Return an address; for IPv6 its /64 network, because one host owns all addresses there."""
-    try:
-        address = ipaddress.ip_address(client)
-    except ValueError:
-        return client
-    if isinstance(address, ipaddress.IPv4Address):
-        return client
-    mapped = address.ipv4_mapped
-    return str(ipaddress.ip_network((address, 64), strict=False)) if mapped is None else str(mapped)
+    return _comes_through_proxy(scope) or not (is_local_name(client) and listens_on_loopback(scope, host))
 
 
 def _comes_through_proxy(scope: Scope) -> bool:

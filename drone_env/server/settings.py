@@ -57,8 +57,8 @@ class Settings(BaseSettings):
     maps: int | None = Field(
         default=None,
         ge=0,
-        description="Most stored maps of the editor; the least recently used one is evicted first. One address stores "
-        "at most a tenth. If empty, 1000 for callers with a token or on this machine, and none for others.",
+        description="Most stored maps of the editor; the least recently used one is evicted first. If "
+        "empty, 1000 for callers with a token or on this machine, and none for others.",
     )
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."

@@ -16,7 +16,6 @@ from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.logs import RequestLog
 from drone_env.server.model_runs import StoredRuns
 from drone_env.server.pilots import Networks
-from drone_env.server.security import network_of
 from drone_env.server.sessions import HEADER, LONGEST_ID, Caller, Sessions
 from drone_env.server.settings import Settings
 from drone_env.server.workers import Workers
@@ -103,7 +102,7 @@ class AppState:
 
 def caller_address(connection: HTTPConnection) -> str:
     """Return the address of a client, which has a share of what is limited, or "" if it is unknown."""
-    return "" if connection.client is None else network_of(connection.client.host)
+    return "" if connection.client is None else connection.client.host
 
 
 async def _disconnected(request: Request) -> None:

@@ -127,18 +127,6 @@ def test_the_map_that_was_not_used_for_longest_makes_room_and_is_unknown_from_th
         assert again.get(f"/tasks/{second}").status_code == 404
 
 
-def test_one_stranger_keeps_a_tenth_of_the_maps(settings: dict[str, Any]) -> None:
-    app = create_app(Settings(data=settings["data"], maps=20))
-    with TestClient(app, client=("192.0.2.1", 1)) as one:
-        other, neighbour = (TestClient(app, client=(f"2001:db8::{end}", 1)) for end in (1, 2))
-        theirs = answer(other, "/maps", at(0))["task"]["id"]
-        mine = [answer(one, "/maps", at(start))["task"]["id"] for start in (1, 2, 3)]
-        assert [one.get(f"/tasks/{task}").status_code for task in (theirs, *mine)] == [200, 404, 200, 200]
-        for start in (4, 5):
-            answer(neighbour, "/maps", at(start))
-        assert one.get(f"/tasks/{theirs}").status_code == 404
-
-
 @pytest.mark.parametrize(
     ("host", "client", "headers", "token", "status"),
     [

@@ -22,7 +22,7 @@ from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.routes.replay import best_flight
-from drone_env.server.security import stranger_address
+from drone_env.server.security import is_stranger
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
@@ -150,9 +150,9 @@ async def keep_map(request: Request, shared: AppStateDep, drawn: Annotated[Drawn
     Callers find it by its name; no list contains it. If the server is full, it deletes the least recently used map.
     """
     settings = shared.settings
-    stranger = None if settings.token is not None else stranger_address(request.scope, settings.host)
+    trusted = settings.token is not None or not is_stranger(request.scope, settings.host)
     text, task = await shared.work(request, _checked, drawn)
-    await run_in_threadpool(shared.maps.keep, text, task, stranger)
+    await run_in_threadpool(shared.maps.keep, text, task, trusted)
     return await run_in_threadpool(describe, task, shared)
 
 
