@@ -18,7 +18,7 @@ class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, DroneState]):
                 result = env.step(DroneAction(direction="RIGHT"))
 
     Options of `reset`: `seed`, `episode_id`, `task_name`, `reward_profile`, `prompt`, `agent`, or `split` and `index`.
-    The `metadata` of a result contains `reward_profile`, `flown` after a step, `prompt`, and `messages`.
+    The `metadata` of a result contains `reward_profile`, `flown` after a step, and `prompt`.
     """
 
     def _step_payload(self, action: object) -> dict[str, Any]:
@@ -28,7 +28,7 @@ class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, DroneState]):
 
     def _parse_result(self, payload: dict[str, Any]) -> StepResult[DroneObservation]:
         fields = dict(payload["observation"])
-        metadata = fields.pop("metadata") | {name: fields.pop(name) for name in ("prompt", "messages")}
+        metadata = fields.pop("metadata") | {"prompt": fields.pop("prompt")}
         observation = DroneObservation(**fields, done=payload["done"])
         return StepResult(observation=observation, reward=payload["reward"], done=payload["done"], metadata=metadata)
 

@@ -98,7 +98,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.include_router(flight.stepping)
     for routes in (flight, catalogue, history, compare, runs, replay, maps, page, openenv):
         app.include_router(routes.router)
-    for path in ("/ws", "/mcp", "/{task}/{prompt}/ws"):
+    for path in ("/ws", "/mcp"):
         app.router.routes.append(WebSocketRoute(path, socket))
     app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app)

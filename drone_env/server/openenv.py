@@ -17,13 +17,10 @@ from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
-from drone_env.llm.prompt import get_prompt
 from drone_env.models import DroneState
 from drone_env.results.sessions import in_share
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
-from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.mcp import rpc, step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
@@ -92,19 +89,13 @@ class OpenEnvSocket:
 
     async def _open(self, socket: WebSocket) -> OpenEnvSession:
         """Return the session of a connection: its own, or the stored one that the URL names."""
-        stored, path = socket.query_params.get("session_id"), socket.scope.get("path_params")
-        task, prompt = DEFAULT_TASK, None
-        try:
-            if path:
-                named = OpenEnvReset(task_name=path["task"], prompt=path["prompt"])
-                task = get_task(str(named.task_name)).id
-                prompt = await asyncio.to_thread(get_prompt, str(named.prompt))
-            session = OpenEnvSession(self.shared, stored, task, prompt)
-            if stored is not None:
+        stored = socket.query_params.get("session_id")
+        session = OpenEnvSession(self.shared, stored)
+        if stored is not None:
+            try:
                 await session.look()
-        except (DroneEnvError, ValidationError) as error:
-            message = text_of(error) if isinstance(error, ValidationError) else str(error)
-            raise RefusedError("SESSION_ERROR", message) from None
+            except DroneEnvError as error:
+                raise RefusedError("SESSION_ERROR", str(error)) from None
         return session
 
     async def _serve(self, socket: WebSocket, session: OpenEnvSession) -> None:

@@ -11,7 +11,7 @@ from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.llm.text_episode import status_text
 from drone_env.models import openenv_json
 from drone_env.results.sessions import Session, advance, flight_of
-from drone_env.server.map_choice import DEFAULT_TASK, start_episode
+from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import AppState
@@ -27,20 +27,16 @@ def flown_text(episode: Episode, flown: int) -> str:
     return f"Flown: {flown}. {episode.message} Step: {episode.steps}. {status_text(episode)}"
 
 
-def openenv_fields(
-    episode: Episode, prompt: Prompt | None, metadata: dict[str, Any], feedback: str = ""
-) -> dict[str, Any]:
+def openenv_fields(episode: Episode, prompt: Prompt | None, metadata: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a `WireObservation` that no `DroneObservation` has, without `reward`.
 
     Args:
         episode: The episode.
         prompt: The prompt of the reset.
         metadata: Further fields of `metadata`.
-        feedback: All text so far for a client of TextArena.
     """
     return {
         "prompt": "" if prompt is None else full_text(prompt, episode),
-        "messages": [{"sender_id": 0, "content": feedback, "category": "FEEDBACK"}] if feedback else [],
         "metadata": {"reward_profile": episode.reward_profile.id, **metadata},
     }
 
@@ -51,20 +47,13 @@ class OpenEnvSession:
     Args:
         shared: The parts of the server.
         stored: Id of the stored session; None for one in memory, which starts with its first reset.
-        task: The task of a reset that names none.
-        text: The prompt of a reset that names none. `messages` then contain all text so far, as TextArena's do.
     """
 
-    def __init__(
-        self, shared: AppState, stored: str | None = None, task: str = DEFAULT_TASK, text: Prompt | None = None
-    ) -> None:
+    def __init__(self, shared: AppState, stored: str | None = None) -> None:
         self._shared = shared
         self._stored = stored
-        self._task = task
-        self._text = text
         self._session: Session | None = None
         self._prompt: Prompt | None = None
-        self._feedback = ""
         self._last: tuple[float, int] = 0.0, 0
         self.episode_id = str(uuid.uuid4())
         """The id from the last reset."""
@@ -77,18 +66,16 @@ class OpenEnvSession:
         """
         named = options.prompt if isinstance(options, OpenEnvReset) else None
         # Reading a prompt loads Jinja, which takes 0.1 s.
-        prompt = self._text if named is None else await asyncio.to_thread(get_prompt, named)
+        prompt = None if named is None else await asyncio.to_thread(get_prompt, named)
         agent = options.agent or ANONYMOUS
         if self._stored is None:
             last = None if self._session is None else self._session.seed
-            episode = start_episode(options, last, self._task)
+            episode = start_episode(options, last)
             self._session = Session("", *flight_of(episode), agent, episode=episode)
         else:
-            episode = await self._use(
-                lambda session: session.begin(start_episode(options, session.seed, self._task), agent)
-            )
+            episode = await self._use(lambda session: session.begin(start_episode(options, session.seed), agent))
         self.episode_id = str(uuid.uuid4()) if options.episode_id is None else options.episode_id
-        self._prompt, self._feedback = prompt, ""
+        self._prompt = prompt
         return episode
 
     async def fly(self, route: str) -> tuple[Episode, float, int]:
@@ -116,18 +103,10 @@ class OpenEnvSession:
     async def observation(self, episode: Episode, reward: float | None, **metadata: int) -> str:
         """Return an observation as JSON in OpenEnv's format, with the text that the reset named."""
         if self._prompt is None:
-            fields = self._fields(episode, metadata)
+            fields = openenv_fields(episode, None, metadata)
         else:  # takes milliseconds, and some prompts compile code
-            fields = await asyncio.to_thread(self._fields, episode, metadata)
+            fields = await asyncio.to_thread(openenv_fields, episode, self._prompt, metadata)
         return openenv_json(episode, reward, **fields)
-
-    def _fields(self, episode: Episode, metadata: dict[str, int]) -> dict[str, Any]:
-        flown = metadata.get("flown")
-        if self._text is not None and flown is None:
-            self._feedback = full_text(self._text, episode)
-        elif self._text is not None and flown:
-            self._feedback += f"\n{flown_text(episode, flown)}"
-        return openenv_fields(episode, self._prompt, metadata, self._feedback)
 
     async def _use(self, change: Callable[[Session], object]) -> Episode:
         """Call a function with the session, store what ended, and return the episode."""

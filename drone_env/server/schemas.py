@@ -1,6 +1,5 @@
 """The requests that fly, and OpenEnv's messages, as Pydantic models."""
 
-import re
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, cast
 
@@ -94,11 +93,6 @@ class WireAction(DroneAction):
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
 
 
-BRACKETED = re.compile(r"\[([A-Za-z ,]*)\]")
-OTHER_FORMS = {"route": set[str](), "message": set[str](), "action_id": {"game_name", "game_params"}}
-"""Other names of `direction`, and the fields beside them: of this server, of TextArena's and of OpenSpiel's clients."""
-
-
 def route_text(value: object) -> str:
     """Return the names of the actions of a route, separated by spaces.
 
@@ -109,8 +103,7 @@ def route_text(value: object) -> str:
         ValueError: if it is anything else, empty, or longer than `MAX_ROUTE`.
     """
     if isinstance(value, str):
-        bracketed = BRACKETED.fullmatch(value.strip())
-        reading = read_answer(Answer(text=bracketed[1] if bracketed else value), plan=True)
+        reading = read_answer(Answer(text=value), plan=True)
         if reading.kind != "ok":
             raise ValueError(f"{reading.reason}; actions: {', '.join(Action.__members__)}")
         value = [action.name for action in reading.actions]
@@ -145,9 +138,8 @@ class RouteAction(Message):
         if not isinstance(data, dict):
             return {"direction": data}
         fields = cast(dict[str, Any], data)
-        name = next((name for name in OTHER_FORMS if name in fields and "direction" not in fields), "direction")
-        ignored = OTHER_FORMS.get(name, set[str]())
-        return {"direction" if key == name else key: fields[key] for key in fields if key not in ignored}
+        named = "route" if "route" in fields and "direction" not in fields else "direction"
+        return {"direction" if key == named else key: value for key, value in fields.items()}
 
 
 def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:
@@ -174,7 +166,6 @@ class WireObservation(DroneObservation):
 
     reward: float | None = Field(default=None, description="Sum of the rewards of the step; null after a reset.")
     prompt: str = Field(default="", description="Rules and observation as text, if the reset named a prompt.")
-    messages: list[dict[str, Any]] = Field(default=[], description="All text so far, on paths that name a prompt.")
     metadata: dict[str, Any] = Field(
         default_factory=dict[str, Any],
         description="`reward_profile`, which pays; after a step also `flown`, the number of actions flown.",

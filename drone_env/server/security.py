@@ -22,7 +22,7 @@ OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
 WITHOUT_HINTS = re.compile(
     r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
-    rf"|(grade|tasks|{ENV_NAME})/?.*|(.+/)?ws)"
+    rf"|(grade|tasks|{ENV_NAME})/?.*|ws)"
 )
 """The paths of a server that withholds hints. All others, such as `/values` and `/live`, may show a better flight."""
 POLICY_VIOLATION = 1008

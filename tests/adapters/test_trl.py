@@ -15,7 +15,6 @@ from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import DatasetConfig
 from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
-from tests.api.serving import serving
 
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
 ROUTE = '<tool_call>\n{{"name": "fly_route", "arguments": {{"directions": {}}}}}\n</tool_call>'
@@ -131,68 +130,6 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     assert all('"name": "fly_route"' in text and '"enum": ["UP"' in text for text in asked)
     assert any("Mission accomplished" in text for text in asked)
     assert any("'NORTH' is not an action" in text for text in asked)
-
-
-@pytest.mark.timeout(600)
-@pytest.mark.filterwarnings("ignore")
-def test_environments_like_those_of_its_openenv_examples_fly_over_the_server(tmp_path: Path) -> None:
-    """`wordle.py` and `catch.py` with another URL and prompt. No package contains these scripts or their clients."""
-    from datasets import Dataset
-    from openenv import GenericEnvClient
-
-    class Client(GenericEnvClient):
-        def _step_payload(self, action: str | int) -> dict[str, Any]:
-            words = {"message": action}
-            return words if isinstance(action, str) else {"action_id": action, "game_name": "catch", "game_params": {}}
-
-    class Drone:
-        def __init__(self) -> None:
-            self.client = Client(base_url=f"{server.url}/easy/minimal")
-            flights.append(self)
-
-        def reset(self, **_: Any) -> str:
-            self.told, self.reward = "", 0.0
-            return self._new(self.client.reset())
-
-        def guess(self, guess: str) -> str:
-            """Fly.
-
-            Args:
-                guess: Directions in brackets.
-            """
-            return self._new(self.client.step(guess))
-
-        def move(self, direction: str) -> str:
-            """Fly.
-
-            Args:
-                direction: left or right.
-            """
-            return self._new(self.client.step({"left": 0, "right": 2}[direction]))
-
-        def _new(self, result: Any) -> str:
-            before, self.told = self.told, result.observation["messages"][0]["content"]
-            self.reward = result.reward
-            return self.told[len(before) :]
-
-    def call(name: str, **arguments: str) -> str:
-        return f"<tool_call>\n{json.dumps({'name': name, 'arguments': arguments})}\n</tool_call>"
-
-    def best() -> Any:
-        return solve("easy", flights[0].client.state()["seed"])
-
-    flights: list[Any] = []
-    said = [
-        [lambda: call("guess", guess=f"[{' '.join(action.name for action in best().actions)}]"), "Done."],
-        [call("move", direction="left"), call("guess", guess=f"[{' WAIT' * 59}]"), "Done."],
-    ]
-    data = Dataset.from_dict({"prompt": [[{"role": "user", "content": "Fly."}]]})
-    with serving(tmp_path / "data") as server:
-        trainer, asked = scripted(
-            said, tmp_path, data, lambda environments, **_: [one.reward for one in environments], Drone
-        )
-        assert trained(trainer)["reward"] == pytest.approx((best().score + 0.01) / 2)
-    assert any("Mission accomplished" in text for text in asked)
 
 
 @pytest.mark.timeout(600)

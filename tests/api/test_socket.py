@@ -193,7 +193,7 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
 
 
 @pytest.mark.parametrize(
-    "action", ["UP up WAIT", "[UP, UP, WAIT]", 0, {"direction": 0}, {"route": ["UP", 0, 4]}, {"message": "UP UP WAIT"}]
+    "action", ["UP up WAIT", "[UP, UP, WAIT]", 0, {"direction": 0}, {"route": ["UP", 0, 4]}, {"route": "UP UP WAIT"}]
 )
 def test_an_action_is_a_number_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
     episode = Episode("easy", "tiered", 7)

@@ -42,8 +42,8 @@ def test_no_route_shows_a_hint(tmp_path: Path) -> None:
                 assert (answer.status_code, answer.json()["code"]) == (403, "withheld"), (method, path)
         with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live"):
             pass
-        with client.websocket_connect("/hard/minimal/ws") as socket:
-            socket.send_json({"type": "reset", "data": {"seed": 7}})
+        with client.websocket_connect("/ws") as socket:
+            socket.send_json({"type": "reset", "data": {"task_name": "hard", "seed": 7, "prompt": "minimal"}})
             answers = [socket.receive_json()["data"]]
             for action in best.actions:
                 socket.send_json({"type": "step", "data": int(action)})

@@ -49,7 +49,7 @@ class Reference:
 def socket_result(fields: dict[str, Any], reward: float | None, flown: int, profile: str) -> dict[str, Any]:
     """The answer to a step over OpenEnv's socket: reward and done beside the rest. Takes the fields for its own."""
     done, metadata = fields.pop("done"), {"reward_profile": profile, "flown": flown}
-    observation = {**fields, "metadata": metadata, "prompt": "", "messages": []}
+    observation = {**fields, "metadata": metadata, "prompt": ""}
     return {"observation": observation, "reward": reward, "done": done, "metadata": metadata}
 
 

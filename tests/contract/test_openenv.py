@@ -66,7 +66,7 @@ MESSAGES: list[dict[str, Any]] = [
     {"type": "reset", "data": {"task_name": "skyline_easy", "seed": 9, "episode_id": "three", "prompt": "minimal"}},
     {"type": "step", "data": {"route": ["UP", "LEFT", 4]}},
     {"type": "step", "data": {"direction": "DOWN DOWN"}},
-    {"type": "step", "data": {"action_id": 2, "game_name": "catch", "game_params": {}}},
+    {"type": "step", "data": {"direction": 2}},
     {"type": "state"},
 ]
 

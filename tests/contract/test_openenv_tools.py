@@ -1,13 +1,10 @@
 """OpenEnv's stock clients, and others that know nothing of us, fly by tools and by text."""
 
 import asyncio
-import json
-import re
 from collections.abc import Generator
 from typing import Any
 
 import pytest
-from websockets.sync.client import connect
 
 from drone_env.core.actions import Action
 from drone_env.planning.optimal import solve
@@ -54,7 +51,7 @@ def test_a_client_that_knows_nothing_of_us_flies_in_each_form(server: Server) ->
     (field,) = server.client.get("/schema").json()["action"]["required"]
     best, actions = solve("easy", 7).score, solve("easy", 7).actions
     tool = {"type": "call_tool", "tool_name": "fly", "arguments": {"route": best_route("easy", 7)}, "metadata": {}}
-    numbers = [{"action_id": int(action), "game_name": "catch", "game_params": {}} for action in actions]
+    numbers = [{"direction": int(action)} for action in actions]
     with GenericEnvClient(server.url).sync() as env:
         for steps in ([{"route": best_route("easy", 7)}], [{field: best_route("easy", 7)}], [tool], numbers):
             env.reset(task_name="easy", seed=7, prompt="minimal")
@@ -77,40 +74,3 @@ def test_a_client_of_mcp_flies_a_map(server: Server) -> None:
             return (await client.call_tool("fly", {"route": best_route("easy", 7)})).data
 
     assert asyncio.run(fly())["score"] == solve("easy", 7).score
-
-
-def text_client(url: str) -> Any:
-    """A client with the wire format of TextArena's, which the examples of TRL use."""
-
-    from openenv.core.generic_client import GenericEnvClient
-
-    class TextClient(GenericEnvClient):
-        def _step_payload(self, action: str) -> dict[str, Any]:
-            return {"message": action}
-
-    return TextClient(url).sync()
-
-
-def test_a_client_of_text_flies_where_the_url_names_task_and_prompt(server: Server) -> None:
-    with text_client(f"{server.url}/hard/minimal") as env:
-        result = env.reset(seed=7)
-        told = result.observation["messages"][0]["content"]
-        assert told == result.observation["prompt"]
-        for word in best_route("hard", 7).split():
-            assert not result.done
-            result = env.step(f"[{word}]")
-            last, told = told, result.observation["messages"][0]["content"]
-            assert told.startswith(f"{last}\nFlown: 1. ")
-        assert (result.reward, result.done) == (solve("hard", 7).score, True)
-        again = env.step("[UP]").observation["messages"][0]["content"]
-        assert again == told
-        env.reset()
-        best = solve("hard", env.state()["seed"])
-        result = env.step(f"[{' '.join(action.name for action in best.actions)}]")
-        assert (result.reward, result.done) == (best.score, True)
-    for path in ("none/minimal", "hard/none", "hard/minimal-2.toml"):
-        # OpenEnv's client does not close a connection that the server has refused.
-        with connect(f"{server.url.replace('http', 'ws', 1)}/{path}/ws") as socket:
-            data = json.loads(socket.recv())["data"]
-        assert data["code"] == "SESSION_ERROR"
-        assert re.search("none|prompt", data["message"])
