@@ -17,7 +17,7 @@ from drone_env.errors import InvalidValueError, UnknownNameError
 from tests.contract.test_vector import N, actions_of
 from tests.same import assert_same
 
-PAGE = Path(__file__).parents[2] / "docs" / "sb3.md"
+PAGE = Path(__file__).parents[2] / "docs" / "libraries.md"
 
 
 @pytest.mark.parametrize("form", FORMS)
