@@ -30,8 +30,8 @@ from drone_env.envs.forms import one_hot
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.rl.common import Validator
 from drone_env.rl.config import preset
-from drone_env.rl.dqn import Trainer
-from drone_env.rl.models import PathQNet
+from drone_env.rl.model import PathQNet
+from drone_env.rl.trainer import Trainer
 
 SHARES = (0.95, 0.99, 0.995)
 SECONDS = 2.0

@@ -28,9 +28,9 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.files import replacing
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.config import preset
-from drone_env.rl.dqn import Trainer
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tour_config import TourConfig
+from drone_env.rl.trainer import Trainer
 
 ROOT = Path(__file__).resolve().parent.parent
 MAPS = 1000

@@ -3,7 +3,7 @@
     pip install -e '.[train]' stable-baselines3
     python examples/sb3_ppo.py --total-timesteps 500000
 
-Measured with these settings over the first 200 validation maps: score 0.748, optimum 0.977 (docs/sb3.md; PyTorch 2.13).
+Measured with these settings over the first 200 validation maps: score 0.748, optimum 0.977 (PyTorch 2.13).
 
 SB3's `ep_rew_mean` adds up rewards, shaping included. `evaluate` measures the score on validation maps instead.
 """

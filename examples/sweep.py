@@ -23,8 +23,8 @@ from drone_env import evaluate
 from drone_env.agents import make_agent
 from drone_env.results.statistics import SCORES, crossed
 from drone_env.rl.config import preset
-from drone_env.rl.dqn import Trainer
 from drone_env.rl.run import TrainingRun
+from drone_env.rl.trainer import Trainer
 
 GRID: dict[str, Any] = {"learning_rate": [1e-3, 3e-4], "batch_size": [64, 128]}
 

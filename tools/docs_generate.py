@@ -83,7 +83,7 @@ def write_curves() -> None:
     from matplotlib import pyplot
 
     from drone_env.rl.config import preset
-    from drone_env.rl.dqn import Progress, Trainer
+    from drone_env.rl.trainer import Progress, Trainer
 
     histories: dict[str, list[Progress]] = {}
     rows = [

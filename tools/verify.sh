@@ -30,12 +30,13 @@ environment() {
   "$VENV/$1/bin/python" -m pip install --quiet --no-compile "$TORCH"
 }
 
-# OpenEnv's stock clients; then the tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
+# OpenEnv's stock clients; then the tests that need TRL, Inspect, tianshou, TorchRL, RLlib or MoviePy.
 adapters() {
   $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
   "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,server,trl]' \
-    'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
+    'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'tianshou>=2.0.1' 'torchrl>=0.14' \
+    'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
 }
 

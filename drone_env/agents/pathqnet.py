@@ -34,7 +34,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
 SHAPES.update(
     {name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"}
 )
-"""The shapes of the parameters, here and in `rl.models`; a layer has a bias for each of its outputs."""
+"""The shapes of the parameters, here and in `rl.model`; a layer has a bias for each of its outputs."""
 
 
 class Network:

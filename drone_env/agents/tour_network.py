@@ -1,4 +1,4 @@
-"""The tour network in NumPy, from an exported file: the same as `rl.models.TourNet`."""
+"""The tour network in NumPy, from an exported file: the same as `rl.model.TourNet`."""
 
 from math import sqrt
 from pathlib import Path
@@ -34,7 +34,7 @@ BLOCK_SHAPES: dict[str, tuple[int, ...]] = {
 LAYER_SHAPES.update({f"blocks.{i}.{name}": shape for i in range(LAYERS) for name, shape in BLOCK_SHAPES.items()})
 SHAPES: dict[str, tuple[int, ...]] = {f"{name}.weight": shape for name, shape in LAYER_SHAPES.items()}
 SHAPES.update({f"{name}.bias": shape[:1] for name, shape in LAYER_SHAPES.items() if name != "option"})
-"""The shapes of the parameters, under the names of `rl.models`."""
+"""The shapes of the parameters, under the names of `rl.model`."""
 
 
 class TourNetwork:

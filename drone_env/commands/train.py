@@ -94,7 +94,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
         """
         with needs("train"):
-            from drone_env.rl.dqn import Trainer
+            from drone_env.rl.trainer import Trainer
         return _train(Trainer(config), fresh, data, results)
 
     return train

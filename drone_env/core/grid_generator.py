@@ -173,7 +173,7 @@ def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CityMap:
-    """A map before the flight.
+    """A map before the flight. Equal maps have equal values.
 
     Attributes:
         task: The task of the map.
@@ -188,6 +188,15 @@ class CityMap:
     grid: npt.NDArray[np.uint8]
     start: tuple[int, int]
     deliveries: tuple[tuple[int, int], ...]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, CityMap):
+            return NotImplemented
+        same = all(getattr(self, name) == getattr(other, name) for name in ("task", "seed", "start", "deliveries"))
+        return same and np.array_equal(self.grid, other.grid)
+
+    def __hash__(self) -> int:
+        return hash((self.task, self.seed))
 
 
 def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:

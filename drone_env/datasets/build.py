@@ -210,7 +210,8 @@ def _minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None
         from minari.dataset.minari_storage import MinariStorage
     # Declared with lists, but arrays are written faster.
     buffer: Any = EpisodeBuffer
-    env = gymnasium.make(config.task.gym_id, reward_profile=config.reward_profile)
+    # Without Gymnasium's limit: as a plain number in JSON it would truncate flights of the recovered environment.
+    env = gymnasium.make(config.task.gym_id, max_episode_steps=-1, reward_profile=config.reward_profile)
     # Minari resolves a relative path against itself when it adds up sizes.
     home = folder.resolve() / MINARI_FOLDER / config.minari_id
     home.mkdir(parents=True)

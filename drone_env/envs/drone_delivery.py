@@ -1,5 +1,6 @@
 """One drone as a `gymnasium.Env`."""
 
+from collections.abc import Callable
 from typing import Any, SupportsIndex
 
 import gymnasium
@@ -19,6 +20,20 @@ from drone_env.envs.rendering import FPS, draw_picture
 from drone_env.errors import InvalidValueError
 from drone_env.reward_file import chosen_profile
 
+DRAW: dict[str, Callable[[Episode], Any]] = {"ansi": draw_text, "rgb_array": draw_picture}
+"""The render modes."""
+
+
+def check_render_mode(mode: str | None) -> str | None:
+    """Return the render mode.
+
+    Raises:
+        InvalidValueError: if it does not exist.
+    """
+    if mode is not None and mode not in list(DRAW):
+        raise InvalidValueError(f"unknown render_mode {mode!r}; allowed: {', '.join(DRAW)}")
+    return mode
+
 
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     """Deliver parcels on a generated city grid.
@@ -29,8 +44,9 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     drone, in the order of `core.tasks.TERRAIN`. Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT. Every ending is part
     of the task and sets `terminated`; `truncated` is always False.
 
-    `info` contains `seed` (number of the map), `score` (graded, provisional until the end), `action_mask` (int8[5],
-    not enforced) and `event`; at the end also `outcome`. `gymnasium.make` adds the optimum (`wrappers.WithOptimum`).
+    `info` always contains `seed` (number of the map), `score` (graded, provisional until the end), `action_mask`
+    (int8[5], not enforced), `event` and `outcome` (`flying` until the end). `gymnasium.make` adds the optimum
+    (`wrappers.WithOptimum`).
 
     Args:
         task: A task or its name.
@@ -45,7 +61,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         InvalidValueError: if the render mode does not exist, or the id belongs to another task.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array"], "render_fps": FPS}
+    metadata: dict[str, Any] = {"render_modes": [*DRAW], "render_fps": FPS}
 
     def __init__(
         self,
@@ -55,12 +71,9 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         render_mode: str | None = None,
         gym_id: str | None = None,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            allowed = ", ".join(self.metadata["render_modes"])
-            raise InvalidValueError(f"unknown render_mode {render_mode!r}; allowed: {allowed}")
         self.task = get_task(task, version)
         check_gym_id(gym_id, self.task)
-        self.render_mode = render_mode
+        self.render_mode = check_render_mode(render_mode)
         self.episode = Episode(self.task, chosen_profile(reward_profile))
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
@@ -110,16 +123,15 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             return None
         if not self.episode.started:
             raise ResetNeeded("no episode to render: call reset() before render()")
-        return draw_text(self.episode) if self.render_mode == "ansi" else draw_picture(self.episode)
+        return DRAW[self.render_mode](self.episode)
 
     def _info(self) -> dict[str, Any]:
+        """The same keys with the same types in every step: libraries store them in columns."""
         episode = self.episode
-        info: dict[str, Any] = {
+        return {
             "seed": episode.seed,
             "score": episode.score,
             "action_mask": episode.action_mask(),
             "event": episode.event.name.lower(),
+            "outcome": episode.outcome.name.lower(),
         }
-        if episode.ended:
-            info["outcome"] = episode.outcome.name.lower()
-        return info

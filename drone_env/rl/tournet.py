@@ -41,7 +41,7 @@ from drone_env.rl.common import (
     require_same,
     update_average,
 )
-from drone_env.rl.models import TourNet
+from drone_env.rl.model import TourNet
 from drone_env.rl.samples import COMPLETE, SampleGenerator, Samples
 from drone_env.rl.tour_config import TourConfig, randomise
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from drone_env.cluster.connect import connect
-from tests.docs.pages import ROOT, blocks
+from tests.adapters.conftest import run_example
 
 
 @pytest.mark.timeout(600)
@@ -13,10 +13,9 @@ from tests.docs.pages import ROOT, blocks
 def test_the_pages_example_tells_scores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (block,) = [block for block in blocks(ROOT / "docs" / "vector.md") if "RLlib" in (block.not_run or "")]
     with connect("local", cpus=1):
         # RLlib keeps its results here; without Tune it has no option for that.
         monkeypatch.setattr("ray.tune.trainable.trainable.DEFAULT_STORAGE_PATH", str(tmp_path))
-        exec(compile(block.text, block.where, "exec"), {"__name__": "__main__"})
+        run_example("RLlib")
     scores = [float(line) for line in capsys.readouterr().out.splitlines()[-3:]]
     assert all(0.01 < score < 1 for score in scores)

@@ -1,6 +1,8 @@
 """What Gymnasium and its users expect, over every registered environment."""
 
+import pickle
 import warnings
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -9,13 +11,19 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import TimeAwareObservation
 
-from drone_env.core.tasks import TASKS
+from drone_env.agents import make_agent
+from drone_env.agents.base import begin
+from drone_env.core.episode import Episode, rollout
+from drone_env.core.seeds import split_seeds
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.registry import REWARD_THRESHOLDS
 from drone_env.envs.rendering import draw_picture
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, WithOptimum
 from drone_env.errors import InvalidValueError
-from drone_env.planning.optimal import solve
+from drone_env.planning.optimal import best_actions, solve
 
 IDS = [f"drone_env:{task.gym_id}" for task in TASKS.values()]
 
@@ -77,28 +85,77 @@ def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     assert (observation["grid"].shape, observation["grid"].dtype) == ((task.height, task.width), np.uint8)
     size = 5 if task.family == "standard" else 13
     assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((size,), np.float32)
+    assert env.spec.max_episode_steps == gymnasium.spec(task.gym_id).max_episode_steps == task.max_steps
 
 
-def test_info_tells_score_event_and_mask_and_at_the_end_optimum_and_regret() -> None:
-    env = make(IDS[2])
-    _, info = env.reset(seed=3)
-    assert set(info) == {"seed", "score", "action_mask", "event"}
-    assert info["action_mask"].dtype == np.int8
-    _, info = fly_optimally(env, "hard", 3)
-    optimum = solve("hard", 3)
-    assert (info["outcome"], info["event"], info["seed"]) == ("delivered", "delivery", 3)
-    assert info["score"] == info["optimal_score"] == optimum.score
-    assert info["optimal_steps"] == optimum.steps
-    assert info["regret"] == 0
+def test_info_has_the_same_keys_and_types_in_every_step() -> None:
+    env, optimum = make(IDS[2]), solve("hard", 3)
+    infos = [env.reset(seed=3)[1], *(env.step(action)[4] for action in optimum.actions)]
+    types = {"seed": int, "score": float, "action_mask": np.ndarray, "event": str, "outcome": str}
+    types |= {"optimal_score": float, "optimal_steps": int, "regret": float}
+    for info in infos:
+        assert {name: type(value) for name, value in info.items()} == types
+        assert (info["action_mask"].dtype, info["action_mask"].shape) == (np.int8, (5,))
+        assert (info["seed"], info["optimal_score"], info["optimal_steps"]) == (3, optimum.score, optimum.steps)
+        assert info["regret"] == optimum.score - info["score"]
+    assert {info["outcome"] for info in infos[:-1]} == {"flying"}
+    assert [infos[-1][name] for name in ("outcome", "event", "regret")] == ["delivered", "delivery", 0]
+    _, info = env.reset(seed=4)
+    assert info["optimal_score"] == solve("hard", 4).score
 
 
-def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
+def test_where_no_planner_knows_the_optimum_no_info_has_it() -> None:
     task = replace(TASKS["skyline_hard"], id="vast", deliveries=16, max_steps=400, battery_capacity=1)
     env = WithOptimum(DroneDeliveryEnv(task))
-    env.reset(seed=3)
-    *_, info = env.step(4)
-    assert (info["outcome"], info["score"]) == ("battery_dead", 0.01)
-    assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
+    _, first = env.reset(seed=3)
+    *_, last = env.step(4)
+    assert (last["outcome"], last["score"]) == ("battery_dead", 0.01)
+    assert [*first] == [*last] == ["seed", "score", "action_mask", "event", "outcome"]
+
+
+def test_the_limit_that_libraries_read_truncates_nothing() -> None:
+    task = replace(TASKS["skyline_easy"], battery_capacity=60, drain=())  # the steps run out, not the battery
+    env = make(SKYLINE, task=task)
+    for same in (env, pickle.loads(pickle.dumps(env)), deepcopy(env), gymnasium.make(deepcopy(env.spec))):
+        same.reset(seed=1)
+        ends = [same.step(4)[2:4] for _ in range(same.spec.max_episode_steps)]
+        assert ends == [(False, False)] * (task.max_steps - 1) + [(True, False)]
+
+
+def test_a_shorter_limit_truncates_and_a_longer_one_does_not() -> None:
+    env = make(max_episode_steps=5)
+    env.reset(seed=1)
+    assert [env.step(4)[2:4] for _ in range(5)] == [(False, False)] * 4 + [(False, True)]
+    env = make(max_episode_steps=100)
+    env.reset(seed=1)
+    assert [env.step(4)[2:4] for _ in range(60)][-1] == (True, False)
+
+
+@pytest.mark.parametrize("wrapped", [lambda env: env, FlatObservation], ids=["plain", "flat"])
+def test_time_becomes_a_part_of_the_observation(wrapped: Any) -> None:
+    env = TimeAwareObservation(wrapped(make()), flatten=False)
+    observation, _ = env.reset(seed=1)
+    for step in range(61):
+        assert observation["time"] == [step]
+        assert env.observation_space.contains(observation)
+        if step < 60:
+            observation, *_ = env.step(4)
+
+
+MEASURED = [task for task in TASKS.values() if task.id in REWARD_THRESHOLDS]
+QUICK = ("easy_delivery", "skyline_medium")
+
+
+@pytest.mark.parametrize(
+    "task",
+    [pytest.param(task, id=task.id, marks=[] if task.id in QUICK else [pytest.mark.long]) for task in MEASURED],
+)
+def test_the_threshold_lies_near_the_optimum(task: TaskConfig) -> None:
+    episodes = [Episode(task, seed=seed) for seed in split_seeds("validation", 100)]
+    best = np.mean([episode.copy().fly(best_actions(episode)).waited_out().reward_total for episode in episodes])
+    agent = make_agent("random", task)
+    chance = np.mean([rollout(one, begin(agent, "random", one)).reward_total for one in episodes])
+    assert gymnasium.spec(task.gym_id).reward_threshold == pytest.approx(chance + 0.95 * (best - chance), abs=0.006)
 
 
 def test_what_a_specification_says_is_made_again() -> None:

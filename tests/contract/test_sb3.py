@@ -15,9 +15,10 @@ from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import InvalidValueError, UnknownNameError
 from tests.contract.test_vector import N, actions_of
+from tests.docs.pages import ROOT, blocks
 from tests.same import assert_same
 
-PAGE = Path(__file__).parents[2] / "docs" / "sb3.md"
+PAGE = ROOT / "docs" / "libraries.md"
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -111,7 +112,7 @@ def test_the_page_about_it_runs_as_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code = "\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL))
+    code = "\n".join(block.text for block in blocks(PAGE) if "test_sb3" in (block.not_run or ""))
     shorter, found = re.subn(r"total_timesteps=[\d_]+", "total_timesteps=8_192", code)
     shorter, often = re.subn(r"n_calls % \d+", "n_calls % 64", shorter)
     assert (found, often) == (3, 1)

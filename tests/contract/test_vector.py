@@ -156,6 +156,36 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
         make().reset(options={"seed": 1})
 
 
+def test_the_limit_of_a_task_is_the_only_one() -> None:
+    assert make().spec.max_episode_steps == make(max_episode_steps=60).spec.max_episode_steps == 60
+    with pytest.raises(InvalidValueError, match="must be at least 60, the steps of 'easy_delivery', got 5: register"):
+        make(max_episode_steps=5)
+    env = gymnasium.make_vec(EASY, num_envs=N, vectorization_mode="sync", max_episode_steps=5)
+    env.reset(seed=0)
+    assert [env.step(np.full(N, 4))[3].all() for _ in range(5)] == [False] * 4 + [True]
+
+
+@pytest.mark.parametrize("mode", ["rgb_array", "ansi"])
+def test_it_draws_each_episode(mode: str) -> None:
+    env = gymnasium.make_vec(EASY, num_envs=2, render_mode=mode)
+    with pytest.raises(EpisodeError, match="call reset"):
+        env.render()
+    env.reset(seed=0)
+    env.step(np.full(2, 4))
+    for seed, drawn in enumerate(env.render()):
+        one = gymnasium.make(EASY, render_mode=mode)
+        one.reset(seed=seed)
+        one.step(4)
+        assert np.array_equal(drawn, one.render())
+
+
+def test_it_draws_in_no_other_mode() -> None:
+    with pytest.raises(InvalidValueError, match=r"allowed: ansi, rgb_array$"):
+        make(render_mode="human")
+    with pytest.warns(UserWarning, match="needs a render mode"):
+        assert make().render() is None
+
+
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_a_wrapper_is_for_plain_observations_of_many(wrapper: Any) -> None:
     many = getattr(vector, wrapper.__name__)

@@ -37,7 +37,7 @@ def test_the_notebook_is_sound_and_small(monkeypatch: pytest.MonkeyPatch) -> Non
         assert cell["outputs"]
         assert all(output["output_type"] in ("stream", "execute_result") for output in cell["outputs"])
     assert NOTEBOOK.stat().st_size < 100_000
-    for page in ("README.md", "docs/examples.md", "docs/sb3.md", "docs/agents.md"):
+    for page in ("README.md", "docs/examples.md", "docs/libraries.md", "docs/agents.md"):
         assert f"examples/{NOTEBOOK.name}" in (ROOT / page).read_text(encoding="utf-8")
 
 

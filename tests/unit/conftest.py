@@ -20,7 +20,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a tour network of random weights."""
     import torch  # slow to load
 
-    from drone_env.rl.models import TourNet
+    from drone_env.rl.model import TourNet
 
     torch.manual_seed(0)
     file = tmp_path_factory.mktemp("network") / "tour.safetensors"

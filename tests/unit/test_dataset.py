@@ -157,7 +157,8 @@ def test_minari_loads_the_same_flights(task: str, tmp_path: Path, monkeypatch: p
         assert infos["value"][-1] == infos["score"][-1] == flight[0]["final_score"] == about["final_score"]
         assert (about["agent"], about["optimal_score"]) == (flight[0]["agent"], flight[0]["optimal_score"])
         env.reset(seed=about["seed"])
-        assert [env.step(action)[1] for action in episode.actions] == episode.rewards.tolist()
+        ends = zip(episode.rewards.tolist(), episode.terminations, episode.truncations, strict=True)
+        assert [env.step(action)[1:4] for action in episode.actions] == list(ends)
 
 
 def json_rows(folder: Path, name: str) -> list[dict]:

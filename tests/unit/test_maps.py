@@ -52,6 +52,14 @@ class TestContents:
             assert len(set(city.deliveries)) == task.deliveries
             assert {int(city.grid[y, x]) for x, y in city.deliveries} == {Cell.DELIVERY}
 
+    def test_equal_values_are_equal_maps(self) -> None:
+        city, same = generate_city_map(EASY, 7), generate_city_map(EASY, 7)
+        assert city == same
+        assert len({city, same, generate_city_map(EASY, 8)}) == 2
+        changes = {"task": TASKS["skyline_easy"], "seed": 8, "start": (-1, 0), "deliveries": (), "grid": city.grid + 1}
+        assert not any(city == replace(city, **{name: value}) for name, value in changes.items())
+        assert city != 7
+
     def test_a_map_without_a_free_cell_is_finished(self) -> None:
         for full in ({"width": 2, "height": 2, "deliveries": 3, "trees": 0, "obstacles": 0}, {"buildings": 91}):
             city = generate_city_map(replace(EASY, **{"buildings": 0, **full}), 0)

@@ -16,9 +16,9 @@ from drone_env.agents.weights_file import LARGEST, METADATA, write_weights
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.rl.models import PathQNet
+from drone_env.rl.model import PathQNet
 
 SHIPPED = ("easy", "medium", "hard")
 MAPS = 300 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 60
@@ -47,6 +47,15 @@ def test_the_network_is_as_drawn() -> None:
         "head.7.weight": (5, 64),
     }
     assert isinstance(PathQNet().head[1], torch.nn.LayerNorm)
+
+
+@pytest.mark.feature("L1")
+def test_a_flat_map_has_the_values_of_a_square_one() -> None:
+    network, telemetry = PathQNet(), torch.rand(3, 5)
+    grids = torch.randint(N_CELL_KINDS, (3, 10, 10), dtype=torch.uint8)
+    assert torch.equal(network(grids.flatten(1), telemetry), network(grids, telemetry))
+    with pytest.raises(InvalidValueError, match="must be square, got 77 cells: pass"):
+        network(torch.zeros(3, 77, dtype=torch.uint8), telemetry)
 
 
 @pytest.mark.parametrize(("height", "width", "telemetry_size"), [(10, 10, 5), (18, 18, 6), (7, 11, 5), (3, 2, 5)])

@@ -19,7 +19,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
 from drone_env.planning.solver import ExactSolver
-from drone_env.rl.models import TourNet
+from drone_env.rl.model import TourNet
 from tests.toy import toy_episode
 from tests.unit.tour_features import EVERY_TASK, HARD, features_of, observations
 from tests.which_tasks import SMALL

@@ -17,9 +17,9 @@ from drone_env.core.seeds import split_of, split_seeds
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.common import Validation, Validator
-from drone_env.rl.dqn import Trainer
-from drone_env.rl.models import PathQNet
+from drone_env.rl.model import PathQNet
 from drone_env.rl.run import load_checkpoint, save_checkpoint
+from drone_env.rl.trainer import Trainer
 from tests.same import assert_same
 from tests.unit.small_training import SMALL, finished, parameters
 

@@ -8,31 +8,47 @@ from gymnasium.wrappers import TransformObservation
 from drone_env.core.episode import Observation
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.forms import planes_space, to_planes, to_vector, vector_space
-from drone_env.planning.optimal import best_of
+from drone_env.planning.optimal import Solution, best_of
 
 Env = gymnasium.Env[Observation, int]
 
 
 class WithOptimum(gymnasium.Wrapper[Observation, int, Observation, int], gymnasium.utils.RecordConstructorArgs):
-    """Solve the map when its episode ends. `gymnasium.make` applies this wrapper to every task.
+    """Solve the map of each episode. `gymnasium.make` applies this wrapper to every task.
 
-    The last `info` then also contains `optimal_score`, `optimal_steps` and `regret` (optimal minus own score). They
-    are None if the map is too large to be solved.
+    Every `info` then also contains `optimal_score`, `optimal_steps` and `regret` (optimal minus own score, provisional
+    until the end), unless the map is too large to be solved.
     """
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
+        self._optimum: tuple[int, Solution | None] = (-1, None)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode, and solve its map."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return observation, self._with_optimum(info)
 
     def step(self, action: int) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Fly one action, and solve the map if the action ends the episode."""
+        """Fly one action."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if terminated:
-            optimum = best_of(cast(DroneDeliveryEnv, self.unwrapped).task, info["seed"])
-            info["optimal_score"] = optimum and optimum.score
-            info["optimal_steps"] = optimum and optimum.steps
-            info["regret"] = optimum and optimum.score - info["score"]
-        return observation, reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, self._with_optimum(info)
+
+    def _with_optimum(self, info: dict[str, Any]) -> dict[str, Any]:
+        seed = info["seed"]
+        if self._optimum[0] != seed:
+            self._optimum = seed, best_of(cast(DroneDeliveryEnv, self.unwrapped).task, seed)
+        best = self._optimum[1]
+        if best is None:
+            return info
+        return info | {
+            "optimal_score": best.score,
+            "optimal_steps": best.steps,
+            "regret": best.score - info["score"],
+        }
 
 
 def make(**options: Any) -> WithOptimum:

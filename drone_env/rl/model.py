@@ -10,7 +10,7 @@ ReLU follows every layer but the last. The network takes maps of any size.
 """
 
 from functools import lru_cache
-from math import sqrt
+from math import isqrt, sqrt
 
 import torch
 from torch import Tensor, nn
@@ -19,6 +19,7 @@ from drone_env.agents.pathqnet import EPSILON, MAP_FEATURES, POOLED
 from drone_env.agents.tour_features import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
+from drone_env.errors import InvalidValueError
 
 
 class MapEncoder(nn.Module):
@@ -52,7 +53,10 @@ def pooling(height: int, width: int, device: torch.device) -> Tensor:
 
 
 class PathQNet(nn.Module):
-    """The values of the five actions: float32[B, 5] from uint8[B, H, W] and float32[B, telemetry_size]."""
+    """The values of the five actions: float32[B, 5] from uint8[B, H, W] and float32[B, telemetry_size].
+
+    A square map may also be flat, [B, H * W].
+    """
 
     def __init__(self, telemetry_size: int = 5) -> None:
         super().__init__()
@@ -69,7 +73,16 @@ class PathQNet(nn.Module):
         )
 
     def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:
-        """The value of each action."""
+        """The value of each action.
+
+        Raises:
+            InvalidValueError: if the map is flat and not square.
+        """
+        if grid.dim() == 2:
+            side = isqrt(grid.shape[1])
+            if side * side != grid.shape[1]:
+                raise InvalidValueError(f"a flat map must be square, got {grid.shape[1]} cells: pass uint8[B, H, W]")
+            grid = grid.reshape(-1, side, side)
         return self.head(torch.cat([self.encoder(grid), telemetry], dim=1))
 
 
