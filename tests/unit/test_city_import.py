@@ -160,6 +160,7 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
         r"1 of 2 ways and areas lack nodes \(relation 1\); .* --strategy smart`, or select a smaller --bbox",
     ),
     "a way less": (lambda text: re.sub("<way.*?/way>", "", text, count=1), r"1 of 2 .* \(relation 1\)"),
+    "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
     "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
     "a history": (with_objects('<node id="1" visible="false"/>'), "osmium time-filter"),
     "two versions": (
