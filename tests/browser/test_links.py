@@ -65,7 +65,7 @@ def test_a_loss_counts_if_one_decimal_shows_it(page: Page) -> None:
         const { isLost, points } = await import(new URL("static/js/format.js", document.baseURI));
         return [-0.01, 0, 0.0004, 0.0006, 0.01].map((regret) => [isLost(regret), points(regret)]);
     }""")
-    assert losses == [[False, "-1.0"], [False, "0.0"], [False, "0.0"], [True, "0.1"], [True, "1.0"]]
+    assert losses == [[False, "\N{MINUS SIGN}1.0"], [False, "0.0"], [False, "0.0"], [True, "0.1"], [True, "1.0"]]
 
 
 def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, server: Server) -> None:
