@@ -31,7 +31,7 @@ def city(file: Source, out: Path, bbox: Box = None, cell: float = 16.0, size: Si
     Example: drone-env city helsinki.osm.pbf --out helsinki.toml
 
     Args:
-        file: The extract, .osm.pbf or .osm (at most 128 MiB).
+        file: The extract: XML (.osm, .osm.gz, .osm.bz2) or PBF, at most 128 MiB.
         out: The TOML file to write.
         bbox: The area in degrees. Without it, the middle of the file.
         cell: Metres along the side of a cell, 1 to 100.

@@ -118,8 +118,8 @@ def test_the_worst_move_says_what_the_best_ones_gain(
         ),
         (
             "skyline_easy",
-            ["UP", "UP", "DOWN", "LEFT", "RIGHT", "UP", "RIGHT", "RIGHT", "UP"],
-            "Buildings cost 3 units; the drone reached a pad with an empty battery.",
+            ["DOWN", "DOWN", "LEFT", "LEFT", "LEFT", "LEFT", "DOWN", "UP"],  # leaves the pad and comes back
+            "Buildings cost 3 units and trees cost 2 units; the drone reached a pad with an empty battery.",
         ),
         (
             "skyline_easy",

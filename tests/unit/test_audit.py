@@ -16,8 +16,10 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError
 from drone_env.planning.audit import HACKS, audit_map, audited_profile
+from drone_env.planning.optimal import solve_episode
 from drone_env.reward_file import chosen_profile, load_reward_profile
 from tests.property.test_episode import custom_task
+from tests.toy import toy_episode
 
 
 def tiny_tasks(count: int) -> list[TaskConfig]:
@@ -99,6 +101,12 @@ def test_hacks_of_one_easy_map_by_hand() -> None:
     # The same with 57 waits at 0.10 before the last step.
     assert audited.returns["hover"] == pytest.approx(1.29 + 5.7)
     assert audited.score == 0.8
+
+
+def test_hover_waits_at_the_start_if_the_parcel_is_next_to_it() -> None:
+    start = toy_episode(["@0", ".."], max_steps=6)
+    waits = (Action.WAIT,) * 5
+    assert HACKS["hover"](start, solve_episode(start)) == (*waits, Action.RIGHT)
 
 
 def test_a_flight_for_a_reward_of_ones_own_can_be_analysed(tmp_path: Path) -> None:

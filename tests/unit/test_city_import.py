@@ -1,5 +1,9 @@
 """Extracts of OpenStreetMap become cities."""
 
+import bz2
+import gzip
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +12,7 @@ import pytest
 from drone_env.city.city_file import city_text, text_rows
 from drone_env.city.openstreetmap import import_city
 from drone_env.city.raster import metres_per_degree, paint_area, water_beside
+from drone_env.errors import InvalidValueError
 from tests.unit.osm_files import BOX, Drawing
 
 SIGNS = ".BT#----P"
@@ -66,11 +71,6 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
             id="what is left out",
         ),
         pytest.param(
-            Drawing().way((0, 0.5), (2.1, 0.5), (3.9, 0.5), (6, 0.5), barrier="wall", missing=[2]),
-            ["##....", "......", "......", "......"],
-            id="a wall that leaves the extract",
-        ),
-        pytest.param(
             Drawing().way((3, -1), (3, 5), natural="coastline"), ["###..."] * 4, id="a coast: south, so west is water"
         ),
         pytest.param(
@@ -83,6 +83,118 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
 )
 def test_a_thing_becomes_these_cells(drawing: Drawing, rows: list[str], tmp_path: Path) -> None:
     assert rows_of(drawing, tmp_path) == rows
+
+
+TOWN = (
+    Drawing()
+    .box(0, 0, 4, 4)
+    .box(1, 1, 3, 3)
+    .relation({1: "outer", 2: "inner"}, building="yes")
+    .way((5.5, 0), (5.5, 4), railway="rail")
+    .node((4.5, 0.5), amenity="charging_station")
+)
+TOWN_ROWS = ["BBBBP#", "B..B.#", "B..B.#", "BBBB.#"]
+WEST, SOUTH, EAST, NORTH = BOX
+MIDDLE = (WEST + EAST) / 2
+
+
+def bounds(west: float, south: float, east: float, north: float) -> str:
+    return f'<bounds minlon="{west}" minlat="{south}" maxlon="{east}" maxlat="{north}"/>'
+
+
+def with_bounds(*boxes: str) -> Callable[[str], str]:
+    return lambda text: re.sub("<bounds[^>]*>", "".join(boxes), text)
+
+
+def with_objects(objects: str) -> Callable[[str], str]:
+    return lambda text: text.replace("</osm>", f"{objects}</osm>")
+
+
+def numbered(change: Callable[[int], int]) -> Callable[[str], str]:
+    """Change the ids."""
+    return lambda text: re.sub(r'(id|ref)="(\d+)"', lambda found: f'{found[1]}="{change(int(found[2]))}"', text)
+
+
+def saved(written: Callable[[str], str | bytes], folder: Path) -> Path:
+    """Save the town as another program writes it."""
+    path = TOWN.save(folder / "town.osm")
+    text = written(path.read_text("utf-8"))
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+DELETED = """
+    <way id="9" action="delete" version="1" visible="true"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="1"/>
+    <tag k="building" v="yes"/></way>
+    <node id="-8" action='delete' lat="60" lon="25.001"><tag k="amenity" v="charging_station"/></node>"""
+
+
+WRITTEN: dict[str, Callable[[str], str | bytes]] = {
+    "backwards": lambda text: "\n".join([*text.split("\n")[:2], *text.split("\n")[-3:1:-1], "</osm>"]),
+    "nodes twice": lambda text: re.sub("<node.*?/node>", r"\g<0>" * 2, text),
+    "negative ids": numbered(lambda number: -number),
+    "some negative ids": numbered(lambda number: number if number % 3 else -number),
+    "large ids": numbered(lambda number: number + 2**62),
+    "two bounds": with_bounds(bounds(WEST, SOUTH, MIDDLE, NORTH), bounds(MIDDLE, SOUTH, EAST, NORTH)),
+    "bounds of ways": lambda text: re.sub("(<way[^>]*>)", r"\1" + bounds(0, 0, 1, 1), text),
+    "deleted in JOSM": with_objects(DELETED),
+    "gzip": lambda text: gzip.compress(text.encode()),
+    "bzip2": lambda text: bz2.compress(text.encode()),
+    "UTF-16": lambda text: text.encode("utf-16"),
+}
+
+
+@pytest.mark.parametrize("case", WRITTEN)
+def test_a_file_may_be_written_in_these_ways(case: str, tmp_path: Path) -> None:
+    path = saved(WRITTEN[case], tmp_path)
+    assert ["".join(SIGNS[cell] for cell in row) for row in import_city(path).grid] == TOWN_ROWS
+
+
+REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
+    "ways": (
+        lambda text: re.sub("<node.*?/node>", "", text),
+        r"2 of 2 ways .* \(way 3, relation 1\); .* `\(\.\.\.; >;\); out;`",
+    ),
+    "a node less": (
+        lambda text: re.sub("<node.*?/node>", "", text, count=1),
+        r"1 of 2 ways and areas lack nodes \(relation 1\); .* --strategy smart`, or select a smaller --bbox",
+    ),
+    "a way less": (lambda text: re.sub("<way.*?/way>", "", text, count=1), r"1 of 2 .* \(relation 1\)"),
+    "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
+    "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
+    "a history": (with_objects('<node id="1" visible="false"/>'), "osmium time-filter"),
+    "two versions": (
+        with_objects('<way id="3"><nd ref="5"/><nd ref="7"/><tag k="railway" v="rail"/></way>'),
+        "osmium time-filter",
+    ),
+    "the world": (with_bounds(bounds(-180, -85, 180, 85)), r"nodes are in 25 59.9.* with --bbox WEST"),
+    "across 180 degrees": (with_bounds(bounds(179.9, -1, -179.9, 1)), "with --bbox WEST"),
+    "JSON": (lambda text: '{"elements": []}', r"begins with b'{\"elements\": .* for \[out:xml\], not"),
+    "HTML": (lambda text: "<html></html>", "<html> in place of <osm>; allowed are XML"),
+    "half": (lambda text: text[:700], "not a readable extract of OpenStreetMap: unclosed token"),
+    "half of a gzip": (lambda text: gzip.compress(text.encode())[:-9], "ended before the end-of-stream"),
+    "nothing": (lambda text: b"", "neither XML nor PBF"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_incomplete_or_of_another_kind_is_refused(case: str, tmp_path: Path) -> None:
+    written, said = REFUSED[case]
+    with pytest.raises(InvalidValueError, match=said):
+        import_city(saved(written, tmp_path))
+
+
+def test_the_few_ways_that_lack_nodes_are_counted_and_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    drawing = Drawing().way((0, 0.5), (2.1, 0.5), (3.9, 0.5), (6, 0.5), barrier="wall", missing=[2])
+    for number in range(8):
+        drawing.box(number * 0.1, 3, number * 0.1 + 0.1, 3.1, building="yes")
+    with pytest.raises(InvalidValueError, match="1 of 9 ways and areas lack nodes"):
+        rows_of(drawing, tmp_path)
+    drawing.box(4, 3, 4.1, 3.1, building="yes")
+    # Those elsewhere do not count.
+    drawing.way((0, 9), (2, 9), (3, 9), barrier="wall", missing=[1])
+    assert rows_of(drawing, tmp_path) == ["##....", *OPEN[1:]]
+    assert "town.osm: 1 of 10 ways and areas lack nodes (way 1): the city lacks these areas" in caplog.text
 
 
 def test_without_a_box_the_middle_of_the_file_is_taken(tmp_path: Path) -> None:

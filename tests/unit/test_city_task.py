@@ -59,6 +59,8 @@ def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.Ca
     assert main(["solve", "--task", str(yard), "--seed", "3", "--json"]) == 0
     best = json.loads(capsys.readouterr().out)
     assert (best["task"], best["deliveries"]) == ("yard", 3)
+    assert main(["solve", f"--task={yard}", "--seed", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == best
     assert main(["fly", "--task", str(yard.with_name("none.toml"))]) == 2
     assert f"{yard.with_name('none.toml')}: No such file or directory" in capsys.readouterr().err
     # Other options name files of their own.

@@ -15,9 +15,12 @@ from PIL import Image
 from drone_env.agents import pathqnet
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
+from drone_env.commands.arguments import select_maps
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
 from tests.toy import LOG_OF_MAP_14
 
@@ -99,6 +102,19 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
     assert (episode.score, episode.success, episode.steps) == (report["score"], report["success"], report["steps"])
     assert report["success"] is success
     assert len(report["order"]) == report["deliveries"] == 3
+
+
+def test_the_maps_of_a_command() -> None:
+    last = 2**53 - 1
+    assert select_maps(f"{last}:{last + 1}", None, None, 200) == ("custom", range(last, last + 1))
+    assert select_maps(None, None, None, 200) == ("test", split_seeds("test", 200))
+    with pytest.raises(InvalidValueError, match=r"0 <= A < B <= 2\^53"):
+        select_maps(f"{last}:{last + 2}", None, None, 200)
+
+
+def test_compare_flies_200_maps(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "greedy", "random", "--task", "easy", "--json", "-"]) == 0
+    assert '"maps": 200' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

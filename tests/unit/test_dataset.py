@@ -2,6 +2,7 @@
 
 import json
 import sys
+from inspect import signature
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pyarrow.parquet
 import pytest
 
 from drone_env.cli import main
+from drone_env.commands.dataset import dataset
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
@@ -77,6 +79,11 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
         assert {row["optimal_score"] for row in flight} == {solve(task, first["seed"]).score}
         left = [row["return_to_go"] for row in flight]
         assert left == pytest.approx([sum(rewards[i:]) for i in range(len(rewards))])
+
+
+def test_one_step_in_ten_is_random_by_default_in_python_and_in_the_command() -> None:
+    assert DatasetConfig(get_task("easy"), range(3)).epsilon == 0.1
+    assert signature(dataset).parameters["epsilon"].default == 0.1
 
 
 def test_random_actions_replace_the_agents_with_probability_epsilon() -> None:

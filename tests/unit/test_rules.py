@@ -31,6 +31,10 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
     "dead at a wall": (["@TB", "..0"], "RU", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
     "delivered with the last unit": (["@0.1", "...."], "R", {"max_steps": 1}, {"outcome": Outcome.BATTERY_DEAD}),
     "all parcels with the last unit": (["@0", ".."], "R", {"max_steps": 1}, {"outcome": Outcome.DELIVERED}),
+    # The nearest parcel
+    "the lowest index of equally near parcels": (["1@0", "..2"], "D", {}, {"target": (2, 0)}),
+    "the nearest parcel after a delivery": (["1.@0", "...2"], "R", {}, {"target": (3, 1)}),
+    "the lowest index again": (["2.@01", "....."], "RLL", {}, {"target": (4, 0), "deliveries_done": 1}),
     # Battery
     "drain of the cell that is reached": (["@T.0", "...."], "R", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 7}),
     "drain of a bump": (["@T.0", "...."], "RU", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 4}),

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from drone_env.agents.pathqnet import load_network
 from drone_env.cli import main
@@ -182,6 +183,12 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert "has 40 of 20 episodes: nothing to do" in trained("--episodes", "20")[1]
     status, told = trained("--episodes", "50")
     assert "going on from data/easy.pth: 40 of 50 episodes" in told
+    # TensorBoard hides what the folder has of episodes after the checkpoint.
+    files = (tmp_path / "results/easy/tensorboard").glob("events.*")
+    starts = [
+        event.step for file in files for event in EventFileLoader(str(file)).Load() if event.HasField("session_log")
+    ]
+    assert sorted(starts) == [1, 41]
     assert len((tmp_path / "data/train.log").read_text().splitlines()) == 10
     assert load_checkpoint(tmp_path / "data/easy.pth")["config"] == state["config"]
     status, told = trained("--episodes", "60", "--preset", "original")
