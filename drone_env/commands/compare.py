@@ -123,8 +123,8 @@ def _print(report: dict[str, Any]) -> None:
         for agent, figures in of["others"].items()
     ]
     head = ("task", "who", "difference (95 %)", "better (95 %)")
-    together = max((len(of["others"]) for of in tasks.values()), default=0)
-    caption = f"the {together} comparisons of a task hold together with 95 % (Bonferroni)" if together > 1 else None
+    several = any(len(of["others"]) > 1 for of in tasks.values())
+    caption = "the comparisons of a task hold together with 95 % (Bonferroni)" if several else None
     if two:
         print_table(Table("Map by map", head, two), width=120, names=2, caption=caption, sections=True)
 
