@@ -125,7 +125,7 @@ def test_the_lowest_regret_ranks_first_whatever_the_maps_were_worth() -> None:
 
 def test_an_interval_over_seeds_and_maps() -> None:
     rng = np.random.default_rng(0)
-    covered = 0
+    covered, scores = 0, np.zeros((12, 40))
     for _ in range(50):
         scores = 0.5 + 0.1 * rng.standard_normal((12, 1)) + 0.1 * rng.standard_normal(40)
         found = crossed(scores, SHARES)
