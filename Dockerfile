@@ -24,8 +24,8 @@ COPY LICENSE openenv.yaml inference.py ./
 COPY server server
 COPY drone_env drone_env
 RUN /opt/venv/bin/python -m compileall -q drone_env server
-# What is kept goes to the one folder that is writable everywhere, also under a read-only root; see "What is kept" in
-# docs/deployment.md for a volume.
+# Stored data goes to the one folder that is writable everywhere, also under a read-only root. "Run" in docs/deployment.md
+# shows how to mount a volume.
 ENV PATH=/opt/venv/bin:$PATH \
     PYTHONPATH=/app \
     PYTHONUNBUFFERED=1 \

@@ -30,8 +30,8 @@ def compare(
     """Fly the same maps with two agents or more and compare their scores.
 
     All others are compared with the first, map by map. Difference: mean score minus that of the first. Better: share of
-    maps with a higher score; ties count half. Intervals (95 %) are Student's t over maps; IQM is the mean of the middle
-    half of the maps. See docs/agents.md.
+    maps with a higher score; ties count half. Intervals (95 %) are over maps (docs/quoting.md); the comparisons of a
+    task hold together. IQM is the mean of the middle half of the maps. See docs/agents.md.
 
     Example: drone-env compare greedy optimal --task hard --episodes 200
 
@@ -123,8 +123,10 @@ def _print(report: dict[str, Any]) -> None:
         for agent, figures in of["others"].items()
     ]
     head = ("task", "who", "difference (95 %)", "better (95 %)")
+    several = any(len(of["others"]) > 1 for of in tasks.values())
+    caption = "the comparisons of a task hold together with 95 % (Bonferroni)" if several else None
     if two:
-        print_table(Table("Map by map", head, two), width=120, names=2, sections=True)
+        print_table(Table("Map by map", head, two), width=120, names=2, caption=caption, sections=True)
 
 
 def _format(interval: dict[str, float], form: str = ".4f") -> str:

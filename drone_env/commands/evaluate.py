@@ -54,7 +54,7 @@ def evaluate(
     """Fly many maps with several agents and compare their scores with the exact optimum of the same maps.
 
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % interval
-    (Student's t over maps). Ratio: mean score / mean optimal score. Regret: mean of optimum - score. Excess: steps
+    over maps, each for itself. Ratio: mean score / mean optimal score. Regret: mean of optimum - score. Excess: steps
     beyond the optimal flight, on delivered maps; negative if the optimal flight spends steps on charging. See
     docs/quoting.md. If an agent cannot fly a task, its row contains dashes, and the reason follows the table.
 

@@ -1,16 +1,17 @@
 """Statistics of results: means over maps, their 95 % intervals, and paired comparisons of two agents.
 
-Flights over one map are averaged first, then the maps. An interval is Student's t over maps, clipped to the range of
-the statistic. Interquartile mean and probability of improvement follow rliable (Agarwal et al., "Deep Reinforcement
-Learning at the Edge of the Statistical Precipice", 2021). rliable samples runs of given tasks; we sample maps, and two
-agents fly the same ones.
+Flights over one map are averaged first, then the maps. `interval` is for means, `proportion` for success. Both allow
+for rare failures that the maps do not show; `benchmarks/intervals.py` measures how often they cover the truth.
+Interquartile mean and probability of improvement follow rliable (Agarwal et al., "Deep Reinforcement Learning at the
+Edge of the Statistical Precipice", 2021). rliable samples runs of given tasks; we sample maps, and two agents fly the
+same ones.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import fmean
+from statistics import NormalDist, fmean
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,15 +42,28 @@ class Interval(NamedTuple):
     high: float
 
 
-def interval(values: Values, within: Range) -> Interval:
+def interval(values: Values, within: Range, comparisons: int = 1) -> Interval:
     """Return the mean of one value per map, with its interval.
+
+    It is Student's interval after z^2 / 4 more values (0.96 for 95 %) at each end of the range. Agresti and Caffo
+    (2000) add as many successes and failures to a count. So equal values have an interval too.
+
+    Args:
+        values: One value per map.
+        within: The range of the values.
+        comparisons: Number of intervals that hold together with 95 % (Bonferroni).
 
     Raises:
         InvalidValueError: if there are fewer than two maps.
     """
     if len(values) < 2:
         raise InvalidValueError(f"an interval takes two maps or more, got {len(values)}: fly more of them")
-    return _of_errors(fmean(values), [_error_of(values)], within)
+    mean, (low, high), added = fmean(values), within, _deviate(comparisons) ** 2 / 4
+    n = len(values) + 2 * added
+    centre = (len(values) * mean + added * (low + high)) / n
+    squares = float(np.square(np.subtract(values, centre)).sum()) + added * ((low - centre) ** 2 + (high - centre) ** 2)
+    half = student(n - 1, comparisons) * math.sqrt(squares / (n - 1) / n)
+    return _cut(mean, centre - half, centre + half, within)
 
 
 def ci95(values: Values, within: Range) -> Bounds:
@@ -57,62 +71,71 @@ def ci95(values: Values, within: Range) -> Bounds:
     return None if len(values) < 2 else list(interval(values, within)[1:])
 
 
+def proportion(values: Values) -> Bounds:
+    """Return the interval of Wilson (1927) for a share of maps; None for fewer than two maps.
+
+    A value between 0 and 1 is a share of the flights over one map. Flights over one map count as one: they are alike.
+    """
+    if len(values) < 2:
+        return None
+    p, added = fmean(values), _deviate() ** 2 / len(values)
+    half = math.sqrt(added * p * (1 - p) + added**2 / 4)
+    return list(_cut(p, (p + added / 2 - half) / (1 + added), (p + added / 2 + half) / (1 + added), SHARES)[1:])
+
+
 def crossed(scores: Floats, within: Range) -> Interval | None:
     """Return the mean of float64[seeds, maps] with its interval; None for one map. All seeds fly the same maps.
 
-    The variances of the means by seed and by map add up. With one seed the interval covers the maps alone.
+    `interval` over maps and Student's interval over seeds are combined. With one seed it covers the maps alone.
     """
-    if scores.shape[1] < 2:
+    seeds, maps = scores.shape
+    if maps < 2:
         return None
-    means = [scores.mean(axis=0), scores.mean(axis=1)]
-    return _of_errors(float(scores.mean()), [_error_of(of) for of in means if len(of) > 1], within)
+    over_maps = interval(scores.mean(axis=0), within)
+    if seeds < 2:
+        return over_maps
+    mean = over_maps.mean
+    half = student(seeds - 1) * float(scores.mean(axis=1).std(ddof=1)) / math.sqrt(seeds)
+    return _combined(over_maps, Interval(mean, mean - half, mean + half), within)
 
 
 def interquartile_mean(scores: Floats) -> Interval:
     """Return the mean of the middle half of float64[n], without n // 4 scores at each end.
 
-    The interval is that of Tukey and McLaughlin (1963) for a trimmed mean. Its variance comes from all scores, with the
-    trimmed ones replaced by the nearest of the middle half.
+    The interval ends at the means of as many scores that are z sqrt(n) / 2 ranks lower and higher. The rank of a
+    quantile varies no more, whatever the distribution is.
     """
-    ordered, n = np.sort(scores), len(scores)
-    cut = n // 4
-    middle = ordered[cut : n - cut]
-    winsorised, _ = _error_of(np.clip(ordered, middle[0], middle[-1]))
-    freedom = len(middle) - 1
-    error = winsorised * n * (n - 1) / (len(middle) * freedom)
-    return _of_errors(fmean(middle), [(error, freedom)], SCORES)
+    n = len(scores)
+    cut, shift = n // 4, math.ceil(_deviate() * math.sqrt(n) / 2)
+    ordered = np.concatenate([np.full(shift, LOWEST), np.sort(scores), np.full(shift, HIGHEST)])
+    low, mean, high = (fmean(ordered[first : first + n - 2 * cut]) for first in cut + np.arange(3) * shift)
+    return Interval(mean, low, high)
 
 
-def _error_of(values: Values) -> tuple[float, int]:
-    """Return the variance of the mean of independent values, and its degrees of freedom."""
-    return float(np.var(values, ddof=1)) / len(values), len(values) - 1
+def _combined(first: Interval, second: Interval, within: Range) -> Interval:
+    """Return the first mean with the errors of both, which are independent (MOVER, Zou and Donner 2008)."""
+    below = math.hypot(first.mean - first.low, second.mean - second.low)
+    above = math.hypot(first.high - first.mean, second.high - second.mean)
+    return _cut(first.mean, first.mean - below, first.mean + above, within)
 
 
-def _of_errors(mean: float, errors: Sequence[tuple[float, int]], within: Range) -> Interval:
-    """Return the interval of a mean with independent errors (Welch and Satterthwaite).
+def _cut(mean: float, low: float, high: float, within: Range) -> Interval:
+    """Return an interval that ends where the range does; the mean may be rounded beyond."""
+    return Interval(mean, min(mean, max(low, within[0])), max(mean, min(high, within[1])))
 
-    Args:
-        mean: The mean.
-        errors: Variance and degrees of freedom of each error.
-        within: The range of the mean.
+
+def _deviate(comparisons: int = 1) -> float:
+    return NormalDist().inv_cdf(1 - 0.025 / comparisons)
+
+
+def student(freedom: float, comparisons: int = 1) -> float:
+    """Return the 97.5 % quantile of Student's t, a higher one for several comparisons.
+
+    Uses the expansion in Abramowitz and Stegun (26.7.5) above 2 degrees of freedom.
     """
-    variance = math.fsum(error for error, _ in errors)
-    if variance == 0:
-        return Interval(mean, mean, mean)
-    freedom = variance**2 / math.fsum(error**2 / degrees for error, degrees in errors)
-    half = student(freedom) * math.sqrt(variance)
-    low, high = within
-    return Interval(mean, max(low, mean - half), min(high, mean + half))
-
-
-def student(freedom: float) -> float:
-    """Return the 97.5 % quantile of Student's t, to 0.2 %.
-
-    Uses the expansion in Abramowitz and Stegun (26.7.5) from 3 degrees of freedom; below, whole degrees.
-    """
-    if freedom < 3:
-        return 12.7062 if round(freedom, 9) < 2 else 4.3027
-    z = 1.959964
+    z, p = _deviate(comparisons), 0.5 - 0.025 / comparisons
+    if freedom <= 2:
+        return math.tan(math.pi * p) if freedom <= 1 else p * math.sqrt(8 / (1 - 4 * p**2))
     series = (
         (z**3 + z) / 4,
         (5 * z**5 + 16 * z**3 + 3 * z) / 96,
@@ -123,13 +146,11 @@ def student(freedom: float) -> float:
 
 
 def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
-    """Format a mean with half the width of its interval, or with both ends if the interval is clipped."""
+    """Format a mean with both ends of its interval."""
     if mean is None or interval is None:
         return "-" if mean is None else format(mean, form)
     low, high = interval
-    if abs(low + high - 2 * mean) > 1e-9:
-        return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
-    return f"{mean:{form}} ± {high - mean:{form}}"
+    return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def mean_of(values: Values) -> float | None:
@@ -191,7 +212,7 @@ class Summary:
             score=score,
             score_ci95=ci95(rows.scores, SCORES),
             success_rate=mean_of(even.success),
-            success_ci95=ci95(rows.success, SHARES),
+            success_ci95=proportion(rows.success),
             steps=mean_of(even.steps),
             reward=None if rows.rewards is None or rows.reward_profile is None else mean_of(rows.rewards),
             optimum=optimum,
@@ -254,28 +275,31 @@ class PairedComparison:
         wins, ties = (self.differences >= SAME).sum(), (np.abs(self.differences) < SAME).sum()
         return int(wins), int(ties), int(len(self.differences) - wins - ties)
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self, comparisons: int = 1) -> dict[str, Any]:
         """Return the statistics of the comparison as JSON values.
 
         `difference` has the interval of pairs, `unpaired` the interval over different maps. `improvement` is the share
-        of maps on which `a` is better; ties count half.
+        of maps on which `a` is better; ties count half. `comparisons` intervals hold together with 95 %.
 
         Raises:
             InvalidValueError: if both flew fewer than two maps.
         """
-        difference = interval(self.differences, DIFFERENCES)
-        unpaired = _of_errors(difference.mean, [_error_of(self.a.scores), _error_of(self.b.scores)], DIFFERENCES)
+        difference = interval(self.differences, DIFFERENCES, comparisons)
+        a, b = (interval(side.scores, SCORES, comparisons) for side in (self.a, self.b))
+        apart = Interval(difference.mean, difference.mean - a.mean + a.low, difference.mean - a.mean + a.high)
         better = np.where(np.abs(self.differences) < SAME, 0.5, self.differences > 0)
         return {
             "maps": len(self.differences),
             "difference": difference._asdict(),
-            "unpaired": unpaired._asdict(),
-            "improvement": interval(better, SHARES)._asdict(),
+            "unpaired": _combined(apart, Interval(-b.mean, -b.high, -b.low), DIFFERENCES)._asdict(),
+            "improvement": interval(better, SHARES, comparisons)._asdict(),
         }
 
 
 def compared(agents: Mapping[str, Results]) -> dict[str, Any]:
     """Return the statistics of each agent, and of the comparison of all others with the first, as JSON values.
+
+    The intervals of all comparisons hold together with 95 %; those of each agent hold alone.
 
     Raises:
         InvalidValueError: if the first and another agent have fewer than two maps in common.
@@ -290,7 +314,7 @@ def compared(agents: Mapping[str, Results]) -> dict[str, Any]:
             "success_rate": mean_of(rows.success),
         }
     others = {
-        agent: PairedComparison.of(results, agents[f"{first}"]).figures()
+        agent: PairedComparison.of(results, agents[f"{first}"]).figures(len(agents) - 1)
         for agent, results in agents.items()
         if agent != first
     }

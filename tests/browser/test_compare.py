@@ -32,7 +32,7 @@ def test_the_leaderboard_opens_down_to_a_flight_and_the_address_says_what_is_ope
     chances = next(row for row in board if row["agent"] == "random")
     low, high = chances["score_ci95"]
     line = lines.filter(has_text="Random")
-    expect(line).to_contain_text(f"{points(chances['score'])} ± {points((high - low) / 2)}")
+    expect(line).to_contain_text(f"{points(chances['score'])} [{points(low)}, {points(high)}]")
     # The whiskers end where the interval ends.
     bar, whiskers = line.locator(".bar").bounding_box(), line.locator(".bar b").bounding_box()
     assert bar

@@ -5,12 +5,15 @@ import pytest
 
 from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import (
+    DIFFERENCES,
     SCORES,
     SHARES,
     PairedComparison,
+    compared,
     crossed,
     interquartile_mean,
     interval,
+    proportion,
     ranked,
     student,
 )
@@ -31,39 +34,81 @@ def comparison(a: np.ndarray, b: np.ndarray) -> PairedComparison:
     return PairedComparison.of(results(a), results(b))
 
 
+def widened(values: list[float], within: tuple[float, float]) -> list[float]:
+    """The interval with 0.9604 more values at each end of the range; 5.921 degrees of freedom for five values."""
+    weights = [1.0] * len(values) + [0.9604] * 2
+    n = sum(weights)
+    centre = np.average([*values, *within], weights=weights)
+    half = 2.4546 * (np.average((np.array([*values, *within]) - centre) ** 2, weights=weights) / (n - 1)) ** 0.5
+    return [float(np.mean(values)), max(within[0], centre - half), min(within[1], centre + half)]
+
+
 def test_the_figures_of_a_comparison_by_hand() -> None:
     paired = comparison(A, B)
     assert paired.outcomes == (3, 1, 1)
     found = paired.figures()
     assert found["maps"] == 5
-    # The squares of the deviations add up to 0.352, 0.388 and, of the differences, 0.508.
-    half = 2.776 * (0.508 / 20) ** 0.5
-    assert list(found["difference"].values()) == pytest.approx([0.22, 0.22 - half, 0.22 + half], abs=1e-3)
-    # Unpaired, there are 7.98 degrees of freedom (Welch).
-    apart = 2.307 * ((0.352 + 0.388) / 20) ** 0.5
-    assert list(found["unpaired"].values()) == pytest.approx([0.22, 0.22 - apart, 0.22 + apart], abs=1e-3)
+    expected = widened([0.3, 0, -0.1, 0.1, 0.8], (-0.98, 0.98))
+    assert list(found["difference"].values()) == pytest.approx(expected, abs=1e-3)
     # Three maps won, one even, one lost; shares end at 1.
-    half = 2.776 * (0.8 / 20) ** 0.5
-    assert list(found["improvement"].values()) == pytest.approx([0.7, 0.7 - half, 1], abs=1e-3)
-    assert interval(A, SCORES) == pytest.approx((0.64, 0.64 - 2.776 * (0.352 / 20) ** 0.5, 0.99), abs=1e-3)
+    assert list(found["improvement"].values()) == pytest.approx(widened([1, 0.5, 0, 1, 1], (0, 1)), abs=1e-3)
+    a, b = (widened(list(scores), (0.01, 0.99)) for scores in (A, B))
+    assert interval(A, SCORES) == pytest.approx(a, abs=1e-3)
+    # Unpaired, the errors of both add up as squares.
+    low, high = np.hypot(a[0] - a[1], b[2] - b[0]), np.hypot(a[2] - a[0], b[0] - b[1])
+    assert list(found["unpaired"].values()) == pytest.approx([0.22, 0.22 - low, 0.22 + high], abs=1e-3)
+
+
+@pytest.mark.parametrize("n", [20, 200])
+@pytest.mark.parametrize(("failures", "loss"), [(0.004, 0.9), (0.024, 0.9), (0.024, 0.3), (0.2, 0.9), (0.976, 0.9)])
+def test_intervals_cover_the_truth_where_failures_are_rare(n: int, failures: float, loss: float) -> None:
+    samples = np.random.default_rng(0).random((400, n)) < failures
+    for within, high in (SCORES, 0.95), (DIFFERENCES, 0.0):
+        found = [interval(high - loss * sample, within) for sample in samples]
+        assert np.mean([low <= high - loss * failures <= upper for _, low, upper in found]) > 0.93
+    shares = [proportion(sample) or [1, 0] for sample in samples]
+    assert np.mean([low <= failures <= upper for low, upper in shares]) > 0.9
+
+
+def test_wilson_is_that_of_the_literature() -> None:
+    # Newcombe (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
+    for successes, n, low, high in (
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ):
+        assert proportion([1] * successes + [0] * (n - successes)) == pytest.approx([low, high], abs=1e-4)
+    assert proportion([1]) is None
+
+
+def test_several_comparisons_hold_together() -> None:
+    alone, together = interval(A, SCORES), interval(A - B, DIFFERENCES, comparisons=3)
+    agents = {name: results(scores) for name, scores in zip("abcd", (B, A, A, B), strict=True)}
+    found = compared(agents)
+    assert found["agents"]["b"]["score"] == alone._asdict()
+    assert found["others"]["b"]["difference"] == together._asdict()
+    assert together.low < interval(A - B, DIFFERENCES).low
 
 
 @pytest.mark.parametrize(
-    ("freedom", "quantile"), [(1, 12.706), (2, 4.303), (3, 3.182), (4, 2.776), (10, 2.228), (30, 2.042), (1e6, 1.960)]
+    ("freedom", "quantile"), [(1, 12.706), (2, 4.303), (3, 3.182), (4, 2.776), (10, 2.228), (30, 2.042), (10**6, 1.960)]
 )
-def test_student_is_that_of_the_tables(freedom: float, quantile: float) -> None:
+def test_student_is_that_of_the_tables(freedom: int, quantile: float) -> None:
     assert student(freedom) == pytest.approx(quantile, rel=0.002)
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
-    # The nearest of the rest replace those left out: three times 0.3, three times 0.6. There are 3 degrees of freedom.
-    half = 3.182 * (0.02 * 7 / (4 * 3)) ** 0.5
-    assert interquartile_mean(np.arange(1, 9) / 10) == pytest.approx((0.45, 0.45 - half, 0.45 + half), abs=1e-3)
+    # The ends are three ranks away, and the scores end at 0.01 and 0.99.
+    low, high = (0.01 + 0.1 + 0.2 + 0.3) / 4, (0.6 + 0.7 + 0.8 + 0.99) / 4
+    assert interquartile_mean(np.arange(1, 9) / 10) == pytest.approx((0.45, low, high))
 
 
-def test_agents_that_never_differ_are_equally_good() -> None:
+def test_agents_that_never_differ_are_equally_good_as_far_as_few_maps_show() -> None:
     found = comparison(A, A).figures()
-    assert list(found["difference"].values()) == [0, 0, 0]
+    assert found["difference"]["mean"] == 0
+    assert -found["difference"]["low"] == pytest.approx(found["difference"]["high"])
+    assert found["difference"]["high"] > 0.3
     assert found["improvement"]["mean"] == 0.5
 
 
@@ -80,7 +125,7 @@ def test_the_lowest_regret_ranks_first_whatever_the_maps_were_worth() -> None:
 
 def test_an_interval_over_seeds_and_maps() -> None:
     rng = np.random.default_rng(0)
-    covered = 0
+    covered, scores = 0, np.zeros((12, 40))
     for _ in range(50):
         scores = 0.5 + 0.1 * rng.standard_normal((12, 1)) + 0.1 * rng.standard_normal(40)
         found = crossed(scores, SHARES)

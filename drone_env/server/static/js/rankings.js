@@ -26,10 +26,9 @@ function scoreBar(score, ci, colour) {
   return el("div.score-bar", { style }, within(score, ci, points), bar);
 }
 
-/** A value with ± half its interval, or with both ends if the interval is not symmetric. */
+/** A value with both ends of its interval. */
 function within(value, ci, write) {
-  const cut = ci && Math.abs(ci[0] + ci[1] - 2 * value) > 1e-9;
-  const margin = cut ? ` [${ci.map((end) => write(end)).join(", ")}]` : ci ? ` ± ${write(ci[1] - value)}` : "";
+  const margin = ci ? ` [${ci.map((end) => write(end)).join(", ")}]` : "";
   return el("span.within", write(value), el("span.margin", { text: margin }));
 }
 
@@ -99,7 +98,7 @@ export function leaderboard(context, board, compare) {
     grid("Leaderboard, smallest loss first", columns, rows, below),
     more.length ? opener(everyone, "people", () => compare.draw(!everyone), `More people: ${more.length}`) : "",
     el("p.note.below", {
-      text: `Each row gives means over the maps that the pilot flew; ± is a 95 % confidence interval. The pilot that loses least against the optimum of each map is first. “Few” means under ${ENOUGH} maps. ${how}${forks}`,
+      text: `Each row gives means over the maps that the pilot flew, with its 95 % confidence interval, not corrected for the number of rows. The pilot that loses least against the optimum of each map is first. “Few” means under ${ENOUGH} maps. ${how}${forks}`,
     }),
   );
 }
