@@ -104,14 +104,14 @@ class InferenceSettings(BaseSettings):
             raise InvalidValueError(f"{name} must be printable ASCII without spaces, quotes and backslashes")
         if parts.scheme == "https" or is_loopback(host) or allow_plain_http:
             return token
+        if not is_private(host):
+            raise InvalidValueError(
+                f"{name} is not sent unencrypted to {host}, a public host: use https://, or add --allow-plain-http"
+            )
         if PROVIDERS_KEY.search(token):
             raise InvalidValueError(
                 f"{name} is a key of Hugging Face or OpenAI and is not sent unencrypted to {host}: set it to the key "
                 "of this endpoint (any word if it has none), use https://, or add --allow-plain-http"
-            )
-        if not is_private(host):
-            raise InvalidValueError(
-                f"{name} is not sent unencrypted to {host}, a public host: use https://, or add --allow-plain-http"
             )
         return token
 

@@ -16,7 +16,7 @@ from drone_env import __version__
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import host_of, is_private
-from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for
+from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for, options_for
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300
@@ -39,7 +39,7 @@ HINTS = {
     404: "there is no such model or address: check MODEL_NAME and API_BASE_URL",
 }
 NO_CREDIT = re.compile(
-    r"insufficient[_ ](?:quota|balance|funds|credit)|credit balance|billing_(?:hard_limit|not_active)"
+    r"insufficient[_ ](?:user_)?(?:quota|balance|funds|credit)|credit balance|billing_(?:hard_limit|not_active)"
     r"|exceeded_current_quota_error",
     re.IGNORECASE,
 )
@@ -165,6 +165,8 @@ class Endpoint:
         retried = status in RETRIED or status >= 500 or status == 200
         after = _retry_after(headers) if retried else None
         changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
+        if not changes and not retried and (options := options_for(text, request)):
+            reason = f"{reason} (see {', '.join(options)})"
         return TryFailedError(status, reason, retried, after, changes=changes)
 
     def _clean(self, text: str) -> str:

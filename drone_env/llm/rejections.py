@@ -11,6 +11,17 @@ Changes = Mapping[Part, str | None]
 """The new name of each changed field of a request; None for a field that is not sent. `system` becomes `merge`."""
 NO_CHANGES: Changes = {}
 PARAMETERS: tuple[Part, ...] = ("max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice")
+OPTIONS = {
+    "max_tokens": "--max-answer-tokens",
+    "temperature": "--temperature",
+    "top_p": "--top-p",
+    "seed": "--sampling-seed",
+    "response_format": "--answers",
+    "tools": "--answers",
+    "tool_choice": "--answers",
+    "max_completion_tokens": "--max-answer-tokens",
+}
+"""The option of `drone-env infer` for each field of a request; all others come from `--extra`."""
 UNSUPPORTED = (
     r"unsupported|(?:not|n't) (?:currently )?(?:support|permit|allow|available|compatible)|incompatible|forbidden"
     r"|unexpected|unknown|unrecogni[sz]ed|deprecated|can(?:not|'t) both"
@@ -41,6 +52,12 @@ def changes_for(reason: str, request: Mapping[str, Any]) -> Changes:
             other = name == "max_tokens" and "max_completion_tokens" in reason
             return {name: "max_completion_tokens" if other else None}
     return NO_CHANGES
+
+
+def options_for(reason: str, request: Mapping[str, Any]) -> list[str]:
+    """The options that decide the fields of a request that a refusal names."""
+    named = [name for name in request.keys() - {"model", "messages"} if re.search(rf"\b{re.escape(name)}\b", reason)]
+    return sorted({OPTIONS.get(name, "--extra") for name in named})
 
 
 def changed(request: Mapping[str, Any], changes: Changes) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
         async def ask() -> Answer:
             opened = Endpoint("http://localhost:1/v1", TOKEN, 60)
             try:
-                return await opened.send({}, "0-1-1")
+                return await opened.send({"model": "m", "messages": [], "max_tokens": 9, "top_k": 0}, "0-1-1")
             finally:
                 await opened.close()
 
@@ -192,17 +192,14 @@ def test_the_endpoint_may_ask_to_wait(send: Send, status: int, headers: dict[str
             for status, error in (
                 (402, "Insufficient Balance"),
                 (429, {"message": "see your plan", "type": "insufficient_quota"}),
-                (403, {"message": "see your plan", "code": "local:insufficient_quota"}),
+                (403, {"message": "see your plan", "code": "insufficient_user_quota"}),
                 (400, {"message": "Your credit balance is too low to access the API."}),
                 (200, {"message": "quota exceeded", "code": 402}),
             )
         ),
-        (
-            400,
-            {"error": {"message": "Provider failed", "metadata": {"raw": "too hot"}}},
-            "400: Provider failed: too hot",
-            False,
-        ),
+        (400, {"message": "failed", "metadata": {"raw": "too hot"}}, "400: failed: too hot", False),
+        (400, "max_tokens is too large", "400: max_tokens is too large (see --max-answer-tokens)", False),
+        (400, "top_k: 0; user: no", "400: top_k: 0; user: no (see --extra)", False),
         (200, "x" * 195 + TOKEN, f"200: not an answer: JSON was expected, got {'x' * 195}***", False),
         (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
     ],

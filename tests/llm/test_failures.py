@@ -13,7 +13,7 @@ ALWAYS = 10**9
     ("fault", "told"),
     [
         ({"status": 401, "message": f"Incorrect API key provided: {TOKEN}"}, "returned 401: the token is missing"),
-        ({"status": 400, "message": "no temperature"}, "returned 400: no temperature\n"),
+        ({"status": 400, "message": "no temperature"}, "returned 400: no temperature (see --temperature)\n"),
     ],
 )
 def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault: object, told: str) -> None:

@@ -43,8 +43,9 @@ def test_a_token_is_taken_out_however_it_is_written(token: str) -> None:
 
 @pytest.mark.parametrize(("url", "proxies"), [("http://192.168.1.20", 0), ("http://vllm", 0), ("https://x.org", 1)])
 def test_only_public_hosts_are_reached_by_a_proxy(url: str, proxies: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy"):
+    for name in ("http_proxy", "https_proxy", "all_proxy", "no_proxy"):
         monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
     monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
     assert len(Endpoint(url, None, 1)._client._mounts) == proxies
     monkeypatch.setenv("ALL_PROXY", "gopher://127.0.0.1:9")
