@@ -167,10 +167,9 @@ def is_loopback(host: str) -> bool:
 def is_private(host: str) -> bool:
     """Whether a host is this machine or in a private network, by its address or name."""
     try:
-        address = ip_address(host)
+        return not ip_address(host).is_global
     except ValueError:
         return "." not in host or host.endswith(PRIVATE_NAMES)
-    return not (getattr(address, "ipv4_mapped", None) or address).is_global
 
 
 def models_table() -> str:

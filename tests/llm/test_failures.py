@@ -28,9 +28,10 @@ def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault
 
 def test_a_run_without_credit_stops_at_once_and_goes_on_later(endpoint: Start) -> None:
     error = {"error": {"message": "see your plan", "type": "insufficient_quota"}}
-    scripted = endpoint(pilot="greedy", faults=[[7, 7, {"status": 429, "sends": json.dumps(error)}]])
+    faults = [[5, 5, "hang"], [7, 7, {"status": 429, "sends": json.dumps(error)}]]
+    scripted = endpoint(pilot="greedy", faults=faults)
     run = ("--seeds", "14:17", "--concurrency", "3")
-    # Other flights are under way, so there is no report yet.
+    # Another flight is under way, so there is no report yet.
     stopped = scripted.infer(*run, "--report")
     assert (stopped.status, len([c for c in stopped.calls if c["failures"]])) == (2, 1)
     assert "429: the account has no credit left: add credit, then continue the run (see your plan)" in stopped.err
