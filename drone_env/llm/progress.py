@@ -48,9 +48,9 @@ class Progress:
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
             flights = f"{self._flights} of {self.config.flights} flights"
-            cost = "" if budget.cost is None else f", ${budget.cost:.4f}"
-            tokens = known_sum(budget.tokens, budget.unmetered, "d")
-            print(f"{flights}, {budget.requests} requests, {tokens} tokens{cost}", file=sys.stderr)
+            cost = "" if budget.cost is None else f", {known_sum(budget.cost, budget.unmetered, '.4f')} US dollars"
+            tokens = "" if budget.tokens is None else f", {known_sum(budget.tokens, budget.unmetered, 'd')} tokens"
+            print(f"{flights}, {budget.requests} requests{tokens}{cost}", file=sys.stderr)
 
     def on_wait(self, seconds: float, reason: str) -> None:
         """Print the wait before a retry, at most one short wait per second."""
