@@ -33,6 +33,7 @@ def infer(
     repeats: int = 1,
     prompt: PromptName = None,
     history: int = 0,
+    system: Literal["role", "merge"] = "role",
     answers: Literal["text", "json", "tool"] = "text",
     temperature: Number = 0.0,
     no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
@@ -47,6 +48,7 @@ def infer(
     resume: bool = False,
     report: bool = True,
     moves: bool = True,
+    allow_plain_http: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     use_image: bool = False,
     engine: Literal["local", "ray"] = "local",
     address: ClusterAddress = None,
@@ -72,6 +74,8 @@ def infer(
         prompt: The prompt: name (the newest version), id such as grid-2, or your own file. Default: minimal, or with
             --resume that of the run.
         history: Number of last steps that the prompt shows.
+        system: Send the system text as a message of its own, or merge it into the first user message, for models
+            without a system role.
         answers: Request plain text, structured output (JSON schema), or a tool call.
         temperature: Sampling temperature.
         no_temperature: Send no temperature, for models that reject it.
@@ -88,6 +92,7 @@ def infer(
         resume: Continue the run in --out, under the same configuration.
         report: Verify the whole run and write report.json and report.md into its folder.
         moves: Count blunders and other moves in the report, by the exact value of every state.
+        allow_plain_http: Send the token over http:// also to a public host, where others can read it.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations
             must equal the one here.
         engine: Send the requests from this process, or from the nodes of a Ray cluster (extra `cluster`), which share
@@ -134,6 +139,7 @@ def infer(
             prompt_digest=chosen.digest,
             prompt_text=chosen.own,
             history=history,
+            system=system,
             answers=answers,
             sampling=Sampling(
                 temperature=None if no_temperature else temperature,
@@ -147,7 +153,7 @@ def infer(
         raise InvalidValueError(text_of(error)) from None
     except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
-    token = settings.token_for(config.base_url)
+    token = settings.token_for(config.base_url, allow_plain_http)
     if use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server: give it without --server")
     if address is not None and engine != "ray":
@@ -176,7 +182,7 @@ def infer(
         progress = Progress(config, limiter.budget, path, store)
         try:
             result = asyncio.run(runner.run(config, path, sender, limiter, progress))
-            if report:
+            if report and result.verdict != "stopped":
                 from drone_env.llm import report as reports
                 from drone_env.llm.verify import verified_run
 
@@ -191,6 +197,8 @@ def infer(
                 print(f"{missing}; to add them, {to_resume}", file=sys.stderr)
         for line in [*runner.summary_lines(result), f"run: {path}"]:
             print(line, file=sys.stderr)
+        if result.verdict == "stopped":
+            print(f"to continue, {to_resume}", file=sys.stderr)
         return runner.EXIT_STATUS[result.verdict]
 
 

@@ -10,7 +10,7 @@ from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
 from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
 from drone_env.results.statistics import with_interval
-from drone_env.results.tables import Table, number, percent, print_table
+from drone_env.results.tables import Table, known_sum, number, percent, print_table
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 EVALUATION, RUN = "evaluation.json", "run.json"
@@ -118,4 +118,5 @@ def _model_columns(report: dict[str, Any]) -> tuple[str, str, str]:
         return "-", "-", "-"
     from drone_env.llm.report import unusable_of
 
-    return str(report["flights"]["errored"]), str(unusable_of(report)), str(sum(report["tokens"].values()))
+    tokens = known_sum(report["tokens"]["total"], report["calls"]["without_usage"], "d")
+    return str(report["flights"]["errored"]), str(unusable_of(report)), tokens

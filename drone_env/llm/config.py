@@ -2,6 +2,7 @@
 
 import json
 import re
+from ipaddress import ip_address
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
@@ -22,7 +23,9 @@ HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"
 OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
-LOOPBACK = ("localhost", "127.0.0.1", "::1")
+PRIVATE_NAMES = (".local", ".localhost", ".internal", ".lan", ".home.arpa", ".svc")
+PROVIDERS_KEY = re.compile(r"\Ahf_|\Ask-.*T3BlbkFJ")
+"""Beginning of a key of Hugging Face, and a part of every key of OpenAI."""
 RESERVED = {
     *("model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"),
     *("tools", "tool_choice", "response_format"),
@@ -76,28 +79,40 @@ class InferenceSettings(BaseSettings):
             values = {"model_name": OPENAI_MODEL, **values}
         return values
 
-    def token_for(self, url: str) -> str | None:
-        """The token for an endpoint, chosen by its host; None for a local endpoint if no key is set.
+    def token_for(self, url: str, allow_plain_http: bool = False) -> str | None:
+        """The token for an endpoint, chosen by its host; None if no key is set and the endpoint may need none.
+
+        Args:
+            url: The endpoint.
+            allow_plain_http: Whether the token may be sent unencrypted to another machine.
 
         Raises:
             InvalidValueError: if the token for the host is not set or cannot be in a header, or would be sent
-                unencrypted to another machine.
+                unencrypted to a public host, or, as a key of Hugging Face or OpenAI, to another machine.
         """
         parts = urlsplit(check_url(url))
-        host = (parts.hostname or "").lower().rstrip(".")
-        name, secret = ("OPENAI_API_KEY", self.openai_api_key)
-        if any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS):
-            name, secret = ("HF_TOKEN", self.hf_token)
+        host = host_of(url)
+        hugging_face = any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS)
+        name, secret = ("HF_TOKEN", self.hf_token) if hugging_face else ("OPENAI_API_KEY", self.openai_api_key)
         if secret is None:
-            if host in LOOPBACK:
-                return None
-            raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
+            if host in (host_of(HUGGING_FACE), host_of(OPENAI)):
+                raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
+            return None
         token = secret.get_secret_value().strip()
         if not re.fullmatch(r"[!#-&(-[\]-~]+", token):
             # JSON escapes quotes and backslashes, so such a token would not be found in an answer that quotes it.
             raise InvalidValueError(f"{name} must be printable ASCII without spaces, quotes and backslashes")
-        if parts.scheme != "https" and host not in LOOPBACK:
-            raise InvalidValueError(f"{name} is not sent unencrypted: API_BASE_URL must begin with https:// for {host}")
+        if parts.scheme == "https" or is_loopback(host) or allow_plain_http:
+            return token
+        if not is_private(host):
+            raise InvalidValueError(
+                f"{name} is not sent unencrypted to {host}, a public host: use https://, or add --allow-plain-http"
+            )
+        if PROVIDERS_KEY.search(token):
+            raise InvalidValueError(
+                f"{name} is a key of Hugging Face or OpenAI and is not sent unencrypted to {host}: set it to the key "
+                "of this endpoint (any word if it has none), use https://, or add --allow-plain-http"
+            )
         return token
 
 
@@ -134,6 +149,27 @@ def check_url(url: str) -> str:
     if not usable or not url.isprintable() or "?" in url or "#" in url:
         raise InvalidValueError("API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password or query")
     return url.rstrip("/")
+
+
+def host_of(url: str) -> str:
+    """The host of an address, in small letters and without the dot of a full name."""
+    return (urlsplit(url).hostname or "").rstrip(".")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return f".{host}".endswith(".localhost")
+
+
+def is_private(host: str) -> bool:
+    """Whether a host is this machine or in a private network, by its address or name."""
+    try:
+        return not ip_address(host).is_global
+    except ValueError:
+        return "." not in host or host.endswith(PRIVATE_NAMES)
 
 
 def models_table() -> str:
@@ -179,6 +215,9 @@ class RunConfig(Message):
     prompt_digest: str = Field(description="Digest of its file.")
     prompt_text: str | None = Field(default=None, description="Its text, if it is from outside the package.")
     history: Count = Field(description="Number of last steps that the prompt shows.")
+    system: Literal["role", "merge"] = Field(
+        default="role", description="`merge`: the system text is the beginning of the first user message."
+    )
     answers: Literal["text", "json", "tool"]
     stream: Literal[False] = Field(default=False, description="Answers are not streamed.")
     sampling: Sampling
@@ -229,6 +268,7 @@ class RunConfig(Message):
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
         flight = Flight(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history)
         flight.index, flight.repeat, flight.parameters = index, repeat, self._parameters(repeat)
+        flight.asked = {"system": "merge"} if self.system == "merge" else {}
         return flight
 
     def load_prompt(self) -> Prompt:

@@ -4,18 +4,19 @@ import asyncio
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from email.utils import parsedate_to_datetime
 from time import time
 from typing import Any, cast
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 
 import httpx
 
 from drone_env import __version__
-from drone_env.errors import DroneEnvError
+from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.config import LOOPBACK
+from drone_env.llm.config import host_of, is_private
+from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for, options_for
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300
@@ -33,9 +34,16 @@ TEXTS = ("text", "reasoning", "refusal", "tool_arguments")
 """The fields of an answer that contain text from the model."""
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
+    402: "the account has no credit left: add credit, then continue the run",
     403: "the token may not use this model or endpoint",
     404: "there is no such model or address: check MODEL_NAME and API_BASE_URL",
 }
+NO_CREDIT = re.compile(
+    r"insufficient[_ ](?:user_)?(?:quota|balance|funds|credit)|credit balance|billing_(?:hard_limit|not_active)"
+    r"|exceeded_current_quota_error",
+    re.IGNORECASE,
+)
+"""What errors without the status 402 say of an account without credit."""
 MIN_SECRET = 8
 """Shorter tokens, such as `x` for a local server, are not secret, and occur in words."""
 
@@ -50,6 +58,7 @@ class TryFailedError(DroneEnvError):
         retried: Whether another try can succeed.
         retry_after: Seconds to wait, as the endpoint requests; None if it does not.
         fatal: Whether every other call would fail too.
+        changes: What to change in the request, if the endpoint rejects a part that can change.
     """
 
     status: int
@@ -57,6 +66,7 @@ class TryFailedError(DroneEnvError):
     retried: bool = False
     retry_after: float | None = None
     fatal: bool = False
+    changes: Changes = field(default_factory=lambda: NO_CHANGES)
 
     def __str__(self) -> str:
         return f"{self.status or 'no answer'}: {self.reason}"
@@ -69,6 +79,9 @@ class Endpoint:
         base_url: Its address.
         token: The API token; None to send none.
         timeout: Maximum duration of a request in seconds.
+
+    Raises:
+        InvalidValueError: if the environment names a proxy that cannot be used.
     """
 
     def __init__(self, base_url: str, token: str | None, timeout: float) -> None:
@@ -78,15 +91,21 @@ class Endpoint:
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
-        # A redirect, or a proxy for a local endpoint, would send the token elsewhere. The rate limiter bounds the
+        private = is_private(host_of(base_url))
+        # A redirect, or a proxy for a private endpoint, would send the token elsewhere. The rate limiter bounds the
         # connections.
-        self._client = httpx.AsyncClient(
-            headers=headers,
-            trust_env=urlsplit(base_url).hostname not in LOOPBACK,
-            follow_redirects=False,
-            timeout=None,
-            limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
-        )
+        try:
+            self._client = httpx.AsyncClient(
+                headers=headers,
+                trust_env=not private,
+                # Private endpoints need the certificates of the environment (SSL_CERT_FILE) most of all.
+                verify=httpx.create_ssl_context() if private and base_url.startswith("https") else True,
+                follow_redirects=False,
+                timeout=None,
+                limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
+            )
+        except (ImportError, ValueError, httpx.InvalidURL) as error:
+            raise InvalidValueError(f"HTTP_PROXY, HTTPS_PROXY or ALL_PROXY cannot be used: {error}") from None
 
     async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
         """Send one request, given its body. The answer does not contain the token, even if the response quotes it.
@@ -116,36 +135,39 @@ class Endpoint:
         async with self._client.stream("POST", self._url, json=request, headers=headers) as response:
             data = await _read(response)
         if not response.is_success:
-            raise self._refusal(response.status_code, _error_text(data), response.headers)
+            raise self._refusal(response.status_code, _error_text(data), data, response.headers, request)
         if not data.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
         completion = _json(data)
         error = _error_of(completion)
         fields = {} if error else _answer(completion)
         if error or not any(fields[name] for name in (*TEXTS, "finish_reason")):
-            raise self._error_inside(error or "the message is empty", response.headers)
+            named = cast(Mapping[str, Any], error if isinstance(error, Mapping) else {})
+            codes = (str(named.get(name)) for name in ("code", "status"))
+            status = next((int(code) for code in codes if re.fullmatch("[45][0-9][0-9]", code)), 200)
+            reason = f"{self._clean(_message_of(error or 'the message is empty'))} (in a 200 response)"
+            raise self._refusal(status, reason, data, response.headers, request)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
-    def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
-        """The failure for an error in a 200 response, by the status inside it."""
-        reason = f"{self._clean(_message_of(error))} (in a 200 response)"
-        fields: Mapping[str, Any] = cast(Mapping[str, Any], error) if isinstance(error, Mapping) else {}
-        named = (str(fields.get(name)) for name in ("code", "status"))
-        status = next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
-        if status is not None:
-            return self._refusal(status, reason, headers)
-        return TryFailedError(200, reason, retried=True)
-
-    def _refusal(self, status: int, reason: str, headers: httpx.Headers) -> TryFailedError:
+    def _refusal(
+        self, status: int, reason: str, data: bytes, headers: httpx.Headers, request: Mapping[str, Any]
+    ) -> TryFailedError:
+        """The failure for an error, by its status or by what the whole response says."""
         reason = self._clean(reason) or httpx.codes.get_reason_phrase(status)
+        text = data.decode(errors="replace")
         if 300 <= status < 400:
             where = self._clean(headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
-        if status in HINTS:
-            return TryFailedError(status, f"{HINTS[status]} ({reason})", fatal=True)
-        retried = status in RETRIED or status >= 500
-        return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
+        hint = HINTS[402] if NO_CREDIT.search(text) else HINTS.get(status)
+        if hint is not None:
+            return TryFailedError(status, f"{hint} ({reason})", fatal=True)
+        retried = status in RETRIED or status >= 500 or status == 200
+        after = _retry_after(headers) if retried else None
+        changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
+        if not changes and not retried and (options := options_for(text, request)):
+            reason = f"{reason} (see {', '.join(options)})"
+        return TryFailedError(status, reason, retried, after, changes=changes)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token and without unprintable characters."""
@@ -181,27 +203,45 @@ def _answer(completion: Any) -> dict[str, Any]:
     """The fields of the answer in a completion; many servers omit some."""
     choice: Any = completion["choices"][0]
     message: Any = choice["message"]
-    calls: list[Any] = message.get("tool_calls") or []
+    legacy: Any = message.get("function_call")
+    calls: list[Any] = message.get("tool_calls") or ([{"function": legacy}] if legacy else [])
     texts: dict[str, list[str]] = {
         "text": [],
         "reasoning": [text for _, text in _parts(message.get("reasoning_content") or message.get("reasoning"))],
         "refusal": [message.get("refusal") or ""],
         # The joined arguments of several calls are not an action.
-        "tool_arguments": [(call.get("function") or {}).get("arguments") or "" for call in calls],
+        "tool_arguments": [_arguments((call.get("function") or {}).get("arguments")) for call in calls],
     }
     for name, part in _parts(message.get("content")):
         texts[name].append(part)
     joined = {name: "".join(found) or None for name, found in texts.items()}
     usage: Any = completion.get("usage") or {}
-    counts: dict[str, Any] = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
-    counted = {name: n if type(n) is int and 0 <= n < MAX_TOKENS else None for name, n in counts.items()}
+    prompt, written = _count(usage.get("prompt_tokens")), _count(usage.get("completion_tokens"))
     return {
         **joined,
-        **counted,
+        # Every prompt has tokens: a server that reports 0 has not counted them.
+        "prompt_tokens": prompt or None,
+        "completion_tokens": written if prompt or written else None,
         "text": joined["text"] or "",
         "finish_reason": choice.get("finish_reason"),
         "model": completion.get("model"),
     }
+
+
+def _arguments(arguments: Any) -> str:
+    """The arguments of a tool call as text. Some servers send the object itself, others encode it twice."""
+    if not isinstance(arguments, str):
+        return json.dumps(arguments) if arguments else ""
+    try:
+        inner: Any = json.loads(arguments) if arguments.lstrip().startswith('"') else None
+    except ValueError:
+        inner = None
+    return inner if isinstance(inner, str) else arguments
+
+
+def _count(n: Any) -> int | None:
+    """A number of tokens; None if it is none, or too large to be true."""
+    return int(n) if type(n) in (int, float) and 0 <= n < MAX_TOKENS and n == int(n) else None
 
 
 def _parts(content: Any) -> Iterator[tuple[str, str]]:
@@ -234,19 +274,25 @@ def _error_text(data: bytes) -> str:
 
 def _message_of(error: Any) -> str:
     """The innermost message of an error; the whole error if it has none."""
+    raw = ""
     while isinstance(error, dict):
         fields = cast(dict[str, Any], error)
         inner = next((fields[name] for name in ("error", "message", "detail") if fields.get(name)), None)
         if inner is None:
             break
+        metadata: Any = fields.get("metadata")
+        # OpenRouter quotes its provider's error there.
+        raw = f": {metadata['raw']}" if isinstance(metadata, dict) and metadata.get("raw") else raw
         error = inner
-    return error if isinstance(error, str) else json.dumps(error)
+    return (error if isinstance(error, str) else json.dumps(error)) + raw
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:
-    """Seconds in the header `Retry-After`; None if there is none."""
+    """Seconds in the header `Retry-After` or `Retry-After-Ms`; None if there is none."""
     after = headers.get("retry-after", "")
     try:
+        if "retry-after-ms" in headers:
+            return max(0.0, float(headers["retry-after-ms"]) / 1000)
         return max(0.0, float(after) if after[:1].isdecimal() else parsedate_to_datetime(after).timestamp() - time())
     except (TypeError, ValueError):
         return None

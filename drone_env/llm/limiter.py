@@ -80,24 +80,26 @@ class Budget:
 
     Attributes:
         requests: Number of requests sent.
-        prompt_tokens, completion_tokens: Number of tokens used.
+        prompt_tokens, completion_tokens: Number of tokens that the answers report; None if none of them does.
         unmetered: Number of answers without a count of their tokens.
     """
 
     def __init__(self, options: Options) -> None:
-        self.requests = self.prompt_tokens = self.completion_tokens = self.unmetered = 0
+        self.requests = self.unmetered = 0
+        self.prompt_tokens: int | None = None
+        self.completion_tokens: int | None = None
         self._options = options
 
     @property
-    def tokens(self) -> int:
-        """Number of all tokens used."""
-        return self.prompt_tokens + self.completion_tokens
+    def tokens(self) -> int | None:
+        """Number of all tokens that the answers report; None if none of them does."""
+        return added(self.prompt_tokens, self.completion_tokens)
 
     @property
     def cost(self) -> float | None:
-        """US dollars spent; None if prices are unknown."""
+        """US dollars for these tokens; None if they or their prices are unknown."""
         prompt, completion = self._options.price_prompt, self._options.price_completion
-        if prompt is None or completion is None:
+        if prompt is None or completion is None or self.prompt_tokens is None or self.completion_tokens is None:
             return None
         return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
 
@@ -111,8 +113,8 @@ class Budget:
         """Count the tokens of a call."""
         if (answer := call.answer) is not None:
             self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
-            self.prompt_tokens += answer.prompt_tokens or 0
-            self.completion_tokens += answer.completion_tokens or 0
+            self.prompt_tokens = added(self.prompt_tokens, answer.prompt_tokens)
+            self.completion_tokens = added(self.completion_tokens, answer.completion_tokens)
 
     def check(self) -> None:
         """Check that one more request is within the limits.
@@ -125,10 +127,17 @@ class Budget:
             raise LimitReachedError(f"all {limits.max_calls} calls have been made")
         if self.unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
             raise LimitReachedError("the endpoint does not report its tokens, so they cannot be limited")
-        if limits.max_tokens is not None and self.tokens >= limits.max_tokens:
-            raise LimitReachedError(f"{self.tokens} of {limits.max_tokens} tokens have been used")
-        if limits.max_cost is not None and (cost := self.cost or 0.0) >= limits.max_cost:
+        # Neither is known before the first answer.
+        if limits.max_tokens is not None and (tokens := self.tokens) is not None and tokens >= limits.max_tokens:
+            raise LimitReachedError(f"{tokens} of {limits.max_tokens} tokens have been used")
+        if limits.max_cost is not None and (cost := self.cost) is not None and cost >= limits.max_cost:
             raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
+
+
+def added(*counts: int | None) -> int | None:
+    """The sum of the known counts; None if none is known."""
+    known = [count for count in counts if count is not None]
+    return sum(known) if known else None
 
 
 class RateLimiter:

@@ -13,6 +13,7 @@ from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import EpisodeIds
 from drone_env.llm.text_episode import Flight
 from drone_env.results.store import Store
+from drone_env.results.tables import known_sum
 
 LINE_SECONDS = 10.0
 LONG_WAIT = 5.0
@@ -47,8 +48,9 @@ class Progress:
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
             flights = f"{self._flights} of {self.config.flights} flights"
-            cost = "" if budget.cost is None else f", ${budget.cost:.4f}"
-            print(f"{flights}, {budget.requests} requests, {budget.tokens} tokens{cost}", file=sys.stderr)
+            cost = "" if budget.cost is None else f", {known_sum(budget.cost, budget.unmetered, '.4f')} US dollars"
+            tokens = "" if budget.tokens is None else f", {known_sum(budget.tokens, budget.unmetered, 'd')} tokens"
+            print(f"{flights}, {budget.requests} requests{tokens}{cost}", file=sys.stderr)
 
     def on_wait(self, seconds: float, reason: str) -> None:
         """Print the wait before a retry, at most one short wait per second."""
@@ -57,6 +59,10 @@ class Progress:
         if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:
             self._wait_shown = now
             print(f"{reason}; next attempt in {seconds:.1f} s (retries so far: {self._retries})", file=sys.stderr)
+
+    def notice(self, text: str) -> None:
+        """Print what happens once in a run."""
+        print(text, file=sys.stderr)
 
     def on_flight(self, flight: Flight) -> None:
         """Store the flight and print its log lines."""

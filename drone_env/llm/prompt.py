@@ -28,6 +28,8 @@ FOLDER = Path(__file__).with_name("prompts")
 MAX_FILE = 1 << 18
 QUOTED_CHARACTERS = 2000
 """Length of the unusable answer that the repair request quotes."""
+NO_TEXT = "(no text)"
+"""What it quotes of an empty answer."""
 LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel", Cell.PAD: "charging pad"}
 """Names in prompts that differ from the names of the cells."""
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
@@ -69,7 +71,7 @@ class PromptFile(Message):
     marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(
         default=(), strict=False, description="What can start the line with the answer; empty for a bare answer."
     )
-    system: str = Field(description="A template.")
+    system: str = Field(default="", description="A template; without text, no system message is sent.")
     user: str = Field(description="A template.")
     repair: str = Field(description="A template with the one value `reason`.")
 
@@ -87,7 +89,7 @@ class Prompt(PromptFile):
         return read_answer(answer, self.plan, self.marks)
 
     def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
-        """The system and user messages that ask for the next action, or for the route.
+        """The system message, if it has text, and the user message that ask for the next action, or for the route.
 
         Args:
             episode: The episode in its current state.
@@ -101,15 +103,14 @@ class Prompt(PromptFile):
         if "compass" in self.names:
             values["compass"] = _compass(task, obs)
         user = [self._render(self.user, values), below_text(task, obs.cell_below)]
-        return [
-            {"role": "system", "content": self._render(self.system, values)},
-            {"role": "user", "content": "\n".join(filter(None, user))},
-        ]
+        texts = {"system": self._render(self.system, values), "user": "\n".join(filter(None, user))}
+        return [{"role": role, "content": text} for role, text in texts.items() if text or role == "user"]
 
     def repair_messages(self, answer: str, reason: str) -> list[ChatMessage]:
         """The messages that follow an unusable answer: the answer, and why it is unusable."""
         return [
-            {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
+            # Some endpoints reject an empty message.
+            {"role": "assistant", "content": answer[:QUOTED_CHARACTERS] if answer.strip() else NO_TEXT},
             {"role": "user", "content": self.repair_text(reason)},
         ]
 

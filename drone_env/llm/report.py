@@ -15,6 +15,7 @@ from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, Unsu
 from drone_env.files import write_json, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.limiter import Budget, Options
+from drone_env.llm.rejections import described
 from drone_env.llm.run_folder import RESULTS, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
@@ -22,7 +23,7 @@ from drone_env.results.analysis import analyse_flight
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, map_rows
 from drone_env.results.statistics import Summary, mean_of, normalised, with_interval
-from drone_env.results.tables import Table, number, percent
+from drone_env.results.tables import Table, known_sum, number, percent
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -36,7 +37,9 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
     Means are over maps: flights over the same map are averaged first. `score_ci95` (`results.statistics`) is null for
     one map. `normalised` is (score - random) / (optimal - random) of the means over the same maps. `unusable` counts
     the answers that stayed unusable after their repair; above 5 % the run is marked. `models` counts the answers by
-    the model that the endpoint names; "" if it names none.
+    the model that the endpoint names; "" if it names none. `changes` counts them by what their requests sent otherwise
+    than the configuration says, because the endpoint rejects it. Tokens and cost are sums over the answers that report
+    their tokens; `without_usage` counts the others.
 
     Args:
         run: The run.
@@ -59,6 +62,7 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
         "format": "drone_env/llm-report",
         "config": config.model_dump(mode="json"),
         "models": dict(sorted(Counter(call.answer.model or "" for call in run.calls if call.answer).items())),
+        "changes": dict(Counter(text for call in run.calls if call.answer for text in described(call.changes))),
         "verdict": verdict,
         "reason": reason,
         "flights": {
@@ -169,7 +173,11 @@ def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
     latencies = [call.latency for call in run.calls if call.answer is not None]
     return {
         "calls": {"answered": len(latencies), "requests": budget.requests, "without_usage": budget.unmetered},
-        "tokens": {"prompt": budget.prompt_tokens, "completion": budget.completion_tokens},
+        "tokens": {
+            "prompt": budget.prompt_tokens,
+            "completion": budget.completion_tokens,
+            "total": budget.tokens,
+        },
         "cost_usd": budget.cost,
         "latency_median": median_high(latencies) if latencies else None,
     }
@@ -235,16 +243,18 @@ def _result(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("errored, left out", str(flights["errored"])),
         ("unfinished, counted as waiting to the end", str(flights["unfinished"])),
         ("WAIT in place of an unusable answer", str(figures["waits"])),
+        *((f"answers for which {text}", str(answers)) for text, answers in figures["changes"].items()),
     ]
     return rows if moves is None else [*rows, ("best moves where it mattered", percent(moves["accuracy"]))]
 
 
 def _spent(figures: dict[str, Any]) -> list[tuple[str, str]]:
-    calls, tokens = figures["calls"], figures["tokens"]
+    calls, tokens, missing = figures["calls"], figures["tokens"], figures["calls"]["without_usage"]
     return [
         ("requests; answers", f"{calls['requests']}; {calls['answered']}"),
-        ("tokens: prompt, completion", f"{tokens['prompt']}, {tokens['completion']}"),
-        ("answers without a count of tokens", str(calls["without_usage"])),
-        ("cost in US dollars", number(figures["cost_usd"])),
+        ("tokens: prompt", known_sum(tokens["prompt"], missing, "d")),
+        ("tokens: completion", known_sum(tokens["completion"], missing, "d")),
+        ("answers without a count of tokens", str(missing)),
+        ("cost in US dollars", known_sum(figures["cost_usd"], missing, ".4f")),
         ("median seconds for an answer", number(figures["latency_median"], ".2f")),
     ]

@@ -5,7 +5,7 @@ import contextlib
 import random
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
@@ -17,6 +17,7 @@ from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
 from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.progress import Progress
+from drone_env.llm.rejections import Changes, described, missing_text
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, write_flights
 from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
 from drone_env.llm.transcript import Call, Failure, Transcript, digest
@@ -89,6 +90,7 @@ class Calls:
         limiter: Decides when a request is sent.
         progress: Shows the progress.
         fatal: Why every further request would fail; None if there is no such reason.
+        changes: What requests change because the endpoint rejected it.
     """
 
     config: RunConfig
@@ -97,6 +99,10 @@ class Calls:
     limiter: RateLimiter
     progress: Progress
     fatal: str | None = None
+    changes: Changes = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.changes = {name: new for call in self.transcript.calls for name, new in call.changes.items()}
 
     async def ask(self, flight: Flight) -> Answer:
         """The answer to the next call of a flight.
@@ -106,23 +112,26 @@ class Calls:
             LimitReachedError: if the budget of the run is spent.
             InvalidValueError: if the transcript contains another request under its key.
         """
-        key, request = flight.key, flight.request
+        key = flight.key
         stored = self.transcript.answered.get(key)
         if stored is not None:
-            return stored.answer_to(request)
+            flight.changes = stored.changes
+            return stored.answer_to(flight.request)
         began = self.limiter.now()
         failures: list[Failure] = []
 
         def record(answer: Answer | None, outcome: str) -> None:
+            request = flight.request
             call = Call(
                 flight=key.flight,
                 seed=flight.episode.seed,
                 repeat=flight.repeat,
                 turn=key.turn,
                 attempt=flight.attempt,
-                messages=flight.messages,
+                messages=request["messages"],
                 request_digest=digest(request),
                 sampling_seed=request.get("seed"),
+                changes=dict(flight.changes),
                 answer=answer,
                 outcome=outcome,
                 failures=failures,
@@ -146,6 +155,8 @@ class Calls:
             if failed.fatal or first:
                 self.fatal = f"{urlsplit(self.config.base_url).netloc} returned {failed}"
             raise CallFailedError(str(failed)) from None
+        if not self.transcript.answered and (warning := missing_text(flight.request, answer)):
+            self.progress.notice(warning)
         record(answer, flight.prompt.read_answer(answer).kind)
         return answer
 
@@ -154,15 +165,23 @@ class Calls:
         limiter, options, key = self.limiter, self.limiter.options, flight.key
         while True:
             async with limiter.slot() as sent_at:
+                flight.changes = self.changes
                 try:
                     answer = await self.endpoint.send(flight.request, str(key))
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after
-                    if failed.retried:
+                    if failed.retried and not failed.changes:
                         limiter.overloaded(sent_at, min(retry_after or 0.0, MAX_WAIT))
                 else:
                     limiter.answered()
                     return answer, sent_at
+            if failed.changes:
+                # Each part is rejected once at most, so this ends, also without tries left.
+                if failed.changes.items() - self.changes.items():
+                    self.changes = {**self.changes, **failed.changes}
+                    self.progress.notice(f"{'; '.join(described(failed.changes))}: the endpoint returned {failed}")
+                failures.append(Failure(status=failed.status, reason=failed.reason, waited=0.0))
+                continue
             again = failed.retried and len(failures) + 1 < options.tries and (retry_after or 0.0) <= MAX_WAIT
             bound = min(MAX_BACKOFF, options.backoff * 2 ** len(failures))
             wait = (random.uniform(0, bound) if retry_after is None else retry_after) if again else 0.0

@@ -10,6 +10,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, TurnKind, actions_named
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
+from drone_env.llm.rejections import NO_CHANGES, Changes, changed
 from drone_env.llm.transcript import CallKey
 from drone_env.models import NAMES
 
@@ -166,12 +167,16 @@ class Flight(TextEpisode):
         index: Its number in the run, from 0.
         repeat: The number of earlier flights of the run over the same map.
         parameters: The fields of its requests besides the messages.
+        asked: What the run's configuration changes in its requests.
+        changes: What else the next request changes, because the endpoint rejects it.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
     """
 
     index = repeat = 0
     parameters: Mapping[str, Any]
+    asked: Changes = NO_CHANGES
+    changes: Changes = NO_CHANGES
     status: Status = "finished"
     error: str | None = None
 
@@ -183,7 +188,7 @@ class Flight(TextEpisode):
     @property
     def request(self) -> dict[str, Any]:
         """The body of the next request."""
-        return {"messages": self.messages, **self.parameters}
+        return changed({"messages": self.messages, **self.parameters}, {**self.asked, **self.changes})
 
     def stop(self, error: CallFailedError | LimitReachedError) -> None:
         """End the flight because a call has no answer."""

@@ -16,6 +16,7 @@ from pydantic import Field
 from drone_env.errors import InvalidValueError
 from drone_env.files import append_line, read_lines
 from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.rejections import Part
 from drone_env.models import Count, Message
 
 LONGEST_CALL = 1 << 24
@@ -52,6 +53,9 @@ class Call(Message):
     messages: list[ChatMessage]
     request_digest: str = Field(description="Digest of the request's body.")
     sampling_seed: int | None = Field(default=None, description="The seed in the request: the run's plus `repeat`.")
+    changes: dict[Part, str | None] = Field(
+        default={}, description="Fields that the endpoint rejects: the name that was sent instead; null for none."
+    )
     answer: Answer | None = Field(description="Null if no try brought one.")
     outcome: str = Field(description="The kind of the answer, `api_error` or `budget_stop`.")
     failures: list[Failure] = Field(default_factory=list[Failure])

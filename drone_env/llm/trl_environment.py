@@ -58,7 +58,7 @@ class DroneEnvironment:
         if task is None or seed is None:
             raise InvalidValueError("each row of the dataset needs the columns task and seed: see training_maps()")
         self._flown = _flight(task, seed, tools_prompt(), reward_profile)
-        return self._flown.messages[1]["content"]
+        return self._flown.messages[-1]["content"]
 
     def fly(self, direction: Direction) -> str:
         """Fly the drone one step, or wait for one.

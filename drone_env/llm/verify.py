@@ -61,6 +61,7 @@ def verified_run(path: Path) -> VerifiedRun:
             key = flight.key
             if key in answers:
                 used.add(key)
+                flight.changes = answers[key].changes
                 return answers[key].answer_to(flight.request)
             # After its last answer the flight ended with the status of its result, which is compared below.
             if result.status == "errored" and key in failed:

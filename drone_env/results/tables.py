@@ -23,6 +23,11 @@ def number(value: float | None, form: str = ".4f") -> str:
     return "-" if value is None else format(value, form)
 
 
+def known_sum(value: float | None, missing: int, form: str) -> str:
+    """Format a sum of which some terms are missing; `-` if all are."""
+    return f"at least {value:{form}}" if missing and value is not None else number(value, form)
+
+
 def percent(value: float | None) -> str:
     """Format a share in percent; `-` if it is unknown."""
     return number(value, ".1%")

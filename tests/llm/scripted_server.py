@@ -3,6 +3,7 @@
 `POST /NAME/script` opens an endpoint at `/NAME/v1`. Its body contains:
 - `pilot`: perfect, greedy, plan, able (perfect or greedy, as the prompt allows), or a text to answer with.
 - `latency`: seconds.
+- `rejects`: the message of the 400 for each field, and for the role `system`, that a request may not contain.
 - `faults`: a list of [first, last, fault] by the number of the request from 0; the first match applies.
 """
 
@@ -72,6 +73,9 @@ class Handler(BaseHTTPRequestHandler):
         told = scripts[name]
         index, call = next(told["numbers"]), self.headers.get("x-client-request-id", "")
         fault = next((f for first, last, f in told.get("faults", []) if first <= index <= last), None)
+        parts = {*body, body["messages"][0]["role"]}
+        refused = next((message for part, message in told.get("rejects", {}).items() if part in parts), None)
+        fault = fault or (refused and {"status": 400, "message": refused})
         headers = {name.lower(): value for name, value in self.headers.items()}
         told["log"].append({"call": call, "headers": headers, "body": body, "port": self.client_address[1]})
         try:

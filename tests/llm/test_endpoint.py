@@ -38,7 +38,7 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
         async def ask() -> Answer:
             opened = Endpoint("http://localhost:1/v1", TOKEN, 60)
             try:
-                return await opened.send({}, "0-1-1")
+                return await opened.send({"model": "m", "messages": [], "max_tokens": 9, "top_k": 0}, "0-1-1")
             finally:
                 await opened.close()
 
@@ -73,11 +73,47 @@ def test_the_parts_of_an_answer(send: Send, message: Any, answer: dict[str, Any]
     assert send(whole) == Answer(**answer, finish_reason="stop")
 
 
-def test_tokens_beyond_counting_are_not_counted(send: Send) -> None:
-    usage = {"prompt_tokens": 10**400, "completion_tokens": -1}
+@pytest.mark.parametrize(
+    ("arguments", "read"),
+    [
+        ('{"direction": "UP"}', '{"direction": "UP"}'),
+        ({"direction": "UP"}, '{"direction": "UP"}'),
+        (json.dumps('{"direction": "UP"}'), '{"direction": "UP"}'),
+        (["UP"], '["UP"]'),
+        ('"UP', '"UP'),
+        ({}, None),
+        (None, None),
+    ],
+)
+@pytest.mark.parametrize("legacy", [False, True])
+def test_the_arguments_of_a_tool_call_in_each_form(send: Send, arguments: Any, read: str | None, legacy: bool) -> None:
+    call = {"name": "fly", "arguments": arguments}
+    message = {"content": None, "function_call": call} if legacy else {"tool_calls": [{"function": call}]}
+    answer = send({"choices": [{"message": message, "finish_reason": "stop"}]})
+    assert answer == Answer(text="", tool_arguments=read, finish_reason="stop")
+
+
+@pytest.mark.parametrize(
+    ("usage", "counted"),
+    [
+        ({"prompt_tokens": 10, "completion_tokens": 0}, (10, 0)),
+        ({"prompt_tokens": 10.0, "completion_tokens": 2.0}, (10, 2)),
+        ({"prompt_tokens": 10}, (10, None)),
+        ({"prompt_tokens": 0, "completion_tokens": 2}, (None, 2)),
+        ({"prompt_tokens": 0, "completion_tokens": 0}, (None, None)),
+        ({"prompt_tokens": 10**400, "completion_tokens": -1}, (None, None)),
+        ({"prompt_tokens": True, "completion_tokens": 2.5}, (None, None)),
+        ({"prompt_tokens": None, "completion_tokens": "2"}, (None, None)),
+        ({}, (None, None)),
+        (None, (None, None)),
+    ],
+)
+def test_tokens_that_are_not_counted_are_unknown(
+    send: Send, usage: Any, counted: tuple[int | None, int | None]
+) -> None:
     answer = send({"choices": [{"message": {"content": "UP"}}], "usage": usage})
     assert isinstance(answer, Answer)
-    assert (answer.prompt_tokens, answer.completion_tokens) == (None, None)
+    assert (answer.prompt_tokens, answer.completion_tokens) == counted
 
 
 @pytest.mark.parametrize(
@@ -129,6 +165,7 @@ def test_an_endless_answer_is_not_read_on(send: Send) -> None:
         (429, {"Retry-After": "2"}, 2),
         (503, {"Retry-After": "0.5"}, 0.5),
         (429, {"Retry-After": "soon"}, None),
+        (429, {"Retry-After": "2", "Retry-After-Ms": "150"}, 0.15),
         (503, {"Retry-After": "Sat, 01 Jan 2000 00:00:00 GMT"}, 0),
         (503, {"Retry-After": formatdate(time() + 36_000, usegmt=True)}, 36_000),
         (503, {}, None),
@@ -150,7 +187,19 @@ def test_the_endpoint_may_ask_to_wait(send: Send, status: int, headers: dict[str
         (500, "", "500: Internal Server Error", False),
         (500, "y" * 1000, f"500: {'y' * 300}", False),
         (500, "\x1b[2Jgone", "500: \ufffd[2Jgone", False),
-        (200, {"error": {"message": "quota exceeded", "code": 402}}, "402: quota exceeded (in a 200 response)", False),
+        *(
+            (status, {"error": error}, f"{402 if status == 200 else status}: the account has no credit left: ", True)
+            for status, error in (
+                (402, "Insufficient Balance"),
+                (429, {"message": "see your plan", "type": "insufficient_quota"}),
+                (403, {"message": "see your plan", "code": "insufficient_user_quota"}),
+                (400, {"message": "Your credit balance is too low to access the API."}),
+                (200, {"message": "quota exceeded", "code": 402}),
+            )
+        ),
+        (400, {"message": "failed", "metadata": {"raw": "too hot"}}, "400: failed: too hot", False),
+        (400, "max_tokens is too large", "400: max_tokens is too large (see --max-answer-tokens)", False),
+        (400, "top_k: 0; user: no", "400: top_k: 0; user: no (see --extra)", False),
         (200, "x" * 195 + TOKEN, f"200: not an answer: JSON was expected, got {'x' * 195}***", False),
         (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
     ],

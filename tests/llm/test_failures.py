@@ -1,5 +1,7 @@
 """Endpoints that refuse, break off or send endless answers: what is tried again, and what becomes of flight and run."""
 
+import json
+
 import pytest
 
 from .conftest import TOKEN, Start, blocks, verified
@@ -11,7 +13,7 @@ ALWAYS = 10**9
     ("fault", "told"),
     [
         ({"status": 401, "message": f"Incorrect API key provided: {TOKEN}"}, "returned 401: the token is missing"),
-        ({"status": 400, "message": "no temperature"}, "returned 400: no temperature\n"),
+        ({"status": 400, "message": "no temperature"}, "returned 400: no temperature (see --temperature)\n"),
     ],
 )
 def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault: object, told: str) -> None:
@@ -21,6 +23,21 @@ def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault
     assert [f["status"] for f in done.flights] == ["errored"]
     (lines,) = blocks(done.out)
     assert lines[-1] == "[END] success=false steps=0 score=0.010 rewards="
+    verified(done)
+
+
+def test_a_run_without_credit_stops_at_once_and_goes_on_later(endpoint: Start) -> None:
+    error = {"error": {"message": "see your plan", "type": "insufficient_quota"}}
+    faults = [[5, 5, "hang"], [7, 7, {"status": 429, "sends": json.dumps(error)}]]
+    scripted = endpoint(pilot="greedy", faults=faults)
+    run = ("--seeds", "14:17", "--concurrency", "3")
+    # Another flight is under way, so there is no report yet.
+    stopped = scripted.infer(*run, "--report")
+    assert (stopped.status, len([c for c in stopped.calls if c["failures"]])) == (2, 1)
+    assert "429: the account has no credit left: add credit, then continue the run (see your plan)" in stopped.err
+    assert f"to continue, give the same options with --out {stopped.folder} --resume\n" in stopped.err
+    done = scripted.infer(*run, "--resume", folder=stopped.folder)
+    assert (done.status, [flight["status"] for flight in done.flights]) == (0, ["finished"] * 3), done.err
     verified(done)
 
 

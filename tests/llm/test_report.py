@@ -1,20 +1,25 @@
 """Reports and the leaderboard: figures by hand, and runs that are not what they say."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
+from drone_env.llm.answers import Answer
+from drone_env.llm.limiter import Options
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
 from drone_env.results.record import EpisodeRecord, record_of
 
 from .conftest import Start
-from .stored_run import put_run
+from .scripted_server import reply
+from .stored_run import Scripted, fly, put_run
 
 
 def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) -> None:
@@ -31,7 +36,6 @@ def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) ->
     figures = report(verified_run(done.folder), moves=False)
     assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
     assert figures["success_rate"] == 0.75
-    assert figures["calls"]["without_usage"] == 60
 
 
 def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
@@ -130,6 +134,35 @@ def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) 
         (folder / name).write_text(text.replace('"scripted"', '"better"'))
     with pytest.raises(InvalidValueError, match="call 0-1-1 has another request"):
         verified_run(folder)
+
+
+@pytest.mark.parametrize(
+    ("usage", "tokens", "cost", "rows"),
+    [
+        ([None] * 3, (None, None, None), None, ("-", "-", "3", "-")),
+        ([(None, 2)] * 3, (None, 6, 6), None, ("-", "at least 6", "3", "-")),
+        ([(100, 2), None, (100, 4)], (200, 6, 206), 0.00086, ("at least 200", "at least 6", "1", "at least 0.0009")),
+        ([(100, 2)] * 3, (300, 6, 306), 0.00126, ("300", "6", "0", "0.0013")),
+    ],
+)
+def test_tokens_that_no_answer_reports_are_unknown_not_0(
+    usage: list[Any], tokens: tuple[object, ...], cost: float | None, rows: tuple[str, ...], tmp_path: Path
+) -> None:
+    class Metered(Scripted):
+        async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
+            prompt, completion = usage[int(call_id.split("-")[1]) - 1] or (None, None)
+            text = reply("greedy", request["messages"][1]["content"])
+            return Answer(text=text, prompt_tokens=prompt, completion_tokens=completion)
+
+    fly(Metered("greedy"), tmp_path / "run")
+    run = verified_run(tmp_path / "run")
+    figures = report(run, Options(price_prompt=4, price_completion=10), moves=False)
+    assert tuple(figures["tokens"].values()) == tokens
+    assert figures["cost_usd"] == (cost and pytest.approx(cost))
+    write_report(run, figures)
+    names = ("tokens: prompt", "tokens: completion", "answers without a count of tokens", "cost in US dollars")
+    table = "".join(f"| {name} | {row} |\n" for name, row in zip(names, rows, strict=True))
+    assert table in (tmp_path / "run" / "report.md").read_text()
 
 
 def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:

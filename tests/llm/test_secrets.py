@@ -1,11 +1,13 @@
 """The token goes to its endpoint and nowhere else: not along a redirect, not into a file, not onto the terminal."""
 
 import json
+from contextlib import nullcontext
 from urllib.parse import quote
 
 import pytest
 
-from drone_env.llm.endpoint import without_secret
+from drone_env.errors import InvalidValueError
+from drone_env.llm.endpoint import Endpoint, without_secret
 
 from .conftest import TOKEN, Start, verified
 
@@ -37,6 +39,18 @@ def test_a_token_is_taken_out_however_it_is_written(token: str) -> None:
     for written in (token, token.upper(), token.lower(), quote(token, safe="")):
         assert without_secret(f"a {written} b", token) == "a *** b"
     assert without_secret("xylophone", "x") == "xylophone", "short tokens are parts of words"
+
+
+@pytest.mark.parametrize(("url", "proxies"), [("http://192.168.1.20", 0), ("http://vllm", 0), ("https://x.org", 1)])
+def test_only_public_hosts_are_reached_by_a_proxy(url: str, proxies: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("http_proxy", "https_proxy", "all_proxy", "no_proxy"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
+    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
+    assert len(Endpoint(url, None, 1)._client._mounts) == proxies
+    monkeypatch.setenv("ALL_PROXY", "gopher://127.0.0.1:9")
+    with pytest.raises(InvalidValueError, match="ALL_PROXY cannot be used: ") if proxies else nullcontext():
+        Endpoint(url, None, 1)
 
 
 def test_the_token_for_this_machine_passes_no_proxy(endpoint: Start) -> None:

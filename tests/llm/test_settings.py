@@ -40,12 +40,54 @@ def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.Mon
     for url, name in ((HF, "HF_TOKEN"), (OTHER, "OPENAI_API_KEY")):
         with pytest.raises(InvalidValueError, match=f"needs {name}"):
             none.token_for(url)
-    with pytest.raises(InvalidValueError, match="not sent unencrypted"):
-        both.token_for("http://example.com/v1")
     for url in ("ftp://x", "https://user:pass@x/v1", "x", "https://x/v1?key=1"):
         with pytest.raises(InvalidValueError, match="API_BASE_URL"):
             both.token_for(url)
     assert "hf_a" not in repr(both)
+
+
+PRIVATE = (
+    *("localhost", "127.0.0.2", "[::1]", "0.0.0.0", "api.localhost", "192.168.1.20", "10.0.0.5", "172.16.3.4"),
+    *("169.254.1.1", "100.100.1.2", "[fd00::1]", "[fe80::1]", "[::ffff:192.168.1.20]", "vllm", "my_vllm", "VLLM."),
+    *(
+        "gpu.local",
+        "llm.corp.internal",
+        "box.lan",
+        "mylocal",
+        "nas.home.arpa",
+        "vllm.models.svc",
+        "host.docker.internal",
+    ),
+)
+PUBLIC = ("example.com", "8.8.8.8", "[2001:4860:4860::8888]", "172.32.0.1", "lan.example", "internal.example.com")
+
+
+@pytest.mark.parametrize("host", [*PRIVATE, *PUBLIC])
+def test_plain_http_reaches_every_host_without_a_token_and_private_ones_with_a_token(
+    host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    url, keyed = f"http://{host}:8000/v1", InferenceSettings.model_validate({"openai_api_key": "EMPTY-no-key"})
+    assert InferenceSettings().token_for(url) is None
+    assert InferenceSettings.model_validate({"hf_token": "hf_a"}).token_for(url) is None
+    assert keyed.token_for(url, allow_plain_http=True) == keyed.token_for(f"https://{host}/v1") == "EMPTY-no-key"
+    if host in PUBLIC:
+        with pytest.raises(InvalidValueError, match="a public host: use https://, or add --allow-plain-http"):
+            keyed.token_for(url)
+    else:
+        assert keyed.token_for(url) == "EMPTY-no-key"
+
+
+@pytest.mark.parametrize("key", ["hf_abcdef", "sk-proj-abcT3BlbkFJdef"])
+def test_the_key_of_a_provider_goes_unencrypted_to_no_other_machine(
+    key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    settings = InferenceSettings.model_validate({"openai_api_key": key})
+    with pytest.raises(InvalidValueError, match="OpenAI and is not sent unencrypted to vllm"):
+        settings.token_for("http://vllm:8000/v1")
+    assert settings.token_for("http://127.0.0.1:4000/v1") == settings.token_for("https://gateway.example/v1") == key
+    assert settings.token_for("http://vllm:8000/v1", allow_plain_http=True) == key
 
 
 @pytest.mark.feature("I1")

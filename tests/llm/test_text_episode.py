@@ -37,6 +37,7 @@ def test_unusable_answers_are_waits_and_thoughts_and_routes_are_read() -> None:
     # The model sees the beginning of a long answer.
     (_, _, quoted, _) = TextEpisode("easy", 14).answer(Answer(text="Hm." * 1000, finish_reason="length"))
     assert quoted["content"] == ("Hm." * 1000)[:2000]
+    assert TextEpisode("easy", 14).answer(" \n")[2] == {"role": "assistant", "content": "(no text)"}
     aloud = TextEpisode("easy", 14, "think")
     aloud.answer("Not every ACTION: brings it nearer.\n**ACTION: LEFT**")
     assert (aloud.turns, aloud.episode.actions) == (["ok"], [2])

@@ -36,12 +36,13 @@ class Run(Message):
     run: str = Field(description="Name of its folder.")
     kind: Literal["agent", "model"] = Field(description="From `drone-env evaluate`, or from `drone-env infer`.")
     agent: str = Field(description="The model, or the agent as in `drone-env evaluate`.")
-    prompt: str | None = Field(description="Name of the prompt; this and the next four are null for an agent.")
+    prompt: str | None = Field(description="Name of the prompt; this and the next six are null for an agent.")
     errored: Count | None = Field(description="Flights left out because a request failed.")
     waits: Count | None = Field(description="Steps that are a WAIT because no response was usable.")
     unusable_share: float | None = Field(description="Fraction of responses that stayed unusable after a repair.")
     marked: bool = Field(description="Whether `unusable_share` is over 5 %: the score is not reliable.")
-    tokens: Count | None
+    tokens: Count | None = Field(description="Also null if no response reports its tokens.")
+    without_usage: Count | None = Field(description="Responses without a count of tokens, which `tokens` leaves out.")
     flights: Count = Field(description="Flights that count.")
     success_rate: float = Field(ge=0, le=1)
     score: float = Field(ge=0, le=1)
@@ -159,7 +160,8 @@ def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
         waits=report.get("waits"),
         unusable_share=None if is_agent else report["unusable"]["share"],
         marked=not is_agent and report["unusable"]["marked"],
-        tokens=None if is_agent else sum(report["tokens"].values()),
+        tokens=None if is_agent else report["tokens"]["total"],
+        without_usage=None if is_agent else report["calls"]["without_usage"],
         flights=sum(row.flights for row in rows),
         steps=fmean(results.steps),
         maps=[AgentMap.of(row._replace(id=ids.get(row.seed))) for row in rows[:LISTED]],

@@ -51,10 +51,10 @@ class DroneDeliveryTaskset(vf.Taskset[FlightTask, DroneDeliveryConfig]):
         """Yield one task for each map."""
         config = self.config
         for seed in split_seeds(config.split, config.maps, config.offset):
-            system, user = TextEpisode(config.map_task, seed, config.prompt).messages
+            *system, user = TextEpisode(config.map_task, seed, config.prompt).messages
             data = FlightData(
                 name=f"{config.map_task}#{seed}",
-                system_prompt=system["content"],
+                system_prompt=system[0]["content"] if system else None,
                 prompt=user["content"],
                 flight=(config.map_task, seed, config.prompt),
             )

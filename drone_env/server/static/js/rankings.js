@@ -135,7 +135,7 @@ const unusable = ({ unusable_share: share, marked }) =>
 const OF_MODELS = [
   ["Errored", (row) => figure(row.errored), true],
   ["Unusable answers", unusable, true],
-  ["Tokens", (row) => figure(row.tokens), true],
+  ["Tokens", (row) => (row.tokens !== null && row.without_usage ? "at least " : "") + figure(row.tokens), true],
 ];
 
 /** Runs of agents and language models, one board per set of maps. @param {Context} context */

@@ -1,0 +1,110 @@
+"""Parts of a request that some endpoints reject, and what later requests send instead."""
+
+import re
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from drone_env.llm.answers import Answer, ChatMessage
+
+Part = Literal["system", "max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice"]
+Changes = Mapping[Part, str | None]
+"""The new name of each changed field of a request; None for a field that is not sent. `system` becomes `merge`."""
+NO_CHANGES: Changes = {}
+PARAMETERS: tuple[Part, ...] = ("max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice")
+OPTIONS = {
+    "max_tokens": "--max-answer-tokens",
+    "temperature": "--temperature",
+    "top_p": "--top-p",
+    "seed": "--sampling-seed",
+    "response_format": "--answers",
+    "tools": "--answers",
+    "tool_choice": "--answers",
+    "max_completion_tokens": "--max-answer-tokens",
+}
+"""The option of `drone-env infer` for each field of a request; all others come from `--extra`."""
+UNSUPPORTED = (
+    r"unsupported|(?:not|n't) (?:currently )?(?:support|permit|allow|available|compatible)|incompatible|forbidden"
+    r"|unexpected|unknown|unrecogni[sz]ed|deprecated|can(?:not|'t) both"
+)
+OUT_OF_RANGE = r"positive|must be|should be|has to be|greater|between|range|invalid"
+SYSTEM_ROLE = re.compile(
+    r"roles? must alternate|developer instruction|messages\W{0,3}0\W{0,3}role"
+    r"|only [^.]{0,60}roles? (?:is|are) supported"
+    r"|system['\"`]? (?:role|message|prompt|instruction)s?\b[^.]{0,40}(?:not|n't|un)[ -]?(?:support|allow|permit)"
+    r"|(?:(?:not|n't) (?:support|allow)|unsupported|unexpected|invalid|unknown)[^.]{0,60}"
+    r"(?:\bsystem['\"`]? (?:role|message|prompt|instruction)|\brole\W{1,5}system)",
+    re.IGNORECASE,
+)
+
+
+def changes_for(reason: str, request: Mapping[str, Any]) -> Changes:
+    """What to change in a request that was refused; empty if the reason names no part that can change.
+
+    An explicit limit or form of the answer that is out of range, such as a `max_tokens` above the model's, stays.
+    """
+    if request.get("messages") and request["messages"][0]["role"] == "system" and SYSTEM_ROLE.search(reason):
+        return {"system": "merge"}
+    for name in PARAMETERS:
+        # The program chose the temperature 0, which is no valid value for some servers.
+        why = f"{UNSUPPORTED}|{OUT_OF_RANGE}" if name == "temperature" and request.get(name) == 0 else UNSUPPORTED
+        near = rf"(?is)\b{name}\b.{{,120}}(?:{why})|(?:{why}).{{,120}}\b{name}\b"
+        if name in request and re.search(near, reason):
+            other = name == "max_tokens" and "max_completion_tokens" in reason
+            return {name: "max_completion_tokens" if other else None}
+    return NO_CHANGES
+
+
+def options_for(reason: str, request: Mapping[str, Any]) -> list[str]:
+    """The options that decide the fields of a request that a refusal names."""
+    named = [name for name in request.keys() - {"model", "messages"} if re.search(rf"\b{re.escape(name)}\b", reason)]
+    return sorted({OPTIONS.get(name, "--extra") for name in named})
+
+
+def changed(request: Mapping[str, Any], changes: Changes) -> dict[str, Any]:
+    """The body of a request after changes."""
+    sent = dict(request)
+    for name, other in changes.items():
+        if name == "system":
+            sent["messages"] = merged(sent["messages"])
+        elif name in sent:
+            value = sent.pop(name)
+            if other is not None:
+                sent[other] = value
+    return sent
+
+
+def merged(messages: list[ChatMessage]) -> list[ChatMessage]:
+    """Messages whose system text is the beginning of the first user message."""
+    if messages[0]["role"] != "system":
+        return messages
+    system, user, *later = messages
+    return [{"role": "user", "content": f"{system['content']}\n\n{user['content']}"}, *later]
+
+
+def described(changes: Changes) -> list[str]:
+    """Each change in words."""
+    return [
+        "the system text is sent in the first user message"
+        if name == "system"
+        else f"{name} is not sent"
+        if other is None
+        else f"{name} is sent as {other}"
+        for name, other in changes.items()
+    ]
+
+
+def missing_text(request: Mapping[str, Any], answer: Answer) -> str | None:
+    """A warning if the endpoint counts too few prompt tokens for a request; None if it does not.
+
+    Tokenizers split text at spaces and punctuation, so each number and each word is a token or more. The few that join
+    words join fewer than two on average, and no numbers. For the prompts of the package, common tokenizers count more
+    than twice as many.
+    """
+    text = " ".join(message["content"] for message in request["messages"])
+    numbers, words = len(re.findall(r"\d+", text)), len(re.findall(r"[^\W\d]+", text))
+    if answer.prompt_tokens is None or answer.prompt_tokens >= numbers + words / 2:
+        return None
+    has_system = request["messages"][0]["role"] == "system"
+    why = "drop the system message, which contains the rules: try --system merge" if has_system else "cut the prompt"
+    size = f"{words + numbers} words and numbers"
+    return f"warning: the endpoint counted {answer.prompt_tokens} tokens for a prompt of {size}: it may {why}"
