@@ -31,7 +31,7 @@ MAX_WAIT = 120.0
 
 
 class Sender(Protocol):
-    """An `Endpoint`, of this process or of others."""
+    """What sends requests: an `Endpoint`, or a scripted one."""
 
     async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
         """See `Endpoint.send`."""
