@@ -156,7 +156,7 @@ def infer(
         stack.enter_context(run_folder.locked_run(path, config, resume))
         sender = Endpoint(config.base_url, token, options.timeout)
         limiter = RateLimiter(options)
-        progress = Progress(config, limiter.budget, path, store)
+        progress = Progress(config, limiter.budget, path, min(config.flights, options.concurrency) == 1, store)
         try:
             result = asyncio.run(runner.run(config, path, sender, limiter, progress))
             if report:

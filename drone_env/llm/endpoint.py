@@ -18,6 +18,8 @@ from drone_env.llm.answers import Answer
 from drone_env.llm.config import LOOPBACK
 
 RETRIED = {408, 409, 429}
+TIMED_OUT = {408, 504, 524}
+"""A proxy has given up waiting, and the server behind it may not have."""
 REASON_CHARACTERS = 300
 MAX_TOKENS = 10**12
 """Larger counts are ignored."""
@@ -50,6 +52,7 @@ class TryFailedError(DroneEnvError):
         retried: Whether another try can succeed.
         retry_after: Seconds to wait, as the endpoint requests; None if it does not.
         fatal: Whether every other call would fail too.
+        timed_out: Whether the endpoint may still work on the request.
     """
 
     status: int
@@ -57,6 +60,7 @@ class TryFailedError(DroneEnvError):
     retried: bool = False
     retry_after: float | None = None
     fatal: bool = False
+    timed_out: bool = False
 
     def __str__(self) -> str:
         return f"{self.status or 'no answer'}: {self.reason}"
@@ -97,7 +101,7 @@ class Endpoint:
         try:
             return await asyncio.wait_for(self._send(request, call_id), self._timeout)
         except asyncio.TimeoutError:
-            raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True) from None
+            raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True, timed_out=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
@@ -145,7 +149,8 @@ class Endpoint:
         if status in HINTS:
             return TryFailedError(status, f"{HINTS[status]} ({reason})", fatal=True)
         retried = status in RETRIED or status >= 500
-        return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
+        after = _retry_after(headers) if retried else None
+        return TryFailedError(status, reason, retried, after, timed_out=status in TIMED_OUT)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token and without unprintable characters."""
