@@ -39,7 +39,7 @@ def test_a_wait_that_the_model_did_not_choose_is_none_of_its_moves(endpoint: Sta
     nothing = {"sends": json.dumps({"choices": [{"message": {"content": "Hm."}, "finish_reason": "stop"}]})}
     waited = endpoint(pilot="greedy", faults=[[1, 2, nothing]]).infer("--seeds", "14:15")
     moves = report(verified_run(waited.folder))["moves"]
-    assert (waited.turns, sum(moves["labels"].values())) == ({"ok": 3, "parse_error": 1}, 3)
+    assert (waited.flights[0]["waits"], sum(moves["labels"].values())) == (1, 3)
     assert (moves["decisive"], moves["accuracy"]) == (3, 1.0)
     moves = report(verified_run(endpoint(pilot="Hm.").infer("--seeds", "14:15").folder))["moves"]
     assert (set(moves["labels"].values()), moves["decisive"], moves["accuracy"]) == ({0}, 0, None)
