@@ -69,7 +69,9 @@ async def answers_of(limiter: RateLimiter, server: Server, flights: int = 100, c
                     limiter.failed(sent, 0, overload=error.status == 429)
                 else:
                     left -= 1
-                    limiter.answered(sent, Answer(text="UP", completion_tokens=tokens))
+                    # Half of them are not metered.
+                    metered = Answer(text="UP", completion_tokens=tokens)
+                    limiter.answered(sent, metered if left % 2 else Answer(text="UP. " * tokens))
             await asyncio.sleep(0.1)
 
     await asyncio.gather(*map(fly, range(flights)))
