@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, select_maps
+from drone_env.commands.arguments import ChosenTask, ProfileName, SeedRange, SplitName, select_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
@@ -50,8 +50,6 @@ def infer(
     moves: bool = True,
     allow_plain_http: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     use_image: bool = False,
-    engine: Literal["local", "ray"] = "local",
-    address: ClusterAddress = None,
 ) -> int:
     """Evaluate a language model of any OpenAI-compatible endpoint.
 
@@ -95,10 +93,6 @@ def infer(
         allow_plain_http: Send the token over http:// also to a public host, where others can read it.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations
             must equal the one here.
-        engine: Send the requests from this process, or from the nodes of a Ray cluster (extra `cluster`), which share
-            one budget and one run folder.
-        address: The cluster: local (the default) starts one on this machine, auto joins the one that runs here,
-            HOST:PORT joins that one.
     """
     import asyncio
 
@@ -156,8 +150,6 @@ def infer(
     token = settings.token_for(config.base_url, allow_plain_http)
     if use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server: give it without --server")
-    if address is not None and engine != "ray":
-        raise InvalidValueError("--address names a cluster: give it with --engine ray")
     data = data_folder() if data is None else data
     path = out or _new_folder(data / RUNS, config.model, config_task.short_name)
     if resume and not (path / run_folder.CONFIG).exists():
@@ -167,19 +159,10 @@ def infer(
         if use_image:
             options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
         store = None if options.server is not None else stack.enter_context(Store(data))
-        if engine == "ray":
-            from drone_env.cluster.connect import connect
-
-            stack.enter_context(connect(address))
         stack.enter_context(run_folder.locked_run(path, config, resume))
-        if engine == "ray":
-            from drone_env.cluster.senders import ClusterEndpoint
-
-            sender = ClusterEndpoint(config.base_url, token, options)
-        else:
-            sender = Endpoint(config.base_url, token, options.timeout)
+        sender = Endpoint(config.base_url, token, options.timeout)
         limiter = RateLimiter(options)
-        progress = Progress(config, limiter.budget, path, store)
+        progress = Progress(config, limiter.budget, path, min(config.flights, options.concurrency) == 1, store)
         try:
             result = asyncio.run(runner.run(config, path, sender, limiter, progress))
             if report and result.verdict != "stopped":

@@ -19,6 +19,8 @@ from drone_env.llm.config import host_of, is_private
 from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for, options_for
 
 RETRIED = {408, 409, 429}
+TIMED_OUT = {408, 504, 524}
+"""A proxy has given up waiting, and the server behind it may not have."""
 REASON_CHARACTERS = 300
 MAX_TOKENS = 10**12
 """Larger counts are ignored."""
@@ -59,6 +61,7 @@ class TryFailedError(DroneEnvError):
         retry_after: Seconds to wait, as the endpoint requests; None if it does not.
         fatal: Whether every other call would fail too.
         changes: What to change in the request, if the endpoint rejects a part that can change.
+        timed_out: Whether the endpoint may still work on the request.
     """
 
     status: int
@@ -67,6 +70,7 @@ class TryFailedError(DroneEnvError):
     retry_after: float | None = None
     fatal: bool = False
     changes: Changes = field(default_factory=lambda: NO_CHANGES)
+    timed_out: bool = False
 
     def __str__(self) -> str:
         return f"{self.status or 'no answer'}: {self.reason}"
@@ -116,7 +120,7 @@ class Endpoint:
         try:
             return await asyncio.wait_for(self._send(request, call_id), self._timeout)
         except asyncio.TimeoutError:
-            raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True) from None
+            raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True, timed_out=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
@@ -167,7 +171,7 @@ class Endpoint:
         changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
         if not changes and not retried and (options := options_for(text, request)):
             reason = f"{reason} (see {', '.join(options)})"
-        return TryFailedError(status, reason, retried, after, changes=changes)
+        return TryFailedError(status, reason, retried, after, changes=changes, timed_out=status in TIMED_OUT)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token and without unprintable characters."""

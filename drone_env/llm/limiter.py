@@ -1,7 +1,11 @@
-"""The rate limiter: requests at once and per minute, within the budget of a run."""
+"""The rate limiter: requests at once and per minute, within the budget of a run, the first flights first."""
 
 import asyncio
+import heapq
+import itertools
+import math
 import time
+from collections import Counter
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -10,14 +14,16 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from drone_env.errors import InvalidValueError
+from drone_env.llm.concurrency import PROMPT_TOKENS, ConcurrencySearch, Round
 from drone_env.llm.text_episode import LimitReachedError
 
 if TYPE_CHECKING:
+    from drone_env.llm.answers import Answer
     from drone_env.llm.transcript import Call
 
 MAX_CONCURRENCY = 10_000
 FIRST_CONCURRENCY = 8
-"""Maximum number of requests at once before the first answer."""
+"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
 OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
 Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
@@ -30,7 +36,7 @@ class Options:
     Tokens and cost are known only after an answer: requests that are open when a limit is reached are still paid.
 
     Args:
-        concurrency: Maximum number of requests at once; fewer while the endpoint is overloaded.
+        concurrency: Maximum number of requests at once; fewer if more bring no more answers.
         timeout: Maximum duration of a request in seconds.
         tries: Maximum number of tries of a call that fails with 408, 409, 429, 5xx or a network error.
         backoff: Upper bound of the first random wait in seconds; it doubles with each try, up to 30 s.
@@ -80,12 +86,13 @@ class Budget:
 
     Attributes:
         requests: Number of requests sent.
+        answers: Number of answers.
         prompt_tokens, completion_tokens: Number of tokens that the answers report; None if none of them does.
         unmetered: Number of answers without a count of their tokens.
     """
 
     def __init__(self, options: Options) -> None:
-        self.requests = self.unmetered = 0
+        self.requests = self.answers = self.unmetered = 0
         self.prompt_tokens: int | None = None
         self.completion_tokens: int | None = None
         self._options = options
@@ -103,15 +110,16 @@ class Budget:
             return None
         return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
 
-    def resume(self, calls: Iterable["Call"]) -> None:
-        """Count the requests and tokens of earlier calls."""
+    def resume(self, calls: Iterable["Call"], requests: int) -> None:
+        """Count the requests and the tokens of earlier calls."""
+        self.requests += requests
         for call in calls:
-            self.requests += call.requests
             self.count(call)
 
     def count(self, call: "Call") -> None:
         """Count the tokens of a call."""
         if (answer := call.answer) is not None:
+            self.answers += 1
             self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
             self.prompt_tokens = added(self.prompt_tokens, answer.prompt_tokens)
             self.completion_tokens = added(self.completion_tokens, answer.completion_tokens)
@@ -133,6 +141,32 @@ class Budget:
         if limits.max_cost is not None and (cost := self.cost) is not None and cost >= limits.max_cost:
             raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
 
+    def calls_left(self, active: int) -> float:
+        """The number of requests that the limits still allow; of tokens and cost, by their mean so far.
+
+        Args:
+            active: Number of open requests, whose tokens are not counted yet.
+        """
+        limits = self._options
+        left = math.inf if limits.max_calls is None else limits.max_calls - self.requests
+        for most, used in ((limits.max_tokens, self.tokens), (limits.max_cost, self.cost)):
+            if most is not None:  # one flight goes ahead until an answer shows what answers use
+                left = min(left, (most - used) * self.answers / used - active if used else 0)
+        return left
+
+
+@dataclass(eq=False)
+class Sent:
+    """A request that may be sent.
+
+    Attributes:
+        at: When it is sent.
+        round: The round that it belongs to, if any.
+    """
+
+    at: float
+    round: Round | None
+
 
 def added(*counts: int | None) -> int | None:
     """The sum of the known counts; None if none is known."""
@@ -143,8 +177,8 @@ def added(*counts: int | None) -> int | None:
 class RateLimiter:
     """Decides when a request of a run is sent.
 
-    Concurrency control is that of TCP: slow start, then one more slot per round of answers, and half as many slots when
-    the endpoint is overloaded.
+    Of all waiting requests, that of the first flight goes first. Under a limit of calls, tokens or cost, a flight waits
+    until the budget suffices for all flights before it, so that a budget ends as many flights as it can.
 
     Args:
         options: Limits, rate, prices and maximum concurrency.
@@ -154,7 +188,6 @@ class RateLimiter:
     Attributes:
         budget: The requests and tokens so far.
         active: Number of open requests.
-        limit: Current maximum number of open requests.
     """
 
     def __init__(
@@ -167,64 +200,140 @@ class RateLimiter:
         self.now, self.sleep = now, sleep
         self.budget = Budget(options)
         self.active = 0
-        self.limit = float(min(FIRST_CONCURRENCY, options.concurrency))
-        self._slow_start = True
         self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
-        self._changed = asyncio.Condition()
+        self._slowest: float | None = None
+        self._waiting: list[tuple[int, int, asyncio.Future[Sent]]] = []
+        self._numbers = itertools.count()
+        self._timer: asyncio.Future[None] | None = None
+        self._used: Counter[int] = Counter()
+        """Requests by flight."""
+        self._flying: set[int] = set()
+        self.begin(FIRST_CONCURRENCY, options.concurrency, 1)
+
+    def begin(self, first: int, flights: int, calls: int, sent: Iterable[int] = ()) -> None:
+        """Set what is known about a run.
+
+        Args:
+            first: Number of requests at once before the first answer.
+            flights: Number of flights.
+            calls: Calls of the longest flight.
+            sent: The flight of each request of earlier parts.
+        """
+        self._search = ConcurrencySearch(first, min(self.options.concurrency, flights))
+        self._calls = calls
+        self._used.update(sent)
+
+    @property
+    def limit(self) -> int:
+        """Current maximum number of open requests."""
+        return self._search.limit
 
     @asynccontextmanager
-    async def slot(self) -> AsyncGenerator[float, None]:
-        """Wait until a request may be sent, count it, and hold its slot until the end of the `with`.
-
-        Yields the time at which the request is sent.
+    async def slot(self, flight: int = 0) -> AsyncGenerator[Sent, None]:
+        """Wait until a request of a flight may be sent, count it, and hold its slot until the end of the `with`.
 
         Raises:
             LimitReachedError: if the budget is spent.
         """
-        async with self._changed:
-            await self._changed.wait_for(lambda: self.active < int(self.limit))
-            self.active += 1
+        turn: asyncio.Future[Sent] = asyncio.get_running_loop().create_future()
+        heapq.heappush(self._waiting, (flight, next(self._numbers), turn))
+        self._admit()
         try:
-            await self._pace()
-            self.budget.check()
-            self.budget.requests += 1
-            yield self.now()
+            sent = await turn
+        except asyncio.CancelledError:
+            if not turn.cancelled() and turn.exception() is None:
+                self._close(turn.result())
+            raise
+        try:
+            sent.at = self.now()
+            yield sent
         finally:
-            async with self._changed:
-                self.active -= 1
-                self._changed.notify_all()
+            self._close(sent)
 
-    async def _pace(self) -> None:
-        """Wait until the end of a pause, and space requests evenly."""
-        per_minute = self.options.requests_per_minute
-        if per_minute is not None:
-            gap, now = 60 / per_minute, self.now()
-            # After an idle time, one request may follow without a gap.
-            sent_at = max(self._next_request, now)
-            self._next_request = max(self._next_request, now - gap) + gap
-            await self._sleep_until(sent_at)
-        while self._paused_until > self.now():
-            await self._sleep_until(self._paused_until)
+    def _admit(self) -> None:
+        """Admit the waiting requests that may be sent now."""
+        while self._waiting and self.active < self.limit:
+            flight, _, turn = self._waiting[0]
+            try:
+                self.budget.check()
+            except LimitReachedError as error:
+                heapq.heappop(self._waiting)
+                if not turn.done():
+                    turn.set_exception(error)
+                continue
+            if not turn.done():
+                now = self.now()
+                if not self._affordable(flight):
+                    return
+                if (wait := max(self._paused_until, self._next_request) - now) > 0:
+                    if self._timer is None:
+                        self._timer = asyncio.ensure_future(self._admit_after(wait))
+                    return
+                if (per_minute := self.options.requests_per_minute) is not None:
+                    # After an idle time, one request may follow without a gap.
+                    gap = 60 / per_minute
+                    self._next_request = max(self._next_request, now - gap) + gap
+                self.active += 1
+                self.budget.requests += 1
+                self._used[flight] += 1
+                self._flying.add(flight)
+                turn.set_result(Sent(now, self._search.sent(self.active)))
+            heapq.heappop(self._waiting)
 
-    async def _sleep_until(self, when: float) -> None:
-        if (seconds := when - self.now()) > 0:
-            await self.sleep(seconds)
+    async def _admit_after(self, seconds: float) -> None:
+        await self.sleep(seconds)
+        self._timer = None
+        self._admit()
 
-    def answered(self) -> None:
-        """Allow more requests at once after an answer."""
-        grown = self.limit + (1 if self._slow_start else 1 / self.limit)
-        self.limit = min(float(self.options.concurrency), grown)
+    def _affordable(self, flight: int) -> bool:
+        """Whether the budget suffices for the longest possible rest of all flights before this one."""
+        left = self.budget.calls_left(self.active)
+        if left == math.inf:
+            return True
+        before = sum(max(1, self._calls - self._used[number]) for number in self._flying if number < flight)
+        return before == 0 or left > before
 
-    def overloaded(self, sent_at: float, pause: float) -> None:
-        """Allow half as many requests at once, and none during a pause.
+    def _close(self, sent: Sent) -> None:
+        self.active -= 1
+        self._search.closed(sent.round)
+        self._admit()
+
+    def ended(self, flight: int) -> None:
+        """Free the budget that was kept for a flight."""
+        self._flying.discard(flight)
+        self._admit()
+
+    def answered(self, sent: Sent, answer: "Answer") -> float:
+        """Measure the seconds of an answer, and return them."""
+        seconds = self.now() - sent.at
+        self._slowest = max(seconds, self._slowest or 0.0)
+        if sent.round is not None:
+            sent.round.seconds += seconds
+            # About 4 letters are a token. Not every endpoint counts them, or those of the reasoning.
+            letters = sum(len(text or "") for text in (answer.text, answer.reasoning, answer.tool_arguments))
+            sent.round.tokens += PROMPT_TOKENS + max(answer.completion_tokens or 0, letters / 4)
+        return seconds
+
+    def failed(self, sent: Sent, pause: float, overload: bool) -> None:
+        """Send nothing during a pause, and allow half as many requests at once if too many fail.
 
         Args:
-            sent_at: When the failed request was sent; requests from before the last halving do not halve again.
+            sent: The failed request; those from before the last halving do not halve again.
             pause: Seconds.
+            overload: Whether it failed because the endpoint has too many.
         """
-        self._slow_start = False
         self._paused_until = max(self._paused_until, self.now() + pause)
-        if sent_at > self._halved_at:
-            self.limit = max(1.0, self.limit / 2)
-            self._halved_at = self.now()
+        if sent.at > self._halved_at:
+            before = self.limit
+            self._search.failed(overload)
+            if self.limit < before:
+                self._halved_at = self.now()
+
+    async def abandoned(self) -> None:
+        """Wait as long as a server may still work on a request that timed out.
+
+        That is as long as its slowest answer took, or once more the time limit if there was none.
+        """
+        timeout = self.options.timeout
+        await self.sleep(timeout if self._slowest is None else min(timeout, self._slowest))

@@ -1,4 +1,4 @@
-"""What a run prints: the log lines of each flight, a line of progress every ten seconds, and each wait."""
+"""What a run prints: the log lines of the flights, a line of progress every ten seconds, and each wait."""
 
 import sys
 import time
@@ -22,12 +22,15 @@ QUIET_SECONDS = 1.0
 
 @dataclass
 class Progress:
-    """Prints the log lines of each flight to standard output, together, and everything else to standard error.
+    """Prints the log lines of each flight to standard output, and everything else to standard error.
+
+    The lines of a flight stay together. Of flights one at a time, each line is printed as it happens.
 
     Attributes:
         config: The run.
         budget: Its requests and tokens.
         folder: Its folder.
+        one_at_a_time: Whether a flight begins only after the end of the one before.
         store: Gets each finished episode, once however often the run is resumed; None to store none.
         not_stored: The errors of flights that are not in the store.
     """
@@ -35,12 +38,23 @@ class Progress:
     config: RunConfig
     budget: Budget
     folder: Path
+    one_at_a_time: bool = False
     store: Store | None = None
     not_stored: list[str] = field(default_factory=list[str])
     _flights: int = 0
+    _printed: int = 0  # letters of the flight
     _retries: int = 0
     _line_shown: float = field(default_factory=time.monotonic)
     _wait_shown: float = 0.0
+
+    def on_request(self, flight: Flight) -> None:
+        """Print the new log lines of the flight that a request belongs to."""
+        if self.one_at_a_time:
+            self._print(log_text(flight, self.config.model, whole=False))
+
+    def _print(self, text: str) -> None:
+        print(text[self._printed :], end="", flush=True)
+        self._printed = len(text)
 
     def on_call(self) -> None:
         """Print a line of progress if the last one is old."""
@@ -72,22 +86,29 @@ class Progress:
         except StoreError as error:
             # The flight is paid for: the run continues without the store.
             self.not_stored.append(str(error))
-        print(log_text(flight, self.config.model), end="", flush=True)
+        self._print(log_text(flight, self.config.model))
+        self._printed = 0
         self._flights += 1
         if flight.status != "finished":
             print(f"map {flight.episode.seed}: {flight.status}: {flight.error}", file=sys.stderr)
 
 
-def log_text(flight: Flight, model: str) -> str:
+def log_text(flight: Flight, model: str, whole: bool = True) -> str:
     """The log lines of a flight, each with its newline.
 
     A step with an unusable answer shows the outcome of that answer as its error. A flight that stopped early has fewer
     steps, and its score is that of waiting to the end.
+
+    Args:
+        flight: The flight.
+        model: Name of the pilot.
+        whole: Whether to add the line of the end.
     """
     episode = flight.episode
     lines = [start_line(episode.task, model)]
     for number, (step, error) in enumerate(zip(episode.path, flight.step_errors, strict=True), 1):
         done = episode.ended and number == episode.steps
         lines.append(step_line(number, Action(step.action), step.reward, done, error))
-    lines.append(end_line(flight.success, flight.score, flight.rewards))
+    if whole:
+        lines.append(end_line(flight.success, flight.score, flight.rewards))
     return "".join(f"{line}\n" for line in lines)

@@ -19,7 +19,7 @@ from drone_env.llm.rejections import described
 from drone_env.llm.run_folder import RESULTS, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
-from drone_env.results.analysis import analyse_flight
+from drone_env.results.analysis import LABELS, Move, analyse_flight
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, map_rows
 from drone_env.results.statistics import Summary, mean_of, normalised, with_interval
@@ -143,33 +143,38 @@ def _pass_hat_k(counts: Sequence[tuple[int, int]]) -> dict[str, float]:
 
 
 def _moves(run: VerifiedRun) -> dict[str, Any] | None:
-    """The number of moves by label; None if the maps are too large for exact values."""
+    """The number of the model's moves by label; None if the maps are too large for exact values.
+
+    A WAIT in place of an unusable answer is no move of the model.
+    """
     from drone_env.planning.optimal import solver_of  # loads Numba
 
-    counts: Counter[str] = Counter()
-    best = decisive = 0
+    labels: Counter[str] = Counter(dict.fromkeys(LABELS, 0))
+    decisive: list[Move] = []
 
     @lru_cache(maxsize=1)
     def solver(seed: int) -> "Solver":
         return solver_of(Episode(run.config.task_config, seed=seed))
 
     # Sorted by map, since its solver takes the time.
-    for result, record in sorted(zip(run.results, run.records, strict=True), key=lambda pair: pair[1].seed):
+    flights = zip(run.results, run.records, run.step_errors, strict=True)
+    for result, record, errors in sorted(flights, key=lambda flight: flight[1].seed):
         if result.status == "errored":
             continue
         try:
             analysis = analyse_flight(record, lambda start: solver(start.seed))
         except TooLargeError:
             return None
-        counts.update(analysis.counts)
-        decisive += analysis.decisive
-        best += analysis.decisive_best
-    return {"labels": dict(counts), "decisive": decisive, "accuracy": best / decisive if decisive else None}
+        moves = [move for move, error in zip(analysis.moves, errors, strict=True) if error is None]
+        labels.update(move.label for move in moves)
+        decisive += (move for move in moves if move.margin > 0)
+    best = sum(move.regret == 0 for move in decisive)
+    return {"labels": dict(labels), "decisive": len(decisive), "accuracy": best / len(decisive) if decisive else None}
 
 
 def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
     budget = Budget(options or Options())
-    budget.resume(run.calls)
+    budget.resume(run.calls, run.requests)
     latencies = [call.latency for call in run.calls if call.answer is not None]
     return {
         "calls": {"answered": len(latencies), "requests": budget.requests, "without_usage": budget.unmetered},

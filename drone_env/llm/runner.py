@@ -12,10 +12,10 @@ from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable
-from drone_env.llm.config import RunConfig
+from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
-from drone_env.llm.limiter import RateLimiter
+from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described, missing_text
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, write_flights
@@ -26,13 +26,14 @@ from drone_env.results.statistics import Summary
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
+OVERLOADED = {429, 503, 529}
 MAX_BACKOFF = 30.0
 MAX_WAIT = 120.0
 """A call fails if the endpoint requests a longer wait in seconds (`Retry-After`)."""
 
 
 class Sender(Protocol):
-    """An `Endpoint`, of this process or of others."""
+    """What sends requests: an `Endpoint`, or a scripted one."""
 
     async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
         """See `Endpoint.send`."""
@@ -114,11 +115,13 @@ class Calls:
         """
         key = flight.key
         stored = self.transcript.answered.get(key)
+        if stored is not None or flight.turns:
+            self.progress.on_request(flight)
         if stored is not None:
             flight.changes = stored.changes
             return stored.answer_to(flight.request)
-        began = self.limiter.now()
         failures: list[Failure] = []
+        latency = 0.0
 
         def record(answer: Answer | None, outcome: str) -> None:
             request = flight.request
@@ -135,7 +138,7 @@ class Calls:
                 answer=answer,
                 outcome=outcome,
                 failures=failures,
-                latency=self.limiter.now() - began,
+                latency=latency,
                 at=time.time(),
             )
             self.limiter.budget.count(call)
@@ -143,7 +146,7 @@ class Calls:
             self.progress.on_call()
 
         try:
-            answer, began = await self._send(flight, failures)
+            answer, latency = await self._send(flight, failures)
         except LimitReachedError:
             if failures:
                 record(None, "budget_stop")
@@ -161,20 +164,24 @@ class Calls:
         return answer
 
     async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
-        """The answer, and when its request was sent; appends each failed try to `failures`."""
+        """The answer, and its seconds without any wait for a slot; appends each failed try to `failures`."""
         limiter, options, key = self.limiter, self.limiter.options, flight.key
         while True:
-            async with limiter.slot() as sent_at:
+            async with limiter.slot(key.flight) as sent:
                 flight.changes = self.changes
+                self.progress.on_request(flight)
+                self.transcript.sending(key)
                 try:
                     answer = await self.endpoint.send(flight.request, str(key))
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after
                     if failed.retried and not failed.changes:
-                        limiter.overloaded(sent_at, min(retry_after or 0.0, MAX_WAIT))
+                        overload = failed.timed_out or failed.status in OVERLOADED
+                        limiter.failed(sent, min(retry_after or 0.0, MAX_WAIT), overload)
+                    if failed.timed_out:
+                        await limiter.abandoned()
                 else:
-                    limiter.answered()
-                    return answer, sent_at
+                    return answer, limiter.answered(sent, answer)
             if failed.changes:
                 # Each part is rejected once at most, so this ends, also without tries left.
                 if failed.changes.items() - self.changes.items():
@@ -210,7 +217,10 @@ async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLi
     flights, fatal = list[Flight](), None
     prompt, numbers = config.load_prompt(), iter(range(config.flights))
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
-        limiter.budget.resume(transcript.calls)
+        limiter.budget.resume(transcript.calls, len(transcript.sent))
+        first = 1 if is_loopback(host_of(config.base_url)) else FIRST_CONCURRENCY
+        longest = 1 if prompt.plan else config.task_config.max_steps
+        limiter.begin(first, config.flights, longest, (key.flight for key in transcript.sent))
         calls = Calls(config, endpoint, transcript, limiter, progress)
 
         async def worker() -> None:
@@ -218,6 +228,7 @@ async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLi
                 flight = config.flight(number, prompt)
                 with following(limiter.options.server, config.model) as follow:
                     await fly(flight, calls.ask, follow)
+                limiter.ended(number)
                 # A flight that reached a limit before its first answer has not begun.
                 if flight.status != "budget_stop" or flight.attempt == 2 or flight.step_errors:
                     flights.append(flight)

@@ -1,12 +1,14 @@
 """The transcript: every call of a run, one JSON line each, in the file before its answer is used.
 
 Flights, records and figures follow from it, so a killed run resumes from it. A process that dies while it writes
-leaves at most a cut last line, and the answer on it was not used.
+leaves at most a cut last line, and the answer on it was not used. The key of each request is in a second file before
+the request is sent, so that those under way when a process dies are counted.
 """
 
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -19,7 +21,8 @@ from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.rejections import Part
 from drone_env.models import Count, Message
 
-LONGEST_CALL = 1 << 24
+SENT = "sent.txt"
+LONGEST_CALL, LONGEST_KEY = 1 << 24, 64
 """Bytes of a line: an answer has at most 4 MiB, and JSON can escape it."""
 
 
@@ -94,7 +97,12 @@ class Transcript:
     """A transcript to read from and append to, in a locked run folder. Not thread-safe.
 
     Args:
-        path: The file; it is created if it is missing, and a cut last line is removed.
+        path: The file; it and `sent.txt` beside it are created if they are missing, and a cut last line is removed.
+
+    Attributes:
+        calls: All calls.
+        sent: The call of each request sent before.
+        answered: The calls with an answer.
 
     Raises:
         OSError: if it cannot be opened.
@@ -104,13 +112,25 @@ class Transcript:
     def __init__(self, path: Path) -> None:
         self.calls: list[Call] = []
         path.touch()
+        sent = path.with_name(SENT)
+        sent.touch()
+        self.sent = list(read_sent(sent))
         end = 0
         for size, call in read_calls(path):
             end += size
             self.calls.append(call)
-        self._file = path.open("ab", buffering=0)
+        self._file, self._sent = path.open("ab", buffering=0), sent.open("ab", buffering=0)
         self._file.truncate(end)
+        self._sent.truncate(sum(len(f"{key}\n") for key in self.sent))
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
+
+    def sending(self, key: CallKey) -> None:
+        """Write that a request is about to be sent.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        append_line(self._sent, str(key))
 
     def append(self, call: Call) -> None:
         """Write a call; it is in the file when this returns.
@@ -125,8 +145,24 @@ class Transcript:
 
     def close(self) -> None:
         """Sync and close the file."""
-        os.fsync(self._file.fileno())
-        self._file.close()
+        for file in (self._file, self._sent):
+            os.fsync(file.fileno())
+            file.close()
+
+
+def read_sent(path: Path) -> Iterator[CallKey]:
+    """The call of each request that was sent, in order, without a cut last line.
+
+    Raises:
+        OSError: if it cannot be read.
+        InvalidValueError: at a line that is not the key of a call.
+    """
+    for number, line in enumerate(read_lines(path, LONGEST_KEY), 1):
+        if not line.endswith(b"\n"):
+            return
+        if not re.fullmatch(rb"(0|[1-9]\d*)-[1-9]\d*-[12]\n", line):
+            raise InvalidValueError(f"line {number} of {path} is not FLIGHT-TURN-ATTEMPT")
+        yield CallKey(*map(int, line.split(b"-")))
 
 
 def read_calls(path: Path) -> Iterator[tuple[int, Call]]:

@@ -1,6 +1,7 @@
 """Verify a run folder: fly every flight again from the model's own answers."""
 
 import asyncio
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
-from drone_env.llm.transcript import Call, CallKey, read_calls
+from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent
 from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
@@ -22,14 +23,18 @@ class VerifiedRun:
         config: Its configuration.
         results: The result of each flight.
         records: The record of each flight, in the same order.
+        step_errors: For each flight, why each step is a WAIT that the model did not choose; None if it chose it.
         calls: Its transcript.
+        requests: Number of requests sent.
     """
 
     path: Path
     config: RunConfig
     results: list[FlightResult]
     records: list[EpisodeRecord]
+    step_errors: list[list[str | None]]
     calls: list[Call]
+    requests: int
 
 
 def verified_run(path: Path) -> VerifiedRun:
@@ -74,9 +79,11 @@ def verified_run(path: Path) -> VerifiedRun:
 
         return asyncio.run(fly(config.flight(result.flight, prompt), ask))
 
+    step_errors: list[list[str | None]] = []
     for result, record in zip(results, records, strict=True):
         try:
             flight = replayed(result)
+            step_errors.append(flight.step_errors)
             fits = record_of(flight.episode, config.model) == record
             if not fits:
                 replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
@@ -86,4 +93,8 @@ def verified_run(path: Path) -> VerifiedRun:
             raise InvalidValueError(f"{path}: flight {result.flight} does not follow from the model's answers")
     if used != answers.keys():
         raise InvalidValueError(f"{path}: {len(answers.keys() - used)} answers belong to no flight")
-    return VerifiedRun(path, config, results, records, calls)
+    sent = list(read_sent(path / SENT))
+    made = Counter(call.key for call in calls for _ in range(call.requests))
+    if missing := made - Counter(sent):
+        raise InvalidValueError(f"{path}: {SENT} lacks a request of call {min(missing)}")
+    return VerifiedRun(path, config, results, records, step_errors, calls, len(sent))

@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -198,6 +198,18 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
         expect_step(page, call["step"], len(calls) - 1)
         expect(prompt).to_have_text("\n\n".join(f"{one['role']}: {one['content']}" for one in call["messages"]))
         expect(answer).to_contain_text(call["answer"])
+    expect(page.locator(".move-counts")).to_have_text("3 best")
+
+    def unusable(route: Route) -> None:
+        changed = [{**call, "outcome": "illegal"} if call["step"] == 2 else call for call in calls]
+        route.fulfill(json={"run": "run", "model": "scripted", "prompt": "minimal", "calls": changed})
+
+    # A wait in place of an unusable answer is no move of the model.
+    page.route("**/calls", unusable)
+    page.reload()
+    expect(page.locator(".move-counts")).to_have_text("2 best")
+    expect(page.get_by_role("button", name="Step 2, ")).not_to_have_attribute("aria-label", re.compile("best"))
+    page.unroute("**/calls")
 
 
 def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_flown_next(

@@ -1,4 +1,4 @@
-"""A Ray cluster of several nodes on this machine, and scripted endpoints."""
+"""A Ray cluster of several nodes on this machine."""
 
 import contextlib
 import os
@@ -13,9 +13,6 @@ from typing import Any
 
 import pytest
 
-from tests.llm.conftest import endpoint, scripted_server
-
-__all__ = ["endpoint", "scripted_server"]
 MEMORY = 80 * 2**20
 TOKEN = secrets.token_hex(32)
 STARTING = {

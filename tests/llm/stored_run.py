@@ -103,8 +103,9 @@ def fly(
     clock = VirtualClock()
     sender = Endpoint(at, None, options.timeout) if isinstance(at, str) else at
     limiter = RateLimiter(options, clock.now, clock.sleep)
+    progress = Progress(config, limiter.budget, folder, store=store)
     with locked_run(folder, config, resume=False):
-        result = asyncio.run(run(config, folder, sender, limiter, Progress(config, limiter.budget, folder, store)))
+        result = asyncio.run(run(config, folder, sender, limiter, progress))
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
 
 

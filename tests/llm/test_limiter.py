@@ -4,32 +4,35 @@ import asyncio
 import math
 import random
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from drone_env.errors import InvalidValueError
+from drone_env.llm.answers import Answer
+from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.limiter import Options, RateLimiter
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 
 from .conftest import Start, blocks, verified
-from .stored_run import VirtualClock, fly
+from .stored_run import fly
+from .virtual_time import BEGAN, Server, in_virtual_time, simulate
 
 
-def with_limiter(work: Callable[[RateLimiter, VirtualClock], Awaitable[Any]], **options: Any) -> Any:
+def with_limiter(work: Callable[[RateLimiter], Awaitable[Any]], **options: Any) -> Any:
     async def run() -> Any:
-        clock = VirtualClock()
-        return await work(RateLimiter(Options(**options), clock.now, clock.sleep), clock)
+        return await work(RateLimiter(Options(**options), asyncio.get_running_loop().time))
 
-    return asyncio.run(run())
+    return in_virtual_time(run())
 
 
-async def answered(limiter: RateLimiter, n: int = 1) -> None:
-    """Send requests that are answered."""
-    for _ in range(n):
-        async with limiter.slot():
-            limiter.answered()
+async def answered(limiter: RateLimiter, flight: int = 0) -> float:
+    """Send a request that is answered at once; the seconds until it was sent."""
+    async with limiter.slot(flight) as sent:
+        limiter.answered(sent, Answer(text="UP"))
+    return limiter.now() - BEGAN
 
 
 @pytest.mark.parametrize(
@@ -42,68 +45,157 @@ async def answered(limiter: RateLimiter, n: int = 1) -> None:
     ],
 )
 def test_requests_per_minute(options: dict[str, float], idle: float, expected: list[float]) -> None:
-    async def work(limiter: RateLimiter, clock: VirtualClock) -> list[float]:
-        sent: list[float] = []
-        for number in range(5):
-            clock.time += idle if number == 4 else 0
-            await answered(limiter)
-            sent.append(clock.passed)
-        return sent
+    async def work(limiter: RateLimiter) -> list[float]:
+        sent = [await answered(limiter) for _ in range(4)]
+        await asyncio.sleep(idle)
+        return [*sent, await answered(limiter)]
 
     assert with_limiter(work, **options) == pytest.approx(expected)
 
 
-def test_concurrency_grows_with_answers_and_halves_under_load() -> None:
-    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
-        async def overloaded() -> None:
-            clock.time += 1
-            async with limiter.slot() as sent_at:
-                limiter.overloaded(sent_at, 0)
+ELSEWHERE = {"base_url": "https://api.example.com/v1"}
 
-        assert limiter.limit == 8
-        await answered(limiter, 8)
-        assert limiter.limit == 16
-        async with limiter.slot() as sent_at:
-            await overloaded()
-            assert limiter.limit == 8
-            limiter.overloaded(sent_at, 0)  # sent before the last halving
-        assert limiter.limit == 8
-        # From now on one more after a round of answers.
-        await answered(limiter, 8)
-        assert 8.9 < limiter.limit < 9
-        for _ in range(10):
-            await overloaded()
-        assert limiter.limit == 1
-        await answered(limiter, 10_000)
-        assert limiter.limit == 100
 
-    with_limiter(work, concurrency=100)
+async def answers_of(limiter: RateLimiter, server: Server, flights: int = 100, calls: int = 10) -> None:
+    """Fly flights that repeat what fails."""
+
+    async def fly(number: int) -> None:
+        left = calls
+        while left:
+            async with limiter.slot(number) as sent:
+                try:
+                    tokens = await server.tokens(str(number))
+                except TryFailedError as error:
+                    limiter.failed(sent, 0, overload=error.status == 429)
+                else:
+                    left -= 1
+                    # Half of them are not metered.
+                    metered = Answer(text="UP", completion_tokens=tokens)
+                    limiter.answered(sent, metered if left % 2 else Answer(text="UP. " * tokens))
+            await asyncio.sleep(0.1)
+
+    await asyncio.gather(*map(fly, range(flights)))
+
+
+@pytest.mark.parametrize(
+    ("first", "server", "throughput", "most_open"),
+    [
+        (1, {"batch": 1}, 0.95, 1.2),
+        (1, {"batch": 1, "loading": 90}, 0.9, 1.2),
+        (8, {"batch": 1}, 0.95, 2.5),
+        (1, {"batch": 4}, 3.5, 6),
+        (8, {"batch": 16}, 13, 20),
+        (8, {"batch": 10**6}, 28, 64),
+        (8, {"batch": 10**6, "fails": 0.01}, 24, 64),
+        (8, {"batch": 10**6, "refuses_above": 40}, 20, 40),
+    ],
+    ids=str,
+)
+def test_a_server_gets_as_many_requests_at_once_as_it_can_use(
+    first: int, server: Any, throughput: float, most_open: float
+) -> None:
+    # Its answers take 0.2 to 5 s.
+    simulated = Server(**server, varying=True)
+
+    async def work(limiter: RateLimiter) -> float:
+        limiter.begin(first, 100, 1)
+        await answers_of(limiter, simulated)
+        return limiter.now() - BEGAN
+
+    seconds = with_limiter(work)
+    assert simulated.worked / seconds >= throughput
+    assert simulated.open_seconds / seconds <= most_open
+    assert simulated.requests <= 1.1 * simulated.answers
 
 
 def test_the_limiter_bounds_the_requests_at_once() -> None:
-    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
-        seen: list[int] = []
+    server = Server(10**6)
+    with_limiter(lambda limiter: answers_of(limiter, server), concurrency=3)
+    assert (server.most_open, server.answers) == (3, 1000)
 
-        async def one() -> None:
-            async with limiter.slot():
-                seen.append(limiter.active)
-                await asyncio.sleep(0)
 
-        await asyncio.gather(*(one() for _ in range(50)))
-        assert (max(seen), len(seen), limiter.active) == (3, 50, 0)
+def test_a_request_that_timed_out_keeps_its_slot_while_its_server_may_work_on_it(tmp_path: Path) -> None:
+    # The model is loaded 30 s after the first request was given up.
+    server = Server(1, loading=150)
+    assert simulate(server, tmp_path / "loading", seeds=(14, 15)).verdict == "valid"
+    assert (server.requests, server.answers, server.most_of_a_call) == (5, 4, 1)
+    # No answer ever comes in time.
+    server = Server(1, seconds=130)
+    assert simulate(server, tmp_path / "slow", seeds=(14, 16)).verdict == "invalid"
+    assert (server.most_open, server.most_of_a_call) == (1, 1)
 
-    with_limiter(work, concurrency=3)
+
+def test_an_overload_halves_and_other_failures_only_if_they_are_many() -> None:
+    async def work(limiter: RateLimiter) -> None:
+        limiter.begin(16, 64, 1)
+
+        async def failed(overload: bool) -> int:
+            await asyncio.sleep(1)
+            async with limiter.slot() as sent:
+                limiter.failed(sent, 0, overload)
+            return limiter.limit
+
+        assert [await failed(overload=False) for _ in range(3)] == [16, 8, 4]
+        async with limiter.slot() as sent:
+            assert await failed(overload=True) == 2
+            limiter.failed(sent, 0, overload=True)  # sent before the last halving
+            assert limiter.limit == 2
+        assert [await failed(overload=True) for _ in range(2)] == [1, 1]
+
+    with_limiter(work)
 
 
 def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> None:
-    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
+    async def work(limiter: RateLimiter) -> None:
         async with limiter.slot() as first, limiter.slot() as second:
-            limiter.overloaded(first, 7)
-            limiter.overloaded(second, 2)
-        await answered(limiter)
-        assert clock.slept == [7]
+            limiter.failed(first, 7, overload=True)
+            limiter.failed(second, 2, overload=True)
+        assert await answered(limiter) == 7
 
     with_limiter(work)
+
+
+def test_waiting_requests_go_by_flight_and_a_cancelled_one_leaves_its_place() -> None:
+    async def work(limiter: RateLimiter) -> None:
+        order: list[int] = []
+
+        async def one(flight: int) -> None:
+            async with limiter.slot(flight):
+                order.append(flight)
+
+        async with limiter.slot(9):
+            waiting = [asyncio.ensure_future(one(flight)) for flight in (3, 1, 2, 0, 1)]
+            await asyncio.sleep(1)
+            waiting[2].cancel()
+        await asyncio.wait(waiting)
+        assert order == [0, 1, 1, 3]
+        # One is let in, and cancelled before it begins.
+        async with limiter.slot(9):
+            waiting = [asyncio.ensure_future(one(flight)) for flight in (4, 5)]
+            await asyncio.sleep(1)
+        waiting[0].cancel()
+        await asyncio.wait(waiting)
+        assert (order[4:], limiter.active) == ([5], 0)
+
+    with_limiter(work, concurrency=1)
+
+
+@pytest.mark.parametrize("concurrency", [1, 64])
+@pytest.mark.parametrize("limit", [{"max_calls": 200}, {"max_tokens": 40_000}, {"max_cost": 0.02}], ids=str)
+def test_a_budget_ends_as_many_flights_as_it_can(tmp_path: Path, concurrency: int, limit: Any) -> None:
+    # A call takes 200 tokens, 100 millionths of a dollar. Of hard, a greedy pilot takes about 40.
+    options = Options(concurrency=concurrency, price_prompt=0.5, price_completion=0.5, **limit)
+    flown = simulate(Server(10**6), tmp_path / "run", options, task="hard", seeds=range(20), **ELSEWHERE)
+    assert [flight.status for flight in flown.flights] == ["finished"] * 4 + ["budget_stop"]
+
+
+def test_a_budget_that_suffices_for_all_holds_no_flight_back(tmp_path: Path) -> None:
+    most_open: list[int] = []
+    for name, options in (("free", Options()), ("limited", Options(max_calls=60 * 20))):
+        server = Server(10**6)
+        assert simulate(server, tmp_path / name, options, seeds=range(20), **ELSEWHERE).verdict == "valid"
+        most_open.append(server.most_open)
+    assert most_open[0] == most_open[1] > 16
 
 
 def test_the_limit_of_calls_holds_exactly_and_resume_goes_on(endpoint: Start) -> None:

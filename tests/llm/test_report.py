@@ -38,6 +38,17 @@ def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) ->
     assert figures["success_rate"] == 0.75
 
 
+def test_a_wait_that_the_model_did_not_choose_is_none_of_its_moves(endpoint: Start) -> None:
+    # Of three steps, the second and its retry are unusable.
+    nothing = {"sends": json.dumps({"choices": [{"message": {"content": "Hm."}, "finish_reason": "stop"}]})}
+    waited = endpoint(pilot="greedy", faults=[[1, 2, nothing]]).infer("--seeds", "14:15")
+    moves = report(verified_run(waited.folder))["moves"]
+    assert (waited.flights[0]["waits"], sum(moves["labels"].values())) == (1, 3)
+    assert (moves["decisive"], moves["accuracy"]) == (3, 1.0)
+    moves = report(verified_run(endpoint(pilot="Hm.").infer("--seeds", "14:15").folder))["moves"]
+    assert (set(moves["labels"].values()), moves["decisive"], moves["accuracy"]) == ({0}, 0, None)
+
+
 def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
     assert verdict_of(20, ["errored"] + ["finished"] * 19) == ("valid", "")
     assert verdict_of(19, ["errored"] + ["finished"] * 18)[0] == "invalid"

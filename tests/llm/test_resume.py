@@ -7,7 +7,9 @@ import sys
 import pytest
 
 from drone_env.errors import InvalidValueError
+from drone_env.llm.report import report
 from drone_env.llm.transcript import Transcript
+from drone_env.llm.verify import verified_run
 from tests.tools import eventually
 
 from .conftest import ROOT, TOKEN, Start, environment, json_lines, verified
@@ -58,7 +60,9 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
     finally:
         process.kill()
         process.communicate()
-    assert (process.returncode, out) == (130, ""), err
+    # One flight at a time prints each step as it happens.
+    steps = [f"[STEP] step={number}" for number in range(1, 10)]
+    assert (process.returncode, [line.partition(" action")[0] for line in out.splitlines()[1:]]) == (130, steps), err
     assert f"--out {folder} --resume" in err
     assert "Traceback" not in err
     done = scripted.infer(*flights, "--resume", folder=folder)
@@ -86,3 +90,36 @@ def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(endpoint: Start) 
         path.write_bytes(damaged)
         with pytest.raises(InvalidValueError, match=why):
             Transcript(path)
+
+
+def test_a_request_under_way_at_a_kill_counts_after_it(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[2, 2, "hang"]])
+    folder = scripted.folder / "run"
+    arguments = ("--seeds", "14:16", "--max-calls", "5")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drone_env.cli", *scripted.arguments(*arguments, folder=folder)],
+        env=environment(OPENAI_API_KEY=TOKEN),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        eventually(lambda: len(scripted.requests()) == 3 or process.poll() is not None)
+    finally:
+        process.kill()
+        process.communicate()
+    assert len(json_lines(folder / "calls.jsonl")) == 2
+    assert (folder / "sent.txt").read_text() == "0-1-1\n0-2-1\n0-3-1\n"
+    # The next one was being written: it was not sent.
+    (folder / "sent.txt").write_text("0-1-1\n0-2-1\n0-3-1\n0-3")
+    resumed = scripted.infer(*arguments, "--resume", folder=folder)
+    assert (resumed.status, len(scripted.requests())) == (3, 5)
+    assert [flight["status"] for flight in resumed.flights] == ["finished", "budget_stop"]
+    verified(resumed)
+    assert report(verified_run(folder), moves=False)["calls"] == {"answered": 4, "requests": 5, "without_usage": 0}
+    sent = (folder / "sent.txt").read_text()
+    (folder / "sent.txt").write_text(sent.replace("0-2-1\n", ""))
+    with pytest.raises(InvalidValueError, match=r"sent\.txt lacks a request of call 0-2-1"):
+        verified_run(folder)
+    (folder / "sent.txt").write_text(f"{sent}0-0-1\n")
+    with pytest.raises(InvalidValueError, match=r"line 6 of .* is not FLIGHT-TURN-ATTEMPT"):
+        verified_run(folder)

@@ -16,7 +16,6 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env": (),
     "drone_env.client": ("server",),
     "drone_env.cluster": ("cluster",),
-    "drone_env.cluster.senders": ("cluster", "llm"),
     "drone_env.datasets": ("data",),
     "drone_env.llm": ("llm",),
     "drone_env.llm.inspect_task": ("inspect",),

@@ -15,20 +15,23 @@ export function mountMoves(root, context) {
   root.append(el("h2.eyebrow", { text: "Moves" }), summary, list, detail);
   let shown = null;
   let annotation = null;
+  let calls = null;
   let announced = 0;
 
   function draw() {
     const { track, clock } = stage;
-    if (track !== shown || track?.annotation !== annotation || (track && list.childElementCount > track.steps)) {
+    const news = track?.annotation !== annotation || track?.calls !== calls;
+    if (track !== shown || news || (track && list.childElementCount > track.steps)) {
       shown = track;
-      annotation = track?.annotation ?? null;
+      annotation = track?.annotation;
+      calls = track?.calls;
       list.replaceChildren();
-      summary.replaceChildren(...(annotation ? counts(annotation) : []));
+      summary.replaceChildren(...(annotation ? counts(track) : []));
       announced = track?.steps ?? 0;
     }
     if (!track) return;
     const fresh = track.frames.slice(list.childElementCount + 1);
-    list.append(...fresh.map((frame) => moveButton(frame, annotation?.moves[frame.step - 1])));
+    list.append(...fresh.map((frame) => moveButton(frame, chosenMove(track, frame.step))));
     // The strip announces the end of the flight.
     const isNew = track.live && !track.done && track.steps > announced;
     if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
@@ -70,15 +73,23 @@ export function mountMoves(root, context) {
   stage.on("change", draw);
 }
 
-function counts(annotation) {
-  const chips = Object.keys(LABELS)
-    .filter((label) => annotation.counts[label])
-    .map((label) => {
-      const count = annotation.counts[label];
-      const text = `${count} ${count > 1 ? LABELS[label] : label}`;
-      return el("span.move-count", { data: { label } }, el("i", { "aria-hidden": "true" }), el("span", { text }));
-    });
-  const accuracy = annotation.accuracy === null ? "–" : percent(annotation.accuracy);
+/** The annotation of a step; undefined without one, and for a wait in place of a language model's unusable answer. */
+function chosenMove({ annotation, calls }, step) {
+  const answers = calls?.steps.get(step) ?? [];
+  return !answers.length || answers.some(({ outcome }) => outcome === "ok") ? annotation?.moves[step - 1] : undefined;
+}
+
+function counts(track) {
+  const moves = track.annotation.moves.filter(({ step }) => chosenMove(track, step));
+  const chips = Object.keys(LABELS).flatMap((label) => {
+    const count = moves.filter((move) => move.label === label).length;
+    const text = `${count} ${count > 1 ? LABELS[label] : label}`;
+    const chip = el("span.move-count", { data: { label } }, el("i", { "aria-hidden": "true" }), el("span", { text }));
+    return count ? [chip] : [];
+  });
+  const decisive = moves.filter(({ margin }) => margin > 0);
+  const best = decisive.filter(({ regret }) => regret === 0);
+  const accuracy = decisive.length ? percent(best.length / decisive.length) : "–";
   return [
     el("p.accuracy-head", el("strong", { text: accuracy }), el("span", { text: " accuracy" })),
     el("div.move-counts", ...chips),
