@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable
+from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable, in_common
 from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
@@ -253,4 +253,6 @@ def summary_lines(result: RunResult) -> list[str]:
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))
+    if unusable.marked:
+        lines.append(in_common([fault for flight in result.flights for fault in flight.faults]))
     return [*lines, "; ".join(filter(None, (f"verdict: {verdict}", unusable.mark)))]
