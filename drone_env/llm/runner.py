@@ -157,7 +157,9 @@ class Calls:
             raise CallFailedError(str(failed)) from None
         if not self.transcript.answered and (warning := missing_text(flight.request, answer)):
             self.progress.notice(warning)
-        record(answer, flight.prompt.read_answer(answer).kind)
+        reading = flight.prompt.read_answer(answer)
+        self.progress.on_reading(reading)
+        record(answer, reading.kind)
         return answer
 
     async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
