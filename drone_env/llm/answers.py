@@ -81,7 +81,7 @@ REFUSAL = re.compile(
 )
 SEPARATOR = re.compile(r"(?:\s|,|;|[-=]>|→|\|)+")
 WORD = re.compile(r"[A-Za-z_]+\Z")
-AROUND = " \t\r\n*_`'\"‘’“”«»()<>$.,;!:>#•–—-"
+AROUND = " \t\r\n*_`'\"‘’“”«»()<>$.,;!#•–—-"
 """Characters around a word that do not change its meaning."""
 NUMBERS = re.compile(
     r"^[ \t*(]*(?:(?:step|move|action)[ \t]*)?\d{1,4}[.):]+(?=[ \t*_`'\"]*[a-z])", re.MULTILINE | re.IGNORECASE
@@ -91,7 +91,7 @@ WRAPPERS = [
     re.compile(pattern, re.DOTALL | re.IGNORECASE)
     for pattern in (
         # A label, such as `Final answer:`.
-        rf"[\s*_`'\"‘“#>-]*(?:(?:final|next|best|my|the|chosen)\s+)*(?:{'|'.join(sorted(KEYS))})[\s*_`'\"’”]*[:=](.*)",
+        rf"[\s*_`'\"‘“#>-]*(?:(?:final|next|best|my|the|chosen)\s+)*(?:{'|'.join(sorted(KEYS))})(?:\s+is)?[\s*_`'\"’”]*[:=](.*)",
         # A code fence, optionally with a language; no action is a language.
         rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```",
         rf"<(?:{'|'.join(sorted(KEYS))}|response|output|tool_call)>(.*)</\w+>",

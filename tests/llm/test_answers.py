@@ -1,8 +1,11 @@
 """What a model's answer comes to: an action, a route, or why it is none."""
 
 import itertools
+import json
 import os
 import unicodedata
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -11,6 +14,7 @@ from hypothesis import strategies as st
 from drone_env.core.actions import Action
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import Answer, Unusable, in_common, read_answer
+from drone_env.llm.prompt import get_prompt
 
 MARKS = ("ACTION:", "Answer:", r"\boxed{}")
 RIGHT = [
@@ -35,6 +39,7 @@ RIGHT = [
         "**Answer:** RIGHT",
         "Final answer: RIGHT",
         "The next move: RIGHT.",
+        "The answer is: RIGHT",
         "Answer：RIGHT",
         '"action": "RIGHT"',
     ),
@@ -124,6 +129,16 @@ def test_one_action_is_read_in_every_spelling_on_every_prompt(text: str) -> None
 )
 def test_nothing_else_is_an_action(text: str, kind: str) -> None:
     assert read_answer(Answer(text=text), plan=False).kind == kind
+
+
+REAL = json.loads(Path(__file__).with_name("real_answers.json").read_text(encoding="utf-8"))
+"""Answers of a small language model, and how a person reads them."""
+
+
+@pytest.mark.parametrize("real", REAL, ids=lambda real: f"{real['prompt']}: {real['text'][:30]}")
+def test_answers_of_a_real_model(real: dict[str, Any]) -> None:
+    reading = get_prompt(real["prompt"]).read_answer(Answer(text=real["text"]))
+    assert ([action.name for action in reading.actions] or reading.kind) == real["expected"]
 
 
 FRAGMENTS = st.sampled_from(
@@ -261,6 +276,7 @@ def test_a_route_is_read_in_every_spelling(text: str) -> None:
         ('{"actions": ["RIGHT", 3]}', "parse_error"),
         ('{"actions": ["RIGHT", "FORWARD"]}', "illegal"),
         ("First RIGHT, then UP!", "illegal"),
+        ("UP: left, DOWN: right", "parse_error"),
         # The whole route is not there.
         *(
             (text, "parse_error")
