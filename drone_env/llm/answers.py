@@ -26,7 +26,6 @@ TURN_KINDS: tuple[TurnKind, ...] = get_args(TurnKind)
 """The outcomes of a request for actions, including its repair."""
 MAX_UNUSABLE = 0.05
 """A run is marked if a larger share of its answers is unusable."""
-
 EXAMPLE_CHARACTERS = 80
 
 FinishKind = Literal["complete", "truncated", "refusal", "failed"]
@@ -100,7 +99,7 @@ WRAPPERS = [
         r"\[([^\[\]{}\"]*)\]",
     )
 ]
-"""What a model puts around a whole answer."""
+"""Labels and brackets around a whole answer."""
 END_LINE = re.compile(r"\s*(?:```\w*|</\w+>)\s*")
 """A line that only begins or ends what is around a marked answer."""
 BOX = r"\boxed{}"
@@ -196,7 +195,7 @@ def in_common(faults: Sequence[Reading]) -> str:
 
 
 def finish_kind(reason: str | None) -> FinishKind:
-    """What a finish reason says about the answer; it is complete if there is none."""
+    """Classify an answer by its finish reason; without one, it is complete."""
     # Gemini's own reason follows a colon, as in "content_filter: RECITATION".
     name = (reason or "stop").partition(":")[0].strip().lower()
     kinds: list[FinishKind] = [kind for kind, names in FINISH_REASONS.items() if name in names]
@@ -266,7 +265,7 @@ def _plain(content: str) -> str | None:
     if thoughts is None and OPEN_THOUGHT.match(text):
         return None
     text = text[thoughts.end() if thoughts else 0 :]
-    # What follows the end of the turn is another turn.
+    # Text after the end of the turn belongs to another turn.
     return re.split(TOKEN, ROLE.sub("", text), maxsplit=1)[0]
 
 
