@@ -44,7 +44,7 @@ adapters() {
 verifiers() {
   [[ -x $VENV/verifiers/bin/python ]] || $python -m venv "$VENV/verifiers"
   "$VENV/bin/uv" pip install --quiet --python "$VENV/verifiers/bin/python" --editable '.[llm]' \
-    --editable integrations/verifiers 'verifiers[openenv]' 'uvicorn[standard]>=0.37' 'pytest>=8.3' 'pytest-timeout>=2.3'
+    --editable integrations/verifiers 'verifiers[openenv]' 'uv' 'uvicorn[standard]>=0.37' 'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/verifiers/bin/python" -m pytest tests/adapters/test_verifiers.py
 }
 

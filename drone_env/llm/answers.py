@@ -1,13 +1,15 @@
 r"""Parse a model's answer into actions, or the reason why it is unusable. Actions are never guessed.
 
-A usable answer consists of the requested actions and nothing else, apart from: a leading `<think>` block, a Markdown
-code fence, quotes or emphasis, a full stop, letter case, and a JSON object with one key `action`, `direction`,
-`actions` or `directions`. If the prompt allows marks, such as `ACTION:` or `\boxed{}`, the last line with one of them
-is the answer, and the rest is ignored.
+A usable answer consists of the requested actions and nothing else. `_plain` removes what templates and servers leave in
+a text: thoughts, special tokens, invisible characters. `_words` removes what models write around an answer: a label,
+brackets, quotes, emphasis, list numbers. If the prompt allows marks, such as `ACTION:` or `\boxed{}`, the last line
+with one of them is the answer, and the rest is ignored.
 """
 
 import json
 import re
+import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, cast, get_args
 
@@ -15,7 +17,7 @@ from pydantic import field_validator
 from typing_extensions import TypedDict
 
 from drone_env.core.actions import Action
-from drone_env.errors import InvalidValueError
+from drone_env.errors import EndpointError, InvalidValueError
 from drone_env.models import Count, Message
 
 AnswerKind = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
@@ -24,22 +26,82 @@ TURN_KINDS: tuple[TurnKind, ...] = get_args(TurnKind)
 """The outcomes of a request for actions, including its repair."""
 MAX_UNUSABLE = 0.05
 """A run is marked if a larger share of its answers is unusable."""
+EXAMPLE_CHARACTERS = 80
 
-KEYS = {"action", "direction", "actions", "directions"}
-FENCED = re.compile(
-    rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```", re.DOTALL | re.IGNORECASE
+FinishKind = Literal["complete", "truncated", "refusal", "failed"]
+FINISH_REASONS: dict[FinishKind, set[str]] = {
+    # Gemini's filter of function calls marks a malformed call: the answer is complete, and unusable.
+    "complete": {
+        *("stop", "eos", "eos_token", "end_turn", "stop_sequence", "stop_token", "complete", "completed", "endoftext"),
+        *("tool_call", "tool_calls", "tool_use", "function_call", "function_call_filter", "malformed_function_call"),
+    },
+    "truncated": {
+        *("length", "max_length", "max_tokens", "max_output_tokens", "max_completion_tokens", "token_limit"),
+        *("model_length", "context_length_exceeded", "model_context_window_exceeded", "repetition"),
+    },
+    "refusal": {
+        *("content_filter", "content_filtered", "safety", "recitation", "blocklist", "prohibited_content", "spii"),
+        *("refusal", "sensitive", "guardrail_intervened", "error_toxic"),
+    },
+}
+"""Finish reasons of OpenAI's protocol, of the servers that imitate it, and of the vendors behind them."""
+
+KEYS = {
+    "answer",
+    *(name + end for name in ("action", "direction", "move", "route", "plan", "path") for end in ("", "s")),
+}
+ASIDES = {"reason", "reasoning", "rationale", "thought", "thoughts", "thinking", "explanation", "step"}
+"""Keys beside the actions that only explain or number them."""
+CALL_KEYS = (["name", "arguments"], ["name", "parameters"])
+"""The keys of a tool call that a server passes on as text."""
+THINK = "(?:seed:)?(?:think|thinking|thought|reasoning)"
+HEADER = r"<\|channel\|>(?:final|commentary to=functions\.fly\w*)\b[^<]*(?:<\|constrain\|>\w+\s*)?<\|message\|>"
+# Some chat templates open the block in the prompt, so that the answer contains only its end. A server that removes
+# special tokens turns the headers of two channels into "analysis...assistantfinal".
+THOUGHTS = re.compile(
+    rf"\A(?:.*(?:</{THINK}>|\[/THINK\]|◁/think▷|<\|END_THINKING\|>|<\|end_of_thought\|>|<channel\|>|{HEADER})"
+    r"|(?:analysis.*)?assistantfinal)",
+    re.DOTALL | re.IGNORECASE,
 )
-"""A code fence, optionally with a language; no action is a language."""
-# Some chat templates open the block in the prompt, so that the answer contains only its end.
-THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
-OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
+OPEN_THOUGHT = re.compile(
+    rf"\A\s*(?:<{THINK}>|\[THINK\]|◁think▷|<\|START_THINKING\|>|<\|begin_of_thought\|>|<\|channel>thought"
+    r"|(?:<\|start\|>assistant)?<\|channel\|>analysis)",
+    re.IGNORECASE,
+)
+INVISIBLE = re.compile("[\u00ad\u200b-\u200f\u202a-\u202e\u2060-\u2064\ufeff]")
+TOKEN = r"(?:<\|[^<>|]{1,40}\|>|</?s>|<(?:bos|eos|start_of_turn|end_of_turn|\|turn|turn\|)>|\[/?INST\])"
+"""A special token of a chat template."""
+ROLE = re.compile(rf"\A\s*(?:{TOKEN}\s*)*(?:(?:assistant|model)(?:\s*{TOKEN}|[^\S\n]*:?[^\S\n]*\n))?")
+"""The header of the model's turn."""
 REFUSAL = re.compile(
     r"\A\W*(?:i['’]?m sorry|i am sorry|sorry,|i can(?:no|['’])t|i can not|i am (?:not able|unable)"
     r"|i['’]m (?:not able|unable)|i won['’]t|i will not|as an ai\b)",
     re.IGNORECASE,
 )
-SEPARATOR = re.compile(r"(?:\s|,|;|->|→|\|)+")
+SEPARATOR = re.compile(r"(?:\s|,|;|[-=]>|→|\|)+")
 WORD = re.compile(r"[A-Za-z_]+\Z")
+AROUND = " \t\r\n*_`'\"‘’“”«»()<>$.,;!#•–—-"
+"""Characters around a word that do not change its meaning."""
+NUMBERS = re.compile(
+    r"^[ \t*(]*(?:(?:step|move|action)[ \t]*)?\d{1,4}[.):]+(?=[ \t*_`'\"]*[a-z])", re.MULTILINE | re.IGNORECASE
+)
+"""The numbers of a list."""
+WRAPPERS = [
+    re.compile(pattern, re.DOTALL | re.IGNORECASE)
+    for pattern in (
+        # A label, such as `Final answer:`.
+        rf"[\s*_`'\"‘“#>-]*(?:(?:final|next|best|my|the|chosen)\s+)*(?:{'|'.join(sorted(KEYS))})(?:\s+is)?[\s*_`'\"’”]*[:=](.*)",
+        # A code fence, optionally with a language; no action is a language.
+        rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```",
+        rf"<(?:{'|'.join(sorted(KEYS))}|response|output|tool_call)>(.*)</\w+>",
+        r"[$\s]*\\(?:boxed|text|textbf|mathbf)\{(.*)\}[$\s.]*",
+        r"\[?fly\w*\((?:directions?\s*=)?(.*)\)\]?",
+        r"\[([^\[\]{}\"]*)\]",
+    )
+]
+"""Labels and brackets around a whole answer."""
+END_LINE = re.compile(r"\s*(?:```\w*|</\w+>)\s*")
+"""A line that only begins or ends what is around a marked answer."""
 BOX = r"\boxed{}"
 BOXED = re.compile(r"\\boxed\{(?:\\text\{([^{}]*)\}|([^{}]*))\}")
 MARK = r"[A-Za-z]+:|\\boxed\{\}"
@@ -121,6 +183,25 @@ class Reading(NamedTuple):
     """The arguments of the tool call, if there is one; else the text."""
 
 
+def in_common(faults: Sequence[Reading]) -> str:
+    """The commonest kind of unusable answers, with an example; empty if there are none."""
+    if not faults:
+        return ""
+    (kind, count), *_ = Counter(fault.kind for fault in faults).most_common()
+    example = next(fault for fault in faults if fault.kind == kind)
+    advice = "; raise --max-answer-tokens" if kind == "truncated" else ""
+    text = repr(" ".join(example.text.split())[:EXAMPLE_CHARACTERS])
+    return f"{count} of {len(faults)} unusable answers are {kind}, such as {text}: {example.reason}{advice}"
+
+
+def finish_kind(reason: str | None) -> FinishKind:
+    """Classify an answer by its finish reason; without one, it is complete."""
+    # Gemini's own reason follows a colon, as in "content_filter: RECITATION".
+    name = (reason or "stop").partition(":")[0].strip().lower()
+    kinds: list[FinishKind] = [kind for kind, names in FINISH_REASONS.items() if name in names]
+    return kinds[0] if kinds else "failed"
+
+
 def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
     """Parse an answer.
 
@@ -128,25 +209,31 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
         answer: The answer.
         plan: Whether the prompt asks for a whole route; else for exactly one action.
         marks: Marks that can start the line of the answer.
+
+    Raises:
+        EndpointError: if the server did not finish the answer, so that it says nothing about the model.
     """
     content = answer.text if answer.tool_arguments is None else answer.tool_arguments
 
     def unusable(kind: AnswerKind, reason: str) -> Reading:
         return Reading(kind, (), reason, content)
 
-    if answer.refusal or answer.finish_reason == "content_filter":
+    finish = finish_kind(answer.finish_reason)
+    if finish == "failed":
+        raise EndpointError(f"the answer was not finished: finish reason {answer.finish_reason!r}")
+    if answer.refusal or finish == "refusal":
         return unusable("refusal", "the model refused")
     # Even if the received part looks complete, the rest is unknown.
-    if answer.finish_reason == "length":
+    if finish == "truncated":
         return unusable("truncated", "the answer was cut at the limit of tokens")
-    text = THOUGHT.sub("", content, count=1)
-    if text == content and OPEN_THOUGHT.match(content):
-        return unusable("truncated", "the answer ends inside its <think> block")
-    marked = _last_marked(text, marks)
-    words = _words(text if marked is None else marked, plan)
-    if words is None and marked is None and REFUSAL.match(text):
+    text = _plain(content)
+    if text is None:
+        return unusable("truncated", "the answer ends inside its thoughts")
+    marked = _last_marked(text, plan, marks)
+    words = _words(text if marked is None else marked)
+    if not words and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
-    if words is None:
+    if not words or (len(words) > 1 and not plan):
         expected = "a list of actions" if plan else "one action"
         part = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
@@ -170,49 +257,77 @@ def actions_named(words: Sequence[object]) -> tuple[Action, ...]:
     return tuple(Action[cast(str, word).upper()] for word in words)
 
 
-def _last_marked(text: str, marks: Sequence[str]) -> str | None:
-    """The content of the last line with a mark; None if there is none."""
+def _plain(content: str) -> str | None:
+    """The text of the model's turn after its thoughts, without special tokens; None if the thoughts have no end."""
+    # Other forms of the same letters and spaces become equal.
+    text = INVISIBLE.sub("", unicodedata.normalize("NFKC", content))
+    thoughts = THOUGHTS.match(text)
+    if thoughts is None and OPEN_THOUGHT.match(text):
+        return None
+    text = text[thoughts.end() if thoughts else 0 :]
+    # Text after the end of the turn belongs to another turn.
+    return re.split(TOKEN, ROLE.sub("", text), maxsplit=1)[0]
+
+
+def _last_marked(text: str, plan: bool, marks: Sequence[str]) -> str | None:
+    """The content of the last line with a mark; None if there is none. A route can take several lines."""
     words = "|".join(re.escape(mark[:-1]) for mark in marks if mark != BOX)
     pattern = re.compile(rf"[\s>*_`#-]*(?:{words})[\s*_`]*:(.*)", re.IGNORECASE) if words else None
-    for line in reversed(text.splitlines()):
+    lines = [line for line in text.splitlines() if not END_LINE.fullmatch(line)]
+    for number, line in reversed(list(enumerate(lines))):
         match = pattern.match(line) if pattern else None
         content = match[1] if match else line
         boxes = [inner or outer for inner, outer in BOXED.findall(content)] if BOX in marks else []
         if match and not (boxes and not BOXED.sub("", content).strip(" $*_.")):
-            return content
+            rest = "\n".join([content.strip("*_` "), *lines[number + 1 :]]).strip()
+            return re.split(r"\n\s*\n" if plan else r"\n", rest, maxsplit=1)[0]
         if boxes:
             # Two boxes together are unusable: neither is chosen.
             return " or ".join(boxes)
     return None
 
 
-def _words(text: str, plan: bool) -> list[str] | None:
+def _words(text: str) -> list[str] | None:
     """The words of a text that can be actions; None if it is something else."""
-    fenced = FENCED.fullmatch(text.strip())
-    text = (fenced[1] if fenced else text).strip()
+    for wrapper in WRAPPERS * 3:  # one in another
+        if match := wrapper.fullmatch(text.strip()):
+            text = match[1]
+    text = text.strip()
     if text[:1] in ("{", "["):
-        return _json_words(text, plan)
-    text = text.strip(" \t\r\n*_`'\".")
-    words = [word.strip("*_`'\".") for word in SEPARATOR.split(text) if word] if plan else [text]
-    if not words or not all(WORD.match(word) for word in words):
+        return _json_words(text)
+    words = [word for part in SEPARATOR.split(NUMBERS.sub("", text)) if (word := part.strip(AROUND))]
+    # Dots in place of the rest of a route are no route.
+    if not words or ".." in text or not all(WORD.match(word) for word in words):
         return None
-    if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
+    if len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
         return None  # prose
     return words
 
 
-def _json_words(text: str, plan: bool) -> list[str] | None:
-    try:
-        value: Any = json.loads(text)
-    except (ValueError, RecursionError):
+class _Pairs(list[tuple[str, Any]]):
+    """A JSON object, in which a key can occur twice."""
+
+
+def _json_words(text: str) -> list[str] | None:
+    """The words in a JSON value, which can have Python's quotes, and a comma at the end of a list."""
+    for spelling in (text, re.sub(r",\s*([\]}])", r"\1", re.sub("['‘’“”]", '"', text))):
+        try:
+            return _words_of(json.loads(spelling, object_pairs_hook=_Pairs))
+        except (ValueError, RecursionError):
+            continue
+    return None
+
+
+def _words_of(value: Any) -> list[str] | None:
+    """The words of a text, of all items of a list, or of the one key of an object that means actions."""
+    if isinstance(value, str):
+        return [value] if WORD.match(value) else _words(value)
+    if isinstance(value, _Pairs):
+        if [key for key, _ in value] in CALL_KEYS:
+            return _words_of(value[1][1])
+        named = [(key.lower(), inner) for key, inner in value if key.lower() not in ASIDES]
+        return _words_of(named[0][1]) if len(named) == 1 and named[0][0] in KEYS else None
+    if not isinstance(value, list):
         return None
-    if isinstance(value, dict):
-        table = cast(dict[str, Any], value)
-        keys = list(table)
-        if len(keys) != 1 or keys[0].lower() not in KEYS:
-            return None
-        value = table[keys[0]]
-    if plan:
-        words = cast(list[Any], value) if isinstance(value, list) else []
-        return words if words and all(isinstance(word, str) for word in words) else None
-    return [value] if isinstance(value, str) else None
+    parts = [_words_of(item) for item in cast(list[Any], value)]
+    return [word for part in parts for word in part or ()] if None not in parts else None

@@ -14,7 +14,7 @@ import httpx
 
 from drone_env import __version__
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.llm.answers import Answer
+from drone_env.llm.answers import Answer, finish_kind
 from drone_env.llm.config import host_of, is_private
 from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for, options_for
 
@@ -152,7 +152,12 @@ class Endpoint:
             reason = f"{self._clean(_message_of(error or 'the message is empty'))} (in a 200 response)"
             raise self._refusal(status, reason, data, response.headers, request)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
-        return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
+        clean = {name: without_secret(text, self._token) for name, text in texts.items()}
+        answer = Answer.model_validate(fields | clean)
+        if finish_kind(answer.finish_reason) == "failed":
+            reason = f"the answer was not finished: finish reason {self._clean(str(answer.finish_reason))!r}"
+            raise TryFailedError(200, reason, retried=True)
+        return answer
 
     def _refusal(
         self, status: int, reason: str, data: bytes, headers: httpx.Headers, request: Mapping[str, Any]
@@ -200,7 +205,7 @@ def _error_of(completion: Any) -> Any:
     choice: Any = choices[0] or {}
     if choice.get("message") is None:
         return "there is no message"
-    return choice.get("error") or (choice.get("finish_reason") == "error" and "the answer was cut off by an error")
+    return choice.get("error")
 
 
 def _answer(completion: Any) -> dict[str, Any]:

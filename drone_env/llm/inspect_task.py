@@ -41,8 +41,6 @@ with needs("inspect"):
     from inspect_ai.util import LimitExceededError  # pyright: ignore[reportMissingImports]
 
 ROLES = {"system": ChatMessageSystem, "user": ChatMessageUser, "assistant": ChatMessageAssistant}
-FINISH_REASONS = {"max_tokens": "length", "model_length": "length"}
-"""Inspect's finish reasons with another name in OpenAI's protocol."""
 
 
 @task
@@ -175,6 +173,6 @@ def _answer(output: ModelOutput) -> Answer:
     return Answer(
         text=output.completion,
         reasoning="\n".join(thoughts) or None,
-        finish_reason=FINISH_REASONS.get(output.stop_reason, output.stop_reason),
+        finish_reason=output.stop_reason,
         model=output.model,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from drone_env.core.actions import Action
 from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
+from drone_env.llm.answers import Reading, in_common
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import EpisodeIds
@@ -18,6 +19,8 @@ from drone_env.results.tables import known_sum
 LINE_SECONDS = 10.0
 LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
+EARLY = 10
+"""The number of answers after which a run without a usable one prints what they have in common."""
 
 
 @dataclass
@@ -46,6 +49,7 @@ class Progress:
     _retries: int = 0
     _line_shown: float = field(default_factory=time.monotonic)
     _wait_shown: float = 0.0
+    _early: list[Reading] | None = field(default_factory=list[Reading])
 
     def on_request(self, flight: Flight) -> None:
         """Print the new log lines of the flight that a request belongs to."""
@@ -65,6 +69,16 @@ class Progress:
             cost = "" if budget.cost is None else f", {known_sum(budget.cost, budget.unmetered, '.4f')} US dollars"
             tokens = "" if budget.tokens is None else f", {known_sum(budget.tokens, budget.unmetered, 'd')} tokens"
             print(f"{flights}, {budget.requests} requests{tokens}{cost}", file=sys.stderr)
+
+    def on_reading(self, reading: Reading) -> None:
+        """Print once what the first answers have in common if none of them is usable."""
+        if reading.kind == "ok":
+            self._early = None
+        elif self._early is not None:
+            self._early.append(reading)
+            if len(self._early) == EARLY:
+                print(f"no usable answer so far: {in_common(self._early)}", file=sys.stderr)
+                self._early = None
 
     def on_wait(self, seconds: float, reason: str) -> None:
         """Print the wait before a retry, at most one short wait per second."""

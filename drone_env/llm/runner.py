@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable
+from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable, in_common
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
@@ -160,7 +160,9 @@ class Calls:
             raise CallFailedError(str(failed)) from None
         if not self.transcript.answered and (warning := missing_text(flight.request, answer)):
             self.progress.notice(warning)
-        record(answer, flight.prompt.read_answer(answer).kind)
+        reading = flight.prompt.read_answer(answer)
+        self.progress.on_reading(reading)
+        record(answer, reading.kind)
         return answer
 
     async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
@@ -264,4 +266,6 @@ def summary_lines(result: RunResult) -> list[str]:
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))
+    if unusable.marked:
+        lines.append(in_common([fault for flight in result.flights for fault in flight.faults]))
     return [*lines, "; ".join(filter(None, (f"verdict: {verdict}", unusable.mark)))]

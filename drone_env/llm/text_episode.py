@@ -8,7 +8,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
-from drone_env.llm.answers import Answer, ChatMessage, TurnKind, actions_named
+from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.rejections import NO_CHANGES, Changes, changed
 from drone_env.llm.transcript import CallKey
@@ -46,6 +46,7 @@ class TextEpisode:
         messages: The next request; empty at the end of the flight.
         turns: The outcome of each request for actions, in order.
         attempt: 1, or 2 if `messages` ask for a repaired answer.
+        faults: The answers that stayed unusable after their repair.
         step_errors: For each step, why it is a WAIT that the model did not choose; None if the model chose it.
 
     Raises:
@@ -64,6 +65,7 @@ class TextEpisode:
         self.prompt = get_prompt(prompt) if isinstance(prompt, str) else prompt
         self.episode = Episode(task, reward_profile, seed)
         self.turns: list[TurnKind] = []
+        self.faults: list[Reading] = []
         self.step_errors: list[str | None] = []
         self.attempt: Literal[1, 2] = 1
         self._history = history
@@ -75,6 +77,7 @@ class TextEpisode:
 
         Raises:
             EpisodeError: if the flight is over.
+            EndpointError: if the server did not finish the answer; ask for another one.
         """
         if not self.messages:
             raise EpisodeError("the flight is over: start another TextEpisode")
@@ -88,6 +91,8 @@ class TextEpisode:
             outcome = "repaired"
         self.attempt = 1
         self.turns.append(outcome)
+        if not reading.actions:
+            self.faults.append(reading)
         episode = self.episode
         for action in reading.actions or (Action.WAIT,):
             if episode.ended:

@@ -77,6 +77,11 @@ def test_a_failing_call_is_an_error_and_no_score(endpoint: Start, tmp_path: Path
     assert not any(sample.scores for sample in log.samples or [])
 
 
+def test_an_aborted_answer_is_an_error_and_no_answer_of_the_model(endpoint: Start, tmp_path: Path) -> None:
+    log = evaluated(endpoint(pilot="LEFT UP", finish_reason="abort"), tmp_path, {"prompt": "plan", "episodes": 1})
+    assert (log.status, "not finished" in str(log.error or log.samples[0].error)) == ("error", True)
+
+
 def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
     # Inspect finds tasks of packages in a folder of that name alone; what is installed as editable lies elsewhere.

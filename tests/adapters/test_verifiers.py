@@ -1,5 +1,6 @@
 """The drone as a taskset of verifiers, flown by its own `vf-eval`: `tools/verify.sh verifiers`."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,13 +14,17 @@ from tests.api.serving import serving
 from tests.llm.conftest import Endpoint, Start, environment, json_lines
 
 pytest.importorskip("verifiers", reason="needs an environment of its own", exc_type=ImportError)
+# verifiers starts a process for each turn, and installs the packages of that process on its first run.
+pytestmark = pytest.mark.timeout(1200)
 
 
 def evaluated(endpoint: Endpoint, folder: Path, *arguments: str) -> list[dict[str, Any]]:
     """The traces of `vf-eval`."""
     where = ["--client.base-url", endpoint.url, "--client.api-key-var", "SCRIPTED_API_KEY", "--no-push", "--no-rich"]
     command = [str(Path(sys.executable).with_name("vf-eval")), *arguments, "--model", "scripted", *where]
-    subprocess.run(command, cwd=folder, env=environment(SCRIPTED_API_KEY="sk-scripted"), check=True, timeout=280)
+    # Without uv on the path, verifiers downloads it.
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    subprocess.run(command, cwd=folder, env=environment(SCRIPTED_API_KEY="sk-scripted", PATH=path), check=True)
     (path,) = folder.glob("outputs/*/traces.jsonl")
     traces = [trace for line in json_lines(path) for trace in line.get("traces", [line])]
     for trace in traces:
@@ -56,6 +61,13 @@ def test_turn_by_turn_the_credit_is_the_change_of_the_best_score(endpoint: Start
     assert (trace["metrics"]["steps"], trace["metrics"]["unusable"]) == (2, 1)
     # The first unusable answer of a step is repaired, the second is a WAIT.
     assert trace["info"]["turn_rewards"][:3] == pytest.approx([0, -0.2 / 60, 0])
+
+
+def test_a_limit_that_ends_the_first_turn_costs_all_that_could_be_reached(endpoint: Start, tmp_path: Path) -> None:
+    limit = ["--env.pilot.max-turns", "0", "--select.limit", "1"]
+    (trace,) = flown(endpoint(pilot="plan"), tmp_path, *limit)
+    assert trace["info"]["turn_rewards"] == [-trace["metrics"]["regret"]]
+    assert trace["metrics"]["regret"] > 0.9
 
 
 def test_its_own_openenv_taskset_flies_over_our_server(endpoint: Start, tmp_path: Path) -> None:

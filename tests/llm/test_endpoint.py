@@ -126,7 +126,8 @@ def test_tokens_that_are_not_counted_are_unknown(
         ({"choices": []}, 200),
         ({"choices": [{"message": None, "finish_reason": "stop"}]}, 200),
         ({"choices": [{"message": {"content": None}, "finish_reason": None}]}, 200),
-        ({"choices": [{"message": {"content": "UP"}, "finish_reason": "error"}]}, 200),
+        *(({"choices": [{"message": {"content": "UP"}, "finish_reason": why}]}, 200) for why in ("error", "abort")),
+        ({"choices": [{"message": {"content": ""}, "finish_reason": "abort"}]}, 200),
     ],
 )
 def test_failures_that_pass_are_retried(send: Send, content: Any, status: int) -> None:

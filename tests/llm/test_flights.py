@@ -116,6 +116,9 @@ def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(endpoint
     told, mark = "100.0% (60 of 60) !", "MARKED: 60 of 60 answers were unusable, more than 5%; the drone waited instead"
     assert f"mean score 0.0100 over 1 flights, 0 delivered everything; unusable answers: {told}\n" in done.err
     assert f"verdict: valid; {mark}\n" in done.err
+    for told_once in ("\nno usable answer so far: 10 of 10", "\n60 of 60"):
+        common = "unusable answers are illegal, such as 'NORTH': 'NORTH' is not an action\n"
+        assert f"\n{done.err}".count(f"{told_once} {common}") == 1
     text = (done.folder / "report.md").read_text()
     assert f"**valid**; {mark}\n" in text
     assert f"| score (95 %) | 0.0100 |\n| unusable answers | {told} |\n" in text

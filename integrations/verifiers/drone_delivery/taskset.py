@@ -97,7 +97,8 @@ class DroneDeliveryEnv(vf.Env[DroneDeliveryEnvConfig]):
                 segment = await interaction.turn(messages[-1]["content"])
         trace = interaction.trace
         if values:
-            values[1:] = [*values[1:-1], flight.score][: len(values) - 1]  # a limit can stop it too
+            # A limit can stop the flight too, even before its first answer.
+            values[max(1, len(values) - 1) :] = [flight.score]
             trace.info["turn_rewards"] = [after - before for before, after in pairwise(values)]
         trace.info["record"] = record_of(flight.episode, str(trace.agent.config.model)).to_json()
         trace.record_reward("score", flight.score)
