@@ -1,6 +1,7 @@
 """Check that every grader in the manifest can be found, called and believed: python check_graders.py [openenv.yaml]."""
 
 import importlib
+import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,9 @@ try:
     from drone_env.models import DroneState
     from drone_env.planning.optimal import solve
 except ModuleNotFoundError as error:
-    sys.exit(f"check_graders.py: {error.name} is not installed; run: pip install -e .")
+    # The package itself cannot be imported.
+    command = runpy.run_path(str(Path(__file__).with_name("drone_env") / "errors.py"))["install_command"]("")
+    sys.exit(f"check_graders.py: {error.name} is not installed; run: {command}")
 
 TASKS_REQUIRED = 3
 
