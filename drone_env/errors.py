@@ -123,7 +123,7 @@ class EndpointError(DroneEnvError, RuntimeError):
 
 
 def install_command(extra: str) -> str:
-    """Return the command that adds an extra to this environment: of uv if uv made it, and of the checkout if there is one."""
+    """Return the command that adds an extra to this environment, by pip or uv, from the checkout if there is one."""
     root, chosen = Path(__file__).parents[1], f"[{extra}]" if extra else ""
     made_by = Path(sys.prefix, "pyvenv.cfg")
     by_uv = made_by.is_file() and re.search("^uv = ", made_by.read_text("utf-8"), re.MULTILINE)
