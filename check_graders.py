@@ -10,6 +10,7 @@ from typing import Any
 try:
     import yaml
 
+    from drone_env.commands.printing import guarded
     from drone_env.core.episode import Episode
     from drone_env.core.tasks import get_task
     from drone_env.models import DroneState
@@ -94,4 +95,4 @@ def main(manifest_path: str = str(Path(__file__).with_name("openenv.yaml"))) -> 
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:2]))
+    sys.exit(guarded(lambda: main(*sys.argv[1:2])))

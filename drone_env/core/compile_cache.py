@@ -17,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 
 PACKAGE = Path(__file__).parents[1]
@@ -132,10 +133,15 @@ def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A decorator: `numba.njit` with these options, and a cache in `cache_folder()` if there is one.
 
     The function must be module-level, and call only functions of its own file, of `core` and of `planning`.
+
+    Raises:
+        InvalidValueError: if Numba is told not to compile.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
         numba: Any = import_module("numba")
+        if numba.config.DISABLE_JIT:
+            raise InvalidValueError("NUMBA_DISABLE_JIT is set, but batches and planners need compiled code: unset it")
         dispatcher = numba.njit(**options)(function)
         with suppress(OSError):  # without a cache; `print_before_compiling` prints why
             dispatcher._cache = CodeCache(function, options, cache_folder())

@@ -61,7 +61,8 @@ def print_table(
         alarming: Indices of rows to show in red.
     """
     console = Console(width=None if sys.stdout.isatty() else UNLIMITED, highlight=False)
-    for height in range(1, len(table.head)):
+    heights = range(1, len(table.head) + 1)
+    for height in heights:
         shown = RichTable(
             title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
         )
@@ -71,9 +72,10 @@ def print_table(
             end = (sections and row[0] != following[0]) or height > 1
             cells = _stacked(list(map(escape, row)), names, height)
             shown.add_row(*cells, end_section=end, style="red" if i in alarming else None)
-        if console.measure(shown, options=console.options.update(width=UNLIMITED)).maximum <= console.width:
+        natural = console.measure(shown, options=console.options.update(width=UNLIMITED)).maximum
+        if natural <= console.width or height == heights[-1]:
+            console.print(shown)
             break
-    console.print(shown)
 
 
 def _stacked(cells: Sequence[str], names: int, height: int) -> list[str]:
