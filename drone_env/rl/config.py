@@ -69,7 +69,7 @@ class TrainConfig:
     """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
     gpu: bool = False
     """Train on a CUDA device."""
-    num_threads: PositiveInt = 2
+    num_threads: PositiveInt = 1
     """Number of PyTorch threads. It changes the last bits of a run."""
     num_envs: PositiveInt = 512
     """Number of parallel environments."""
