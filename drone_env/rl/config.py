@@ -70,7 +70,8 @@ class TrainConfig:
     gpu: bool = False
     """Train on a CUDA device."""
     num_threads: PositiveInt = 1
-    """Number of PyTorch threads. It changes the last bits of a run."""
+    """Number of PyTorch threads. It changes the last bits of a run. Two take ten times the CPU time of one if other
+    programs use the processor."""
     num_envs: PositiveInt = 512
     """Number of parallel environments."""
     gamma: Share = 0.99
