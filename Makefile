@@ -1,6 +1,6 @@
 # A new machine needs python3 (3.10 or newer, with venv) and make; everything else is installed into .venv.
 PYTHON ?= python3
-# The tests need PyTorch; name a smaller CPU build here if you have one.
+# The tests need PyTorch; name another build here if you have one.
 TORCH ?= torch==2.13.0
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 $(VENV)/.base: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed; try: make PYTHON=python3.12")'
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
@@ -21,10 +21,11 @@ $(VENV)/.server: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --editable '.[server]'
 	touch $@
 
-# PyTorch by pip, which finds builds on this machine; then the rest by uv, which keeps what is installed.
+# PyTorch first, then the rest by uv, which keeps what is installed.
 $(VENV)/.dev: $(VENV)/.base
 	@date +%s >$(VENV)/began
-	$(BIN)/python -m pip install --quiet --no-compile $(TORCH) 'uv>=0.9'
+	$(BIN)/python -m pip install --quiet 'uv>=0.9'
+	$(BIN)/python tools/install_torch.py $(BIN)/python '$(TORCH)'
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable '.[dev]'
 	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
 	touch $@
@@ -89,14 +90,16 @@ docs: $(VENV)/.dev
 
 # Tests on the lowest and the highest Python, without PyTorch: tests that need it are skipped. llm, parity and property
 # take too long for CI, and so does api twice; the other folders need a browser, a cluster or programs of this Python.
-PYTHONS := python-3.10 python-3.13
+PYTHONS := python-lowest python-highest
 LEFT_OUT := browser cluster container docs llm package parity property
-python-3.13: LEFT_OUT += api
+python-lowest: VERSIONS := 3.10
+python-highest: VERSIONS := 3.14 3.13
+python-highest: LEFT_OUT += api
 python: $(PYTHONS)
-$(PYTHONS): python-%: $(VENV)/.dev
-	python=$$($(BIN)/python -m tests.tools $*) && $$python -m venv $(VENV)/$*
-	$(BIN)/uv pip install --quiet --python $(VENV)/$*/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,$(LEFT_OUT))
+$(PYTHONS): %: $(VENV)/.dev
+	python=$$($(BIN)/python -m tests.tools $(VERSIONS)) && $$python -m venv $(VENV)/$@
+	$(BIN)/uv pip install --quiet --python $(VENV)/$@/bin/python --editable '.[llm,server,test]'
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,$(LEFT_OUT))
 
 # Every client and trainer that the docs name, each in an environment with its own packages.
 adapters: $(VENV)/.dev

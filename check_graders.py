@@ -1,6 +1,7 @@
 """Check that every grader in the manifest can be found, called and believed: python check_graders.py [openenv.yaml]."""
 
 import importlib
+import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,12 +10,15 @@ from typing import Any
 try:
     import yaml
 
+    from drone_env.commands.printing import guarded
     from drone_env.core.episode import Episode
     from drone_env.core.tasks import get_task
     from drone_env.models import DroneState
     from drone_env.planning.optimal import solve
 except ModuleNotFoundError as error:
-    sys.exit(f"check_graders.py: {error.name} is not installed; run: pip install -e .")
+    # The package itself cannot be imported.
+    command = runpy.run_path(str(Path(__file__).with_name("drone_env") / "errors.py"))["install_command"]("")
+    sys.exit(f"check_graders.py: {error.name} is not installed; run: {command}")
 
 TASKS_REQUIRED = 3
 
@@ -91,4 +95,4 @@ def main(manifest_path: str = str(Path(__file__).with_name("openenv.yaml"))) -> 
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:2]))
+    sys.exit(guarded(lambda: main(*sys.argv[1:2])))

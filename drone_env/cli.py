@@ -1,7 +1,5 @@
 """`drone-env`: the command line. A new command is a module of `drone_env.commands` and a name in `COMMANDS`."""
 
-import io
-import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -11,7 +9,7 @@ from tyro.extras import SubcommandApp
 
 from drone_env import __version__
 from drone_env.commands.arguments import parsed, register_files, temporary_reward_profiles
-from drone_env.commands.printing import print_error
+from drone_env.commands.printing import guarded, print_error
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
 
@@ -51,11 +49,10 @@ def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 for success, 1 for a failed check, 2 for any other error."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # Some terminals lack emoji.
-            stream.reconfigure(errors="replace")
+    return guarded(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
+
+
+def _run(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         print(f"drone-env {__version__}")
         return 0
@@ -64,12 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             load_plugins()
         with temporary_reward_profiles():
             status = _call(arguments)()
-        sys.stdout.flush()
         return int(status or 0)
-    except BrokenPipeError:
-        # The reader closed the pipe (`drone-env fly | head`); the interpreter must not flush it again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 2
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)

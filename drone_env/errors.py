@@ -24,6 +24,7 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Protocol
 
 DISTRIBUTION = "drone-delivery-env"
@@ -122,8 +123,17 @@ class EndpointError(DroneEnvError, RuntimeError):
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs this package with an extra."""
-    return f'pip install "{DISTRIBUTION}{f"[{extra}]" if extra else ""}"'
+    """Return the command that adds an extra to this environment, by pip or uv, from the checkout if there is one."""
+    root, chosen = Path(__file__).parents[1], f"[{extra}]" if extra else ""
+    made_by = Path(sys.prefix, "pyvenv.cfg")
+    by_uv = made_by.is_file() and re.search("^uv = ", made_by.read_text("utf-8"), re.MULTILINE)
+    target = f'"{DISTRIBUTION}{chosen}"'  # pip and uv take the installed one, and need no index for it
+    if (root / "uv.lock").is_file():
+        place = "." if Path.cwd() == root else root
+        if by_uv and Path(sys.prefix) == root / ".venv":
+            return f"uv sync{f' --extra {extra}' if extra else ''}{'' if place == '.' else f' --project {place}'}"
+        target = f'-e "{place}{chosen}"'
+    return f"{'uv ' if by_uv else ''}pip install {target}"
 
 
 def shown(value: object) -> str:

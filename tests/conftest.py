@@ -18,6 +18,7 @@ from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
+from drone_env.errors import install_command
 from drone_env.graders import GRADERS
 from drone_env.results import store
 from tests.tools import missing_in, missing_package
@@ -83,5 +84,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped = terminalreporter.stats.get("skipped", [])
     missing = missing_in(str(report.longrepr) for report in skipped)
     if missing:
-        names, hint = ", ".join(missing), 'pip install -e ".[dev]" installs the Python packages'
-        terminalreporter.write_line(f"{len(skipped)} tests or files skipped; missing: {names}; {hint}")
+        hint = f"to install the Python packages, run: {install_command('dev')}"
+        terminalreporter.write_line(f"{len(skipped)} tests or files skipped; missing: {', '.join(missing)}; {hint}")

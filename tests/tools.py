@@ -127,4 +127,9 @@ def reserved_port() -> int:
 
 
 if __name__ == "__main__":
-    print(path_of_python(sys.argv[1]) or sys.exit(f"Python {sys.argv[1]} is neither on the path nor below ~/.pyenv"))
+    for version in sys.argv[1:]:
+        if found := path_of_python(version):
+            print(found)
+            sys.exit()
+        print(f"not run: no Python {version} here, neither on the path nor below ~/.pyenv", file=sys.stderr)
+    sys.exit(1)

@@ -27,7 +27,7 @@ coverage() {
 # environment NAME: a virtual environment beside the other, with PyTorch.
 environment() {
   [[ -x $VENV/$1/bin/python ]] || $python -m venv "$VENV/$1"
-  "$VENV/$1/bin/python" -m pip install --quiet --no-compile "$TORCH"
+  $python tools/install_torch.py "$VENV/$1/bin/python" "$TORCH"
 }
 
 # OpenEnv's stock clients; then the tests that need TRL, Inspect, tianshou, TorchRL, RLlib or MoviePy.

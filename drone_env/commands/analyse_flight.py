@@ -77,8 +77,8 @@ def _print(flight: "analysis.FlightAnalysis") -> None:
         moves.append(("", "stop", mark, "", "unfinished", *_loss(flight.giving_up)))
         labels.append(("giving up", "", f"{flight.giving_up.regret:.5f}", mark))
     head = ("step", "move", "", "to", "event", "value", "regret", "better")
-    print_table(Table(f"{flight.task.id}, map {flight.seed}, flown by {flight.agent}", head, moves), width=120, names=8)
-    print_table(Table("", ("move", "count", "lost", "mark"), labels), width=120, names=1)
+    print_table(Table(f"{flight.task.id}, map {flight.seed}, flown by {flight.agent}", head, moves), names=8)
+    print_table(Table("", ("move", "count", "lost", "mark"), labels), names=1)
     if flight.giving_up is not None:
         print(f"Unfinished after {len(moves) - 1} steps: counted as if it had waited to the end")
     print(f"Score {flight.score:.4f}, optimum {flight.optimum:.4f}, regret {flight.regret:.5f}")

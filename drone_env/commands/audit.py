@@ -91,7 +91,7 @@ def _print(report: dict[str, Any], replay: Path | None) -> None:
     returns, worst = report["mean_returns"], report["worst"]
     rows = [(RETURNS[name], number(value, ".3f")) for name, value in returns.items()]
     better = [i for i, name in enumerate(returns) if name != "maximiser" and returns[name] > returns["honest"] + 1e-9]
-    print_table(Table(title, ("flight", "mean return"), rows), width=120, names=1, alarming=better)
+    print_table(Table(title, ("flight", "mean return"), rows), names=1, alarming=better)
     print(
         f"The flight that earns most scores {report['mean_score']:.4f} on average; the optimum is "
         f"{report['mean_optimal_score']:.4f}.\nIt scores the optimum on {report['share_aligned']:.1%} of the maps.\n"

@@ -50,7 +50,7 @@ def city(file: Source, out: Path, bbox: Box = None, cell: float = 16.0, size: Si
     print(f"--bbox {' '.join(f'{side:.7f}' for side in imported.bbox or ())}")
     counts = np.bincount(imported.grid.ravel()).tolist()
     kinds = [(Cell(kind).name.lower(), f"{n}", percent(n / (width * height))) for kind, n in enumerate(counts) if n]
-    print_table(Table("", ("cell", "cells", "share"), kinds), width=80, names=1)
+    print_table(Table("", ("cell", "cells", "share"), kinds), names=1)
     try:
         check_names(task_of(imported, out.stem))
     except InvalidTaskError as error:

@@ -112,7 +112,7 @@ def _print(report: dict[str, Any]) -> None:
     start, stop = report["seeds"]
     caption = f"{stop - start:,} maps a task, split {report['split']}, seeds {start} to {stop - 1}"
     head = ("task", "agent", "score (95 %)", "IQM (95 %)", "success")
-    print_table(Table("Graded score", head, one), width=120, names=2, caption=caption, sections=True)
+    print_table(Table("Graded score", head, one), names=2, caption=caption, sections=True)
     for name, unusable in report["unusable"].items():
         from drone_env.llm.answers import Unusable
 
@@ -126,7 +126,7 @@ def _print(report: dict[str, Any]) -> None:
     several = any(len(of["others"]) > 1 for of in tasks.values())
     caption = "the comparisons of a task hold together with 95 % (Bonferroni)" if several else None
     if two:
-        print_table(Table("Map by map", head, two), width=120, names=2, caption=caption, sections=True)
+        print_table(Table("Map by map", head, two), names=2, caption=caption, sections=True)
 
 
 def _format(interval: dict[str, float], form: str = ".4f") -> str:

@@ -257,7 +257,7 @@ def _print(report: dict[str, Any]) -> None:
     if flown["repeats"] > 1:
         caption += f", {flown['repeats']} flights of each stochastic agent per map"
     table = Table("Graded score beside the exact optimum of the same maps", head, rows)
-    print_table(table, width=120, names=2, caption=caption, sections=True)
+    print_table(table, names=2, caption=caption, sections=True)
     for task_id, of_task in report["tasks"].items():
         for agent, figures in of_task["agents"].items():
             if "unsupported" in figures:

@@ -50,7 +50,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         for board in boards:
             marked = [i for i, entry in enumerate(board.rows) if entry.report.get("unusable", {}).get("marked")]
             caption = "! more than 5 % of the answers were unusable; the drone waited instead" if marked else None
-            print_table(_table(board), width=140, names=3, caption=caption, alarming=marked)
+            print_table(_table(board), names=3, caption=caption, alarming=marked)
         for run in refused:
             print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
     return int(any(run.damaged for run in refused))

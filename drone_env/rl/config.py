@@ -69,8 +69,9 @@ class TrainConfig:
     """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
     gpu: bool = False
     """Train on a CUDA device."""
-    num_threads: PositiveInt = 2
-    """Number of PyTorch threads. It changes the last bits of a run."""
+    num_threads: PositiveInt = 1
+    """Number of PyTorch threads. It changes the last bits of a run. Two take ten times the CPU time of one if other
+    programs use the processor."""
     num_envs: PositiveInt = 512
     """Number of parallel environments."""
     gamma: Share = 0.99

@@ -17,7 +17,7 @@ from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
 
 with needs("server", __name__):
-    from fastapi import FastAPI, Request
+    from fastapi import FastAPI
     from fastapi.responses import FileResponse
     from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
@@ -27,14 +27,13 @@ with needs("server", __name__):
 from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.live.socket import LiveSocket
-from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
-from drone_env.server.state import AppState, AppStateDep
+from drone_env.server.state import AppState
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +44,8 @@ A drone delivers parcels on a generated city grid.
 with every further request. OpenEnv's clients use the WebSocket `/ws` instead; each connection is a session.
 """
 SWEEP_SECONDS = 5.0
+SCHEMA: list[bytes] = []
+"""The OpenAPI description as JSON. It depends on no setting, so all applications of a process share it."""
 
 
 def create_app(settings: Settings | None = None, clock: Callable[[], float] | None = None) -> FastAPI:
@@ -67,8 +68,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     socket = OpenEnvSocket(shared, clock or time.monotonic)
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
-        await run_in_threadpool(shared.open)
+    async def lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
+        await asyncio.gather(run_in_threadpool(shared.open), run_in_threadpool(_describe, app))
         sweeper = asyncio.create_task(_sweep(shared, socket, live))
         try:
             yield
@@ -110,24 +111,21 @@ def _add_page(app: FastAPI) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html")
 
-    cached: list[bytes] = []
-    lock = asyncio.Lock()
-
-    # A worker process computes it once: FastAPI's own route blocks the event loop for 0.3 s.
     @app.get("/openapi.json", include_in_schema=False)
-    async def description(request: Request, shared: AppStateDep) -> Response:
-        async with lock:
-            if not cached:
-                settings = shared.settings.model_copy(update={"token": None, "reward_profiles": ()})
-                cached.append(await shared.work(request, _describe, settings, task=DEFAULT_TASK))
-        return Response(cached[0], media_type="application/json")
+    async def description() -> Response:
+        return Response(SCHEMA[0], media_type="application/json")
+
+    @app.get("/favicon.ico", include_in_schema=False)
+    async def icon() -> FileResponse:
+        return FileResponse(PAGE / "icons" / "drone.svg")
 
     app.mount("/static", PageFiles())
 
 
-def _describe(settings: Settings) -> bytes:
-    """Return the OpenAPI description as JSON."""
-    return to_json(create_app(settings).openapi())
+def _describe(app: FastAPI) -> None:
+    """Compute the OpenAPI description before the server is healthy: it takes 0.3 s, and validators wait for little."""
+    if not SCHEMA:
+        SCHEMA.append(to_json(app.openapi()))
 
 
 async def _sweep(shared: AppState, socket: OpenEnvSocket, live: LiveSocket) -> None:

@@ -18,9 +18,11 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import NAMES, DroneObservation
+from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, POINTS, RequestLog, TrainLog
 from drone_env.server.routes.flight import Prediction, arrays_of
 from drone_env.server.routes.history import LINES
+from drone_env.server.settings import Settings
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
@@ -190,9 +192,17 @@ def test_an_observation_from_the_wire_becomes_what_agents_see(task: str) -> None
             episode.step(action)
 
 
+def test_the_api_is_described_before_the_server_is_healthy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    described: list[bytes] = []
+    monkeypatch.setattr(app, "SCHEMA", described)
+    with TestClient(app.create_app(Settings(data=tmp_path))) as client:
+        assert len(described) == 1
+        info = client.get("/openapi.json").json()["info"]
+    assert (info["version"], "opens a session" in info["description"]) == (__version__, True)
+
+
 def test_openenvs_routes(client: TestClient) -> None:
     assert client.get("/metadata").json()["version"] == __version__
-    assert client.get("/openapi.json").json()["info"]["version"] == __version__
     assert len(client.get("/drone-env/splits").json()) == 3 * len(TASKS)
     test = {"split": "hard_delivery/test"}
     one = client.post("/drone-env/task", json=test | {"index": 2}).json()["task"]

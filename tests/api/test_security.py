@@ -144,6 +144,7 @@ class TestToken:
     def test_all_but_the_health_and_the_page_asks_for_it(self, tmp_path: Path) -> None:
         with app_with(tmp_path, token="secret") as client:
             assert client.get("/health").status_code == 200
+            assert client.get("/favicon.ico").headers["content-type"] == "image/svg+xml"  # browsers send it no token
             for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere"):
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
                     answer = client.get(path, headers=headers)

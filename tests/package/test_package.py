@@ -52,7 +52,7 @@ def test_the_description_renders_and_names_every_python(built: dict[str, Path]) 
     assert (metadata["Name"], metadata["Version"]) == (DISTRIBUTION, __version__)
     assert metadata["Requires-Python"] == ">=3.10"
     pythons = [name.rpartition(" ")[2] for name in metadata.get_all("Classifier", []) if ":: Python :: 3." in name]
-    assert pythons == ["3.10", "3.11", "3.12", "3.13"]
+    assert pythons == ["3.10", "3.11", "3.12", "3.13", "3.14"]
 
 
 VERSIONED = {"CHANGELOG.md", "CITATION.cff", "drone_env/__init__.py", "openenv.yaml"}

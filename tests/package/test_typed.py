@@ -98,7 +98,7 @@ def test_uv_sync_brings_all_but_pytorch(tmp_path: Path) -> None:
         missing_tool("an index of packages")
     assert status == 0, said
     for line, ends, tells in (
-        (f"python {TRAIN}", 2, 'run: pip install "drone-delivery-env[train]"'),
+        (f"python {TRAIN}", 2, "run: uv sync --extra train\n"),
         ("python check_graders.py", 0, "3 valid graders found."),
         ("uv run server --help", 0, "--port"),
         ("uv run pytest tests/test_env.py -v", 0, "missing: torch;"),

@@ -22,6 +22,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
+from tests.tools import ran
 from tests.toy import LOG_OF_MAP_14
 
 
@@ -179,12 +180,28 @@ def test_help_is_a_manual(command: list[str], text: str, capsys: pytest.CaptureF
     assert text in capsys.readouterr().out
 
 
-def test_the_output_may_be_cut_off() -> None:
-    command = f"{sys.executable} -m drone_env.cli fly --task hard --agent random --seed 1 | head -n 1"
-    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
-    assert result.stdout.startswith("[START]")
-    assert "Traceback" not in result.stderr
-    assert "BrokenPipe" not in result.stderr
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("command", "output", "said"),
+    [
+        ("--version", ">&-", "drone-env: standard output: Bad file descriptor\n"),
+        ("fly --help", ">/dev/full", "drone-env: standard output: No space left on device\n"),
+        ("evaluate --help", "| true", ""),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_an_error_of_one_line_at_most(
+    command: str, output: str, said: str, unbuffered: str
+) -> None:
+    line = f"set -o pipefail; {sys.executable} -m drone_env {command} {output}"
+    done = ran("bash", "-c", line, PYTHONUNBUFFERED=unbuffered)
+    assert (done.returncode, done.stderr) == (2, said)
+
+
+def test_what_needs_compiled_code_says_so_without_a_compiler() -> None:
+    line = ("-m", "drone_env", "evaluate", "--task", "easy", "--agents", "greedy", "--episodes", "1")
+    done = ran(sys.executable, *line, NUMBA_DISABLE_JIT="1")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.endswith("batches and planners need compiled code: unset it\n")
 
 
 def test_emoji_need_not_be_printed() -> None:

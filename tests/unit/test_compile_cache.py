@@ -1,10 +1,12 @@
 """Compiled code that is kept: found again by content alone, and never that of other sources."""
 
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -131,15 +133,37 @@ def test_the_folder_that_the_environment_names(
     assert not is_compiled(kernels.twice, range_kernel)
 
 
-def test_a_folder_at_home_that_others_can_write_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def not_private(folder: Path) -> None:
+    folder.chmod(0o777)
+
+
+def empty_and_read_only(folder: Path) -> None:
+    shutil.rmtree(folder)
+    folder.write_text("")  # like a folder without permissions, which stops no root
+
+
+@pytest.mark.parametrize("spoil", [not_private, empty_and_read_only])
+@pytest.mark.parametrize("variable", ["HOME", "DRONE_ENV_CACHE"])
+def test_a_folder_of_the_temporary_directory_replaces_one_that_cannot_be_used(
+    spoil: Callable[[Path], None],
+    variable: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.delenv("DRONE_ENV_CACHE")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    parent = tmp_path / ".cache" / "drone_env"
-    assert {path.stat().st_mode & 0o777 for path in (cache_folder(), parent)} == {0o700}
-    parent.chmod(0o777)
+    monkeypatch.setenv(variable, str(tmp_path / "home"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    users = cache_folder().parent
+    spoil(users)
+    if (spoil, variable) == (not_private, "DRONE_ENV_CACHE"):
+        assert cache_folder().parent == users  # this one may be shared
+        return
+    folder = cache_folder()
+    assert folder == tmp_path / f"drone_env-{os.getuid()}" / compile_cache.LOADED
+    assert {path.stat().st_mode & 0o777 for path in (folder, folder.parent)} == {0o700}
     assert load(tmp_path / "kernels").twice(3) == 6
-    assert not list(tmp_path.rglob("*.code"))
+    assert [file.parent for file in tmp_path.rglob("*.code")] == [folder]
+    not_private(folder.parent)
     print_before_compiling()
-    assert f"not cached: others than this user can write to {parent}" in capsys.readouterr().err
+    assert f"not cached: others than this user can write to {folder.parent}" in capsys.readouterr().err

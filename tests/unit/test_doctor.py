@@ -11,6 +11,7 @@ import pytest
 
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.cli import main
+from drone_env.errors import install_command
 from tests.tools import reserved_port
 
 SECRET = "hf_do_not_print_me"
@@ -90,7 +91,7 @@ def test_what_flying_needs_is_broken_if_missing_and_an_extra_is_absent(
     assert (ended, {name for name in found if found[name]["status"] == "broken"}) == (status, broken)
     assert found["all"]["status"] == "absent"
     assert missing in found["all"]["detail"]
-    assert found["all"]["detail"].endswith("""run: pip install "drone-delivery-env[all]\"""")
+    assert found["all"]["detail"].endswith(f"run: {install_command('all')}")
 
 
 def test_a_plugin_that_cannot_be_imported_is_broken(

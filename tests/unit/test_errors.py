@@ -2,13 +2,15 @@
 
 import inspect
 import pickle
+import sys
 from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 from drone_env import errors
-from drone_env.errors import DroneEnvError
+from drone_env.errors import DroneEnvError, install_command
 
 ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.exceptions")
 VALUES: dict[str, object] = {
@@ -42,3 +44,30 @@ def test_every_error_arrives_as_it_was(kind: type[DroneEnvError]) -> None:
     assert type(arrived) is kind
     assert (str(arrived), arrived.args) == (str(error), error.args)
     assert vars(arrived) == vars(error)
+
+
+@pytest.mark.parametrize(
+    ("tool", "folder", "inside", "command"),
+    [
+        ("uv", ".venv", "clone", "uv sync --extra train"),
+        ("uv", ".venv", "", "uv sync --extra train --project {clone}"),
+        ("uv", "env", "clone", 'uv pip install -e ".[train]"'),
+        ("venv", ".venv", "clone", 'pip install -e ".[train]"'),
+        ("venv", ".venv", "", 'pip install -e "{clone}[train]"'),
+        ("venv", None, "", 'pip install "drone-delivery-env[train]"'),
+        ("uv", None, "", 'uv pip install "drone-delivery-env[train]"'),
+    ],
+)
+def test_the_command_that_adds_an_extra_fits_environment_and_folder(
+    tool: str, folder: str | None, inside: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clone = tmp_path / "clone"
+    prefix = clone / (folder or ".venv")
+    prefix.mkdir(parents=True)
+    (prefix / "pyvenv.cfg").write_text("home = /usr/bin\n" + ("uv = 0.13.9\n" if tool == "uv" else ""))
+    if folder is not None:
+        (clone / "uv.lock").touch()
+    monkeypatch.setattr(sys, "prefix", str(prefix))
+    monkeypatch.setattr(errors, "__file__", str(clone / "drone_env" / "errors.py"))
+    monkeypatch.chdir(tmp_path / inside)
+    assert install_command("train") == command.format(clone=clone)
