@@ -2,7 +2,6 @@
 
 import os
 import platform
-import socket
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -23,7 +22,7 @@ from drone_env.files import data_folder
 
 
 class Finding(NamedTuple):
-    """One result. `status` is `ok`, `absent` (an extra), `attention` or `broken` (flights may fail)."""
+    """One result. `status` is `ok`, `absent` (an extra) or `broken` (flights may fail)."""
 
     topic: str
     name: str
@@ -31,19 +30,16 @@ class Finding(NamedTuple):
     detail: str
 
 
-def doctor(port: int | None = None, json: bool = False) -> int:
-    """Check packages, extras, shipped networks, folders, the port, the settings and plugins.
+def doctor(json: bool = False) -> int:
+    """Check packages, extras, shipped networks, folders, settings and plugins.
 
-    Exit status: 0 if you can fly, 1 if something is broken. A missing extra and a port in use are not broken. The
-    command leaves no file behind and prints no token.
-
-    Example: drone-env doctor --port 9000
+    Exit status: 0 if you can fly, 1 if something is broken. A missing extra is not broken. The command leaves no
+    file behind and prints no token.
 
     Args:
-        port: Port of the server; the default is DRONE_ENV_PORT or 8000.
         json: Print JSON.
     """
-    findings = list(_diagnose(os.environ.get("DRONE_ENV_PORT", "8000") if port is None else str(port)))
+    findings = list(_diagnose())
     broken = [finding.name for finding in findings if finding.status == "broken"]
     if json:
         print_json({"version": __version__, "healthy": not broken, "findings": [row._asdict() for row in findings]})
@@ -53,7 +49,7 @@ def doctor(port: int | None = None, json: bool = False) -> int:
     return 1 if broken else 0
 
 
-def _diagnose(port: str) -> Iterator[Finding]:
+def _diagnose() -> Iterator[Finding]:
     yield Finding("system", "python", "ok", f"{platform.python_version()} ({sys.executable}), {platform.platform()}")
     yield _checked("packages", "required", _complete, "")
     for extra in sorted(metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []):
@@ -63,7 +59,6 @@ def _diagnose(port: str) -> Iterator[Finding]:
     yield _checked("networks", "tournet", _network, "tournet", "easy")
     for name, folder in {"data": data_folder, "results": lambda: data_folder("results"), "cache": cache_folder}.items():
         yield _checked("folders", name, _writable, folder)
-    yield _checked("port", port, _free, port, otherwise="attention")
     if find_spec("pydantic_settings") is not None:
         from drone_env.llm.config import load_settings as llm
         from drone_env.server.settings import load_settings as server
@@ -112,8 +107,3 @@ def _writable(find: Callable[[], Path]) -> str:
     existing = next(parent for parent in (folder, *folder.parents) if os.path.exists(parent))
     tempfile.TemporaryFile(dir=existing).close()  # permissions do not reveal a read-only disk
     return str(folder)
-
-
-def _free(port: str) -> str:
-    socket.create_server((os.environ.get("DRONE_ENV_HOST", "127.0.0.1"), int(port))).close()
-    return "free"

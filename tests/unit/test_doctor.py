@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import socket
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import pytest
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.cli import main
 from drone_env.errors import install_command
-from tests.tools import reserved_port
 
 SECRET = "hf_do_not_print_me"
 
@@ -26,9 +24,9 @@ def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def diagnosis(capsys: pytest.CaptureFixture[str], port: int = 0) -> tuple[int, dict[str, dict[str, Any]]]:
+def diagnosis(capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, dict[str, Any]]]:
     """The exit status, and the findings by their names."""
-    status = main(["doctor", "--port", str(port), "--json"])
+    status = main(["doctor", "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["healthy"] == (status == 0)
     return status, {finding["name"]: finding for finding in report["findings"]}
@@ -41,14 +39,6 @@ def test_a_sound_machine(capsys: pytest.CaptureFixture[str], empty_folder: Path)
         assert found[name]["status"] == "ok", found[name]
     assert found["data"]["detail"] == str(empty_folder / "data")
     assert list(empty_folder.iterdir()) == []
-
-
-def test_a_port_that_is_taken_is_no_defect(capsys: pytest.CaptureFixture[str]) -> None:
-    port = reserved_port()
-    assert diagnosis(capsys, port)[1][str(port)]["status"] == "ok"
-    with socket.create_server(("127.0.0.1", port)):
-        status, found = diagnosis(capsys, port)
-    assert (status, found[str(port)]["status"]) == (0, "attention")
 
 
 def test_what_is_broken(
@@ -75,7 +65,7 @@ def test_no_secret_is_printed(url: str, capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setenv("DRONE_ENV_TOKEN", f"{SECRET} 1")
     monkeypatch.setenv("HF_TOKEN", SECRET)
     monkeypatch.setenv("API_BASE_URL", url)
-    assert main(["doctor", "--port", "0"]) == 0
+    assert main(["doctor"]) == 0
     captured = capsys.readouterr()
     assert captured.out.endswith("Flights can be flown.\n")
     assert SECRET not in captured.out + captured.err
