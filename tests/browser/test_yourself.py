@@ -22,6 +22,7 @@ from tests.browser.stage import (
     over,
     pilot,
     press,
+    slider,
     standings,
     until,
 )
@@ -41,7 +42,7 @@ def question(page: Page) -> Locator:
 
 
 def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server: Server) -> None:
-    flown = (Action.RIGHT, Action.LEFT, Action.DOWN, Action.RIGHT, Action.WAIT, Action.UP)
+    flown = (Action.RIGHT, Action.LEFT, Action.DOWN, Action.RIGHT, Action.WAIT, Action.UP, Action.RIGHT)
     flight = iter(frames(server, record_of(Episode("easy", "tiered", 7).fly(flown), "me"))[1:])
     over(page, 7, "/?task=easy&seed=7&pilot=greedy")
     expect_step(page, 0, 60)
@@ -70,6 +71,11 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     page.keyboard.press("ArrowUp")
     expect_frame(page, next(flight), 60)
     expect(speed).to_have_value("4")
+    bounds = slider(page).bounding_box()
+    assert bounds is not None
+    page.mouse.click(bounds["x"] + bounds["width"] - 2, bounds["y"] + bounds["height"] / 2)
+    page.keyboard.press("ArrowRight")
+    expect_frame(page, next(flight), 60)
 
 
 def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themselves(page: Page) -> None:

@@ -56,7 +56,7 @@ export function mountKeys(context, fleet, acts, help) {
     flown = "";
   });
   const leave = ({ target }, what) => pointed && target.matches(what) && target.blur();
-  document.addEventListener("click", (event) => leave(event, "input[type=radio]"));
+  document.addEventListener("click", (event) => leave(event, "input[type=radio], input[type=range]"));
   document.addEventListener("focusin", () => (clicked = pointed));
   document.addEventListener("change", (event) => leave(event, "select"));
 
