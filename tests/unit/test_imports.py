@@ -30,7 +30,7 @@ FLOORS = [
     {"llm"},
     {"datasets", "server"},
     {"cluster"},
-    {"commands", "cli"},
+    {"commands", "cli", "__main__"},
 ]
 
 
