@@ -10,11 +10,11 @@ from typing import Any
 try:
     import yaml
 
-    from drone_env.commands.printing import guarded
     from drone_env.core.episode import Episode
     from drone_env.core.tasks import get_task
     from drone_env.models import DroneState
     from drone_env.planning.optimal import solve
+    from drone_env.standard_output import guarded
 except ModuleNotFoundError as error:
     # The package itself cannot be imported.
     command = runpy.run_path(str(Path(__file__).with_name("drone_env") / "errors.py"))["install_command"]("")

@@ -9,9 +9,9 @@ from tyro.extras import SubcommandApp
 
 from drone_env import __version__
 from drone_env.commands.arguments import parsed, register_files, temporary_reward_profiles
-from drone_env.commands.printing import guarded, print_error
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
+from drone_env.standard_output import guarded, print_error
 
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."

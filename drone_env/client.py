@@ -266,6 +266,6 @@ def __getattr__(name: str) -> Any:
 
 
 if __name__ == "__main__":
-    from drone_env.commands.printing import guarded
+    from drone_env.standard_output import guarded
 
     sys.exit(guarded(main))
