@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from email.utils import parsedate_to_datetime
 from time import time
 from typing import Any, cast
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import httpx
 
@@ -46,6 +46,8 @@ NO_CREDIT = re.compile(
     re.IGNORECASE,
 )
 """What errors without the status 402 say of an account without credit."""
+LOADING = re.compile(r"loading\b.{0,40}\bmodel|\bmodel\b.{0,120}\b(?:loading|not ready|starting|warming)", re.I | re.S)
+"""What a 503 says while a server loads its model."""
 MIN_SECRET = 8
 """Shorter tokens, such as `x` for a local server, are not secret, and occur in words."""
 
@@ -62,6 +64,7 @@ class TryFailedError(DroneEnvError):
         fatal: Whether every other call would fail too.
         changes: What to change in the request, if the endpoint rejects a part that can change.
         timed_out: Whether the endpoint may still work on the request.
+        starting: Whether the endpoint may still be starting: it loads its model, or takes no connection.
     """
 
     status: int
@@ -71,6 +74,7 @@ class TryFailedError(DroneEnvError):
     fatal: bool = False
     changes: Changes = field(default_factory=lambda: NO_CHANGES)
     timed_out: bool = False
+    starting: bool = False
 
     def __str__(self) -> str:
         return f"{self.status or 'no answer'}: {self.reason}"
@@ -89,7 +93,7 @@ class Endpoint:
     """
 
     def __init__(self, base_url: str, token: str | None, timeout: float) -> None:
-        self._url = f"{base_url}/chat/completions"
+        self._url, self._host = f"{base_url}/chat/completions", urlsplit(base_url).netloc
         self._token = token
         self._timeout = timeout
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
@@ -120,7 +124,12 @@ class Endpoint:
         try:
             return await asyncio.wait_for(self._send(request, call_id), self._timeout)
         except asyncio.TimeoutError:
-            raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True, timed_out=True) from None
+            advice = "a slow server needs a larger --timeout or a smaller --max-answer-tokens"
+            reason = f"no answer within {self._timeout:g} s: {advice}, and may still work on this request"
+            raise TryFailedError(0, reason, retried=True, timed_out=True) from None
+        except httpx.ConnectError as error:
+            reason = self._clean(f"{self._host} takes no connection ({error}): check API_BASE_URL and the server")
+            raise TryFailedError(0, reason, retried=True, starting=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
@@ -140,6 +149,9 @@ class Endpoint:
             data = await _read(response)
         if not response.is_success:
             raise self._refusal(response.status_code, _error_text(data), data, response.headers, request)
+        if response.headers.get("content-type", "").startswith("text/event-stream"):
+            reason = "the response is a stream (text/event-stream), which was not requested: turn streaming off there"
+            raise TryFailedError(200, reason, fatal=True)
         if not data.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
         completion = _json(data)
@@ -174,9 +186,11 @@ class Endpoint:
         retried = status in RETRIED or status >= 500 or status == 200
         after = _retry_after(headers) if retried else None
         changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
-        if not changes and not retried and (options := options_for(text, request)):
+        timed_out, starting = status in TIMED_OUT, status == 503 and LOADING.search(text) is not None
+        options = ["--max-answer-tokens"] if timed_out else [] if changes or retried else options_for(text, request)
+        if options:
             reason = f"{reason} (see {', '.join(options)})"
-        return TryFailedError(status, reason, retried, after, changes=changes, timed_out=status in TIMED_OUT)
+        return TryFailedError(status, reason, retried, after, False, changes, timed_out, starting)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token and without unprintable characters."""

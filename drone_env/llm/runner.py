@@ -27,6 +27,8 @@ Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
 OVERLOADED = {429, 503, 529}
+LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
+"""How long a call waits for an endpoint that is starting, and for one that has taken no connection yet."""
 MAX_BACKOFF = 30.0
 MAX_WAIT = 120.0
 """A call fails if the endpoint requests a longer wait in seconds (`Retry-After`)."""
@@ -92,6 +94,8 @@ class Calls:
         progress: Shows the progress.
         fatal: Why every further request would fail; None if there is no such reason.
         changes: What requests change because the endpoint rejected it.
+        reached: Whether the endpoint has taken a connection.
+        told: Statuses of an endpoint that is starting that have been printed.
     """
 
     config: RunConfig
@@ -101,6 +105,8 @@ class Calls:
     progress: Progress
     fatal: str | None = None
     changes: Changes = field(init=False)
+    reached: bool = False
+    told: set[int] = field(default_factory=set[int])
 
     def __post_init__(self) -> None:
         self.changes = {name: new for call in self.transcript.calls for name, new in call.changes.items()}
@@ -155,8 +161,9 @@ class Calls:
             record(None, "api_error")
             # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be.
             first = not self.transcript.answered and 300 <= failed.status < 500 and not failed.retried
-            if failed.fatal or first:
-                self.fatal = f"{urlsplit(self.config.base_url).netloc} returned {failed}"
+            if failed.fatal or failed.starting or first:
+                verb = "returned" if failed.status else "gives"
+                self.fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
             raise CallFailedError(str(failed)) from None
         if not self.transcript.answered and (warning := missing_text(flight.request, answer)):
             self.progress.notice(warning)
@@ -168,6 +175,7 @@ class Calls:
     async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
         """The answer, and its seconds without any wait for a slot; appends each failed try to `failures`."""
         limiter, options, key = self.limiter, self.limiter.options, flight.key
+        since: float | None = None
         while True:
             async with limiter.slot(key.flight) as sent:
                 flight.changes = self.changes
@@ -176,13 +184,15 @@ class Calls:
                 try:
                     answer = await self.endpoint.send(flight.request, str(key))
                 except TryFailedError as error:
-                    failed, retry_after = error, error.retry_after
-                    if failed.retried and not failed.changes:
+                    failed, retry_after = error, error.retry_after or 0.0
+                    self.reached |= failed.status > 0 or not failed.starting
+                    if failed.retried and not failed.changes and not failed.starting:
                         overload = failed.timed_out or failed.status in OVERLOADED
-                        limiter.failed(sent, min(retry_after or 0.0, MAX_WAIT), overload)
+                        limiter.failed(sent, min(retry_after, MAX_WAIT), overload)
                     if failed.timed_out:
                         await limiter.abandoned()
                 else:
+                    self.reached = True
                     return answer, limiter.answered(sent, answer)
             if failed.changes:
                 # Each part is rejected once at most, so this ends, also without tries left.
@@ -191,14 +201,24 @@ class Calls:
                     self.progress.notice(f"{'; '.join(described(failed.changes))}: the endpoint returned {failed}")
                 failures.append(Failure(status=failed.status, reason=failed.reason, waited=0.0))
                 continue
-            again = failed.retried and len(failures) + 1 < options.tries and (retry_after or 0.0) <= MAX_WAIT
-            bound = min(MAX_BACKOFF, options.backoff * 2 ** len(failures))
-            wait = (random.uniform(0, bound) if retry_after is None else retry_after) if again else 0.0
-            failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait))
+            has_system = flight.request["messages"][0]["role"] == "system"
+            if failed.status == 500 and has_system and not self.transcript.answered:
+                failed.reason += "; if the model has no system role, try --system merge"
+            since = limiter.now() if since is None else since
+            patience = LOADING_SECONDS if self.reached else UNKNOWN_SECONDS
+            patient = failed.starting and options.tries > 1 and limiter.now() - since < patience
+            again = failed.retried and (patient or len(failures) + 1 < options.tries) and retry_after <= MAX_WAIT
+            wait = random.uniform(0, min(MAX_BACKOFF, options.backoff * 2 ** min(len(failures), 30)))
+            wait = max(wait, 1.0 if patient else 0.0) if failed.retry_after is None else retry_after
+            failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait if again else 0.0))
             if not again:
                 raise failed
-            attempt = f"attempt {len(failures)} of {options.tries} failed"
-            self.progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
+            if not failed.starting:
+                attempt = f"attempt {len(failures)} of {options.tries} failed"
+                self.progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
+            elif failed.status not in self.told:
+                self.told.add(failed.status)
+                self.progress.notice(f"the endpoint may still be starting: waiting up to {patience:g} s: {failed}")
             await limiter.sleep(wait)
 
 

@@ -215,6 +215,31 @@ def test_the_reason_is_one_short_line_without_the_token(
     assert "sk-test" not in failed.reason
 
 
+@pytest.mark.parametrize(
+    ("status", "message", "starting"),
+    [
+        (503, "Loading model", True),
+        (503, "Model org/name is currently loading", True),
+        (503, "Model with name m is not ready", True),
+        (503, "The model is overloaded", False),
+        (503, "No healthy upstream", False),
+        (500, "error loading model", False),
+    ],
+)
+def test_which_failures_are_those_of_an_endpoint_that_starts(
+    send: Send, status: int, message: str, starting: bool
+) -> None:
+    failed = send({"error": {"message": message}}, status)
+    assert isinstance(failed, TryFailedError)
+    assert failed.starting == starting
+
+
+def test_a_stream_that_was_not_requested_is_named(send: Send) -> None:
+    failed = send("data: {}\n\ndata: [DONE]\n\n", headers={"Content-Type": "text/event-stream; charset=utf-8"})
+    assert isinstance(failed, TryFailedError)
+    assert (failed.reason.startswith("the response is a stream (text/event-stream)"), failed.fatal) == (True, True)
+
+
 @pytest.mark.parametrize("status", [301, 302, 307])
 def test_a_redirect_is_not_followed(send: Send, status: int) -> None:
     failed = send("", status, {"Location": f"http://127.0.0.1:9/login?key={TOKEN}"})

@@ -1,10 +1,20 @@
 """Endpoints that refuse, break off or send endless answers: what is tried again, and what becomes of flight and run."""
 
+import itertools
 import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from drone_env.llm.answers import Answer
+from drone_env.llm.endpoint import TryFailedError
+from drone_env.llm.limiter import Options
+from tests.tools import reserved_port
+
 from .conftest import TOKEN, Start, blocks, verified
+from .stored_run import Scripted, fly
 
 ALWAYS = 10**9
 
@@ -58,3 +68,50 @@ def test_broken_connections_and_time_outs_are_tried_again(endpoint: Start, fault
     done = scripted.infer("--seeds", "14:15", "--timeout", "2" if fault == "hang" else "60")
     assert (done.status, done.turns) == (0, {"ok": 3}), done.err
     assert [len(call["failures"]) for call in done.calls] == [0, 1, 0]
+
+
+class Starting(Scripted):
+    """Answers the first requests, fails from then on as an endpoint that starts, and answers again."""
+
+    def __init__(self, answers: int, failures: int, status: int) -> None:
+        super().__init__("greedy")
+        self._fails = range(answers, answers + failures)
+        self._requests = itertools.count()
+        self._status = status
+
+    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
+        if next(self._requests) not in self._fails:
+            return await super().send(request, call_id)
+        raise TryFailedError(self._status, "starting", retried=True, starting=True)
+
+
+@pytest.mark.parametrize(("answers", "status", "seconds"), [(0, 503, 600), (0, 0, 60), (1, 0, 600)])
+def test_an_endpoint_that_starts_is_waited_for(
+    answers: int, status: int, seconds: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    flown = fly(Starting(answers, 12, status), tmp_path / "run", Options(concurrency=1, tries=2, backoff=0))
+    assert (flown.result.verdict, flown.clock.slept) == ("valid", [1.0] * 12)
+    told = f"the endpoint may still be starting: waiting up to {seconds} s: {status or 'no answer'}: starting\n"
+    assert capfd.readouterr().err.count(told) == 1
+    flown = fly(Starting(answers, 10**9, status), tmp_path / "never", Options(concurrency=1, backoff=0))
+    assert (flown.result.verdict, flown.clock.passed) == ("stopped", seconds)
+    # One try is one try.
+    flown = fly(Starting(answers, 10**9, status), tmp_path / "once", Options(concurrency=1, tries=1))
+    assert (flown.result.verdict, flown.clock.passed) == ("stopped", 0)
+
+
+def test_a_wrong_address_ends_the_run_after_a_minute(tmp_path: Path) -> None:
+    address = f"127.0.0.1:{reserved_port()}"
+    flown = fly(f"http://{address}/v1", tmp_path / "run", seeds=(14, 24))
+    told = f"{address} gives no answer: {address} takes no connection ("
+    assert (flown.result.verdict, flown.result.reason[: len(told)]) == ("stopped", told)
+    assert 60 <= flown.clock.passed < 120
+    assert [flight.status for flight in flown.result.flights] == ["errored"]
+
+
+def test_a_first_call_that_fails_for_no_reason_names_the_system_role(endpoint: Start) -> None:
+    failing = {"pilot": "greedy", "faults": [[0, 0, {"status": 500}]]}
+    done = endpoint(**failing).infer("--seeds", "14:15")
+    assert "failed: 500: scripted 500; if the model has no system role, try --system merge" in done.err
+    merged = endpoint(**failing).infer("--seeds", "14:15", "--system", "merge")
+    assert (merged.status, "--system merge" in merged.err) == (0, False), merged.err
