@@ -2,11 +2,11 @@
 
 import contextlib
 import dataclasses
-import json as json_format
+import json
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -18,48 +18,17 @@ from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
 from drone_env.llm.limiter import Number, Options, Whole
 
+if TYPE_CHECKING:
+    from drone_env.llm.config import InferenceSettings, RunConfig
+
 PROMPTS = "minimal|grid|coordinates|compass|plan|think|think-plan|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
-DEFAULTS = Options()
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 
-def infer(
-    task: ChosenTask = None,
-    model: str | None = None,
-    base_url: str | None = None,
-    episodes: Whole = None,
-    split: SplitName = None,
-    seeds: SeedRange = None,
-    repeats: int = 1,
-    prompt: PromptName = None,
-    history: int = 0,
-    system: Literal["role", "merge"] = "role",
-    answers: Literal["text", "json", "tool"] = "text",
-    temperature: Number = 0.0,
-    no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    top_p: Number = None,
-    max_answer_tokens: int = 1024,
-    sampling_seed: Whole = None,
-    extra: str = "{}",
-    reward_profile: ProfileName = ORIGINAL_PROFILE,
-    options: Annotated[Options, tyro.conf.arg(name="")] = DEFAULTS,
-    data: Path | None = None,
-    out: Path | None = None,
-    resume: bool = False,
-    report: bool = True,
-    moves: bool = True,
-    allow_plain_http: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    use_image: bool = False,
-) -> int:
-    """Evaluate a language model of any OpenAI-compatible endpoint.
-
-    Standard output contains one [START] line, one [STEP] line per step and one [END] line for each flight, and nothing
-    else. HF_TOKEN, OPENAI_API_KEY, API_BASE_URL, MODEL_NAME and DRONE_TASK come from the environment or .env. An
-    unusable answer is asked for once more; then the step is a WAIT and is counted. No other policy acts for the model.
-    Exit status: 0 for a valid run, 1 if more than 5 % of the flights errored (INVALID), 2 if the endpoint refuses or
-    for any other error, 3 if a limit was reached.
-
-    Example: drone-env infer --task easy --episodes 100 --out runs/qwen-easy
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """The model, the maps, and the run.
 
     Args:
         task: The task: short name, id or grader. Default: DRONE_TASK.
@@ -75,15 +44,7 @@ def infer(
         system: Send the system text as a message of its own, or merge it into the first user message, for models
             without a system role.
         answers: Request plain text, structured output (JSON schema), or a tool call.
-        temperature: Sampling temperature.
-        no_temperature: Send no temperature, for models that reject it.
-        top_p: Nucleus sampling. Default: not sent.
-        max_answer_tokens: Maximum length of an answer in tokens, sent as max_tokens; 0 sends none.
-        sampling_seed: Sampling seed of the endpoint, plus the number of the repeat: with --repeats 3 and 5, the flights
-            over a map send 5, 6 and 7. Default: not sent.
-        extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
         reward_profile: Rewards of the steps: a reward profile, or a TOML file with one.
-        options: Speed and budget.
         data: Folder of the store for the flights, which a server shows. Default: DRONE_ENV_DATA, else data. With
             --server, that server stores them.
         out: The run folder. Default: a new folder in llm/ of the data folder.
@@ -94,83 +55,107 @@ def infer(
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations
             must equal the one here.
     """
+
+    task: ChosenTask = None
+    model: str | None = None
+    base_url: str | None = None
+    episodes: Whole = None
+    split: SplitName = None
+    seeds: SeedRange = None
+    repeats: int = 1
+    prompt: PromptName = None
+    history: int = 0
+    system: Literal["role", "merge"] = "role"
+    answers: Literal["text", "json", "tool"] = "text"
+    reward_profile: ProfileName = ORIGINAL_PROFILE
+    data: Path | None = None
+    out: Path | None = None
+    resume: bool = False
+    report: bool = True
+    moves: bool = True
+    allow_plain_http: Flag = False
+    use_image: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class SamplingOptions:
+    """Parameters of every request.
+
+    Args:
+        temperature: Sampling temperature.
+        no_temperature: Send no temperature, for models that reject it.
+        top_p: Nucleus sampling. Default: not sent.
+        max_answer_tokens: Maximum length of an answer in tokens, sent as max_tokens; 0 sends none.
+        sampling_seed: Sampling seed of the endpoint, plus the number of the repeat: with --repeats 3 and 5, the flights
+            over a map send 5, 6 and 7. Default: not sent.
+        extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
+    """
+
+    temperature: Number = 0.0
+    no_temperature: Flag = False
+    top_p: Number = None
+    max_answer_tokens: int = 1024
+    sampling_seed: Whole = None
+    extra: str = "{}"
+
+
+def infer(
+    run: Annotated[RunOptions, tyro.conf.arg(name="")],
+    sampling: Annotated[SamplingOptions, tyro.conf.arg(name="")],
+    options: Annotated[Options, tyro.conf.arg(name="")],
+) -> int:
+    """Evaluate a language model of any OpenAI-compatible endpoint.
+
+    Standard output contains one [START] line, one [STEP] line per step and one [END] line for each flight, and nothing
+    else. HF_TOKEN, OPENAI_API_KEY, API_BASE_URL, MODEL_NAME and DRONE_TASK come from the environment or .env. An
+    unusable answer is asked for once more; then the step is a WAIT and is counted. No other policy acts for the model.
+    Exit status: 0 for a valid run, 1 if more than 5 % of the flights errored (INVALID), 2 if the endpoint refuses or
+    for any other error, 3 if a limit was reached.
+
+    Example: drone-env infer --task easy --episodes 100 --out runs/qwen-easy
+
+    Args:
+        run: The model, the maps, and the run.
+        sampling: Parameters of every request.
+        options: Speed and budget.
+    """
     import asyncio
 
     from drone_env.files import data_folder
     from drone_env.results.store import Store
 
     with needs("llm"):
+        from drone_env.llm import report as reports
         from drone_env.llm import run_folder, runner
-        from drone_env.llm.config import RunConfig, Sampling, check_url, load_settings
+        from drone_env.llm.config import load_settings
         from drone_env.llm.endpoint import Endpoint
         from drone_env.llm.image import running_image
         from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import Progress
-        from drone_env.llm.prompt import get_prompt
-    from pydantic import ValidationError
 
-    chosen_split, maps = select_maps(seeds, split, episodes, 1)
-    settings = load_settings(base_url)
-    task = settings.drone_task if task is None else task
-    config_task = register_city(task) if task.endswith(".toml") else get_task(task)
-    if resume and out and prompt is None and (out / run_folder.CONFIG).exists():
-        chosen = run_folder.load_config(out).load_prompt()
-    else:
-        chosen = get_prompt(prompt or "minimal")
-    try:
-        config = RunConfig(
-            model=settings.model_name if model is None else model,
-            base_url=check_url(settings.api_base_url),
-            task=config_task.id,
-            task_version=config_task.version,
-            rules=own_rules(config_task),
-            split=chosen_split,
-            seeds=(maps.start, maps.stop),
-            repeats=repeats,
-            reward_profile=reward_profile,
-            rewards=own_profile(reward_profile),
-            prompt=chosen.id,
-            prompt_digest=chosen.digest,
-            prompt_text=chosen.own,
-            history=history,
-            system=system,
-            answers=answers,
-            sampling=Sampling(
-                temperature=None if no_temperature else temperature,
-                top_p=top_p,
-                max_tokens=max_answer_tokens or None,
-                seed=sampling_seed,
-                extra=json_format.loads(extra),
-            ),
-        )
-    except ValidationError as error:
-        raise InvalidValueError(text_of(error)) from None
-    except (json_format.JSONDecodeError, RecursionError) as error:
-        raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
-    token = settings.token_for(config.base_url, allow_plain_http)
-    if use_image and options.server is not None:
+    settings = load_settings(run.base_url)
+    config = _config(run, sampling, settings)
+    token = settings.token_for(config.base_url, run.allow_plain_http)
+    if run.use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server: give it without --server")
-    data = data_folder() if data is None else data
-    path = out or _new_folder(data / RUNS, config.model, config_task.short_name)
-    if resume and not (path / run_folder.CONFIG).exists():
+    data = data_folder() if run.data is None else run.data
+    path = run.out or _new_folder(data / RUNS, config.model, config.task_config.short_name)
+    if run.resume and not (path / run_folder.CONFIG).exists():
         raise InvalidValueError(f"there is no run in {path} to resume")
     to_resume = f"give the same options with --out {path} --resume"
     with contextlib.ExitStack() as stack:
-        if use_image:
+        if run.use_image:
             options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
         store = None if options.server is not None else stack.enter_context(Store(data))
-        stack.enter_context(run_folder.locked_run(path, config, resume))
+        stack.enter_context(run_folder.locked_run(path, config, run.resume))
         sender = Endpoint(config.base_url, token, options.timeout)
         limiter = RateLimiter(options)
         progress = Progress(config, limiter.budget, path, min(config.flights, options.concurrency) == 1, store)
         try:
             result = asyncio.run(runner.run(config, path, sender, limiter, progress))
-            if report and result.verdict != "stopped":
-                from drone_env.llm import report as reports
-                from drone_env.llm.verify import verified_run
-
-                run = verified_run(path)
-                reports.write_report(run, reports.report(run, options, moves))
+            if run.report and result.verdict != "stopped":
+                verified = reports.verified_run(path)
+                reports.write_report(verified, reports.report(verified, options, run.moves))
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
@@ -178,11 +163,55 @@ def infer(
             if errors := progress.not_stored:
                 missing = f"{len(errors)} flights are not in the store: {errors[0]}"
                 print(f"{missing}; to add them, {to_resume}", file=sys.stderr)
-        for line in [*runner.summary_lines(result), f"run: {path}"]:
-            print(line, file=sys.stderr)
-        if result.verdict == "stopped":
-            print(f"to continue, {to_resume}", file=sys.stderr)
+        stopped = [f"to continue, {to_resume}"] if result.verdict == "stopped" else []
+        print(*runner.summary_lines(result), f"run: {path}", *stopped, sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[result.verdict]
+
+
+def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSettings") -> "RunConfig":
+    from pydantic import ValidationError
+
+    from drone_env.llm import run_folder
+    from drone_env.llm.config import RunConfig, Sampling, check_url
+    from drone_env.llm.prompt import get_prompt
+
+    split, maps = select_maps(run.seeds, run.split, run.episodes, 1)
+    name = settings.drone_task if run.task is None else run.task
+    task = register_city(name) if name.endswith(".toml") else get_task(name)
+    if run.resume and run.out and run.prompt is None and (run.out / run_folder.CONFIG).exists():
+        prompt = run_folder.load_config(run.out).load_prompt()
+    else:
+        prompt = get_prompt(run.prompt or "minimal")
+    try:
+        return RunConfig(
+            model=settings.model_name if run.model is None else run.model,
+            base_url=check_url(settings.api_base_url),
+            task=task.id,
+            task_version=task.version,
+            rules=own_rules(task),
+            split=split,
+            seeds=(maps.start, maps.stop),
+            repeats=run.repeats,
+            reward_profile=run.reward_profile,
+            rewards=own_profile(run.reward_profile),
+            prompt=prompt.id,
+            prompt_digest=prompt.digest,
+            prompt_text=prompt.own,
+            history=run.history,
+            system=run.system,
+            answers=run.answers,
+            sampling=Sampling(
+                temperature=None if sampling.no_temperature else sampling.temperature,
+                top_p=sampling.top_p,
+                max_tokens=sampling.max_answer_tokens or None,
+                seed=sampling.sampling_seed,
+                extra=json.loads(sampling.extra),
+            ),
+        )
+    except ValidationError as error:
+        raise InvalidValueError(text_of(error)) from None
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
 
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:
