@@ -78,23 +78,19 @@ class ConcurrencySearch:
         size = min(max(limit, SMALL), LARGE)
         self._round = Round(early, size, late=int(LATE * size))
 
-    def sent(self, active: int) -> Round | None:
-        """The round that a request belongs to, the last of `active` open requests; None if it is not measured."""
+    def sent(self, active: int) -> Round:
+        """The round of a request, the last of `active` open requests; one of its own if it is not measured."""
         now = self._round
         now.peak = max(now.peak, active)
-        if now.early:
-            now.early -= 1
-            return None
-        if not now.unsent:
-            return None
+        if now.early or not now.unsent:
+            now.early -= now.early > 0
+            return Round(0, 0, 0)
         now.unsent -= 1
         now.open += 1
         return now
 
-    def closed(self, of: Round | None) -> None:
+    def closed(self, of: Round) -> None:
         """Count a request that is no longer open; decide after the last one of a round."""
-        if of is None:
-            return
         of.open -= 1
         if of is not self._round or of.open > of.late or of.unsent:
             return

@@ -63,11 +63,7 @@ def following(server: str | None, agent: str) -> Generator[Callable[[Episode], A
 
 @contextmanager
 def running_image(image: str) -> Generator[str, None, None]:
-    """The address of a container of an image of this project's server, which ends with the `with`.
-
-    Raises:
-        InvalidValueError: if Docker is missing, the image does not start, or its server does not respond within 120 s.
-    """
+    """The address of a container of an image of this project's server, which ends with the `with`."""
     if shutil.which("docker") is None:
         raise InvalidValueError("--use-image needs Docker, which is not installed")
     container = _docker("run", "--detach", "--rm", "--publish", f"127.0.0.1::{PORT}", image)

@@ -62,20 +62,17 @@ class Options:
     server: Annotated[str | None, OPTIONAL] = None
 
     def __post_init__(self) -> None:
-        for name in ("concurrency", "timeout", "tries", "requests_per_minute", "max_calls", "max_tokens", "max_cost"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise InvalidValueError(f"--{name.replace('_', '-')} must be above 0, got {value}")
-        if self.concurrency > MAX_CONCURRENCY or not self.backoff >= 0:
-            raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}, --backoff 0 or more")
+        for name, value in vars(self).items():
+            may_be_0 = name in ("backoff", "price_prompt", "price_completion")
+            if isinstance(value, int | float) and not (0 <= value < math.inf and (value or may_be_0)):
+                least = "0 or more" if may_be_0 else "above 0"
+                raise InvalidValueError(f"--{name.replace('_', '-')} must be {least}, got {value}")
+        if self.concurrency > MAX_CONCURRENCY:
+            raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}")
         if (self.price_prompt is None) != (self.price_completion is None):
             raise InvalidValueError("give --price-prompt and --price-completion together")
         if self.price_prompt is None and self.max_cost is not None:
             raise InvalidValueError("--max-cost needs --price-prompt and --price-completion")
-        if not all(
-            0 <= price < float("inf") for price in (self.price_prompt, self.price_completion) if price is not None
-        ):
-            raise InvalidValueError("prices must be 0 or more US dollars per million tokens")
 
 
 class Budget:
@@ -124,22 +121,20 @@ class Budget:
             self.prompt_tokens = added(self.prompt_tokens, answer.prompt_tokens)
             self.completion_tokens = added(self.completion_tokens, answer.completion_tokens)
 
-    def check(self) -> None:
-        """Check that one more request is within the limits.
-
-        Raises:
-            LimitReachedError: if it is not.
-        """
+    def spent(self) -> str | None:
+        """Why no further request is within the limits; None if one is."""
         limits = self._options
-        if limits.max_calls is not None and self.requests >= limits.max_calls:
-            raise LimitReachedError(f"all {limits.max_calls} calls have been made")
         if self.unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
-            raise LimitReachedError("the endpoint does not report its tokens, so they cannot be limited")
-        # Neither is known before the first answer.
-        if limits.max_tokens is not None and (tokens := self.tokens) is not None and tokens >= limits.max_tokens:
-            raise LimitReachedError(f"{tokens} of {limits.max_tokens} tokens have been used")
-        if limits.max_cost is not None and (cost := self.cost) is not None and cost >= limits.max_cost:
-            raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")
+            return "the endpoint does not report its tokens, so they cannot be limited"
+        for most, used, unit in (
+            (limits.max_calls, self.requests, "calls"),
+            (limits.max_tokens, self.tokens, "tokens"),
+            (limits.max_cost, self.cost, "US dollars"),
+        ):
+            # Tokens and cost are unknown before the first answer.
+            if most is not None and used is not None and used >= most:
+                return f"{round(used, 4)} of {most} {unit} have been used"
+        return None
 
     def calls_left(self, active: int) -> float:
         """The number of requests that the limits still allow; of tokens and cost, by their mean so far.
@@ -161,11 +156,11 @@ class Sent:
 
     Attributes:
         at: When it is sent.
-        round: The round that it belongs to, if any.
+        round: The round that it belongs to.
     """
 
     at: float
-    round: Round | None
+    round: Round
 
 
 def added(*counts: int | None) -> int | None:
@@ -255,14 +250,8 @@ class RateLimiter:
         """Admit the waiting requests that may be sent now."""
         while self._waiting and self.active < self.limit:
             flight, _, turn = self._waiting[0]
-            try:
-                self.budget.check()
-            except LimitReachedError as error:
-                heapq.heappop(self._waiting)
-                if not turn.done():
-                    turn.set_exception(error)
-                continue
-            if not turn.done():
+            error = self.budget.spent()
+            if error is None and not turn.done():
                 now = self.now()
                 if not self._affordable(flight):
                     return
@@ -270,15 +259,16 @@ class RateLimiter:
                     if self._timer is None:
                         self._timer = asyncio.ensure_future(self._admit_after(wait))
                     return
-                if (per_minute := self.options.requests_per_minute) is not None:
-                    # After an idle time, one request may follow without a gap.
-                    gap = 60 / per_minute
-                    self._next_request = max(self._next_request, now - gap) + gap
+                # After an idle time, one request may follow without a gap.
+                gap = 60 / (self.options.requests_per_minute or math.inf)
+                self._next_request = max(self._next_request, now - gap) + gap
                 self.active += 1
                 self.budget.requests += 1
                 self._used[flight] += 1
                 self._flying.add(flight)
                 turn.set_result(Sent(now, self._search.sent(self.active)))
+            elif not turn.done():
+                turn.set_exception(LimitReachedError(error))
             heapq.heappop(self._waiting)
 
     async def _admit_after(self, seconds: float) -> None:
@@ -308,11 +298,10 @@ class RateLimiter:
         """Measure the seconds of an answer, and return them."""
         seconds = self.now() - sent.at
         self._slowest = max(seconds, self._slowest or 0.0)
-        if sent.round is not None:
-            sent.round.seconds += seconds
-            # About 4 letters are a token. Not every endpoint counts them, or those of the reasoning.
-            letters = sum(len(text or "") for text in (answer.text, answer.reasoning, answer.tool_arguments))
-            sent.round.tokens += PROMPT_TOKENS + max(answer.completion_tokens or 0, letters / 4)
+        sent.round.seconds += seconds
+        # About 4 letters are a token. Not every endpoint counts them, or those of the reasoning.
+        letters = sum(len(text or "") for text in (answer.text, answer.reasoning, answer.tool_arguments))
+        sent.round.tokens += PROMPT_TOKENS + max(answer.completion_tokens or 0, letters / 4)
         return seconds
 
     def failed(self, sent: Sent, pause: float, overload: bool) -> None:

@@ -12,14 +12,11 @@ Changes = Mapping[Part, str | None]
 NO_CHANGES: Changes = {}
 PARAMETERS: tuple[Part, ...] = ("max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice")
 OPTIONS = {
-    "max_tokens": "--max-answer-tokens",
+    **dict.fromkeys(("max_tokens", "max_completion_tokens"), "--max-answer-tokens"),
+    **dict.fromkeys(("response_format", "tools", "tool_choice"), "--answers"),
     "temperature": "--temperature",
     "top_p": "--top-p",
     "seed": "--sampling-seed",
-    "response_format": "--answers",
-    "tools": "--answers",
-    "tool_choice": "--answers",
-    "max_completion_tokens": "--max-answer-tokens",
 }
 """The option of `drone-env infer` for each field of a request; all others come from `--extra`."""
 UNSUPPORTED = (

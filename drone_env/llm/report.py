@@ -13,13 +13,13 @@ import numpy as np
 from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json, write_text
-from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
+from drone_env.llm.answers import Unusable
 from drone_env.llm.limiter import Budget, Options
 from drone_env.llm.rejections import described
-from drone_env.llm.run_folder import RESULTS, load_config, results_of
+from drone_env.llm.run_folder import RESULTS, load_config, results_of, turns_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
-from drone_env.results.analysis import LABELS, Move, analyse_flight
+from drone_env.results.analysis import LABELS, Move, analyse_actions
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, map_rows
 from drone_env.results.statistics import Summary, mean_of, normalised, with_interval
@@ -57,7 +57,7 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
     flown = results_of(config, run.results, dict(zip(seeds, baselines["optimal"] or (), strict=False)))
     summary, maps = Summary.of(flown), map_rows(flown)
     means = {name: None if scores is None else mean_of(scores) for name, scores in baselines.items()}
-    turns: dict[TurnKind, int] = {name: sum(one.turns.get(name, 0) for one in run.results) for name in TURN_KINDS}
+    turns = turns_of(run.results)
     return {
         "format": "drone_env/llm-report",
         "config": config.model_dump(mode="json"),
@@ -157,15 +157,17 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
         return solver_of(Episode(run.config.task_config, seed=seed))
 
     # Sorted by map, since its solver takes the time.
-    flights = zip(run.results, run.records, run.step_errors, strict=True)
-    for result, record, errors in sorted(flights, key=lambda flight: flight[1].seed):
-        if result.status == "errored":
+    for flight in sorted(run.flights, key=lambda flight: flight.episode.seed):
+        if flight.status == "errored":
             continue
+        start = Episode(flight.episode.task, "score", flight.episode.seed)
         try:
-            analysis = analyse_flight(record, lambda start: solver(start.seed))
+            analysis = analyse_actions(
+                start, flight.episode.actions, run.config.model, lambda start: solver(start.seed)
+            )
         except TooLargeError:
             return None
-        moves = [move for move, error in zip(analysis.moves, errors, strict=True) if error is None]
+        moves = [move for move, error in zip(analysis.moves, flight.step_errors, strict=True) if error is None]
         labels.update(move.label for move in moves)
         decisive += (move for move in moves if move.margin > 0)
     best = sum(move.regret == 0 for move in decisive)
@@ -189,11 +191,7 @@ def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
 
 
 def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
-    """Write `report.json` and `report.md` into the run's folder, each whole or not at all.
-
-    Raises:
-        OSError: if they cannot be written.
-    """
+    """Write `report.json` and `report.md` into the run's folder, each whole or not at all."""
     from drone_env.results.pages import render
 
     config, verdict = figures["config"], figures["verdict"]

@@ -76,6 +76,11 @@ def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mappi
     )
 
 
+def turns_of(flights: Sequence[FlightResult]) -> dict[TurnKind, int]:
+    """The number of requests for actions by outcome."""
+    return {name: sum(flight.turns.get(name, 0) for flight in flights) for name in TURN_KINDS}
+
+
 class EpisodeIds:
     """The ids in a store of the flights of the run in a folder.
 
@@ -95,13 +100,7 @@ class EpisodeIds:
 
 @contextmanager
 def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, None, None]:
-    """Begin or continue the run in a folder, and hold its lock until the end of the `with`.
-
-    Raises:
-        OSError: if it cannot be created or read.
-        InvalidValueError: if it contains a run and `resume` is false, or a run of another configuration, or if another
-            process writes to it.
-    """
+    """Begin or continue the run in a folder, and hold its lock until the end of the `with`."""
     begun = is_begun(path, CONFIG, "a run")
     if begun and not resume:
         raise InvalidValueError(f"{path} contains a run: add --resume to continue it, or name a new folder")
@@ -117,11 +116,7 @@ def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, N
 
 
 def write_flights(path: Path, config: RunConfig, flights: Sequence[Flight]) -> None:
-    """Write the records and the results of ordered flights; each file is written whole or not at all.
-
-    Raises:
-        OSError: if they cannot be written.
-    """
+    """Write the records and the results of ordered flights; each file is written whole or not at all."""
     records = [record_of(flight.episode, config.model).to_json() for flight in flights]
     results = [FlightResult.of(flight).model_dump_json() for flight in flights]
     for name, lines in ((EPISODES, records), (RESULTS, results)):
@@ -143,12 +138,7 @@ def load_config(path: Path) -> RunConfig:
 
 
 def load_results(path: Path) -> list[FlightResult]:
-    """The results of a run, in order.
-
-    Raises:
-        OSError: if there are none yet.
-        InvalidValueError: if a line is not a result.
-    """
+    """The results of a run, in order."""
     lines = enumerate(read_lines(path / RESULTS, MAX_RESULT), 1)
     wrong = f"of {path / RESULTS} is not the result of a flight"
     return [FlightResult.read(line, f"line {number} {wrong}") for number, line in lines]

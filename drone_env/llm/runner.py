@@ -11,14 +11,14 @@ from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import TURN_KINDS, Answer, TurnKind, Unusable, in_common
+from drone_env.llm.answers import Answer, Unusable, in_common
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.image import following
 from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described, missing_text
-from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, write_flights
+from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
 from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
 from drone_env.llm.transcript import Call, Failure, Transcript, digest
 from drone_env.results.statistics import Summary
@@ -112,13 +112,7 @@ class Calls:
         self.changes = {name: new for call in self.transcript.calls for name, new in call.changes.items()}
 
     async def ask(self, flight: Flight) -> Answer:
-        """The answer to the next call of a flight.
-
-        Raises:
-            CallFailedError: if there is none after all retries.
-            LimitReachedError: if the budget of the run is spent.
-            InvalidValueError: if the transcript contains another request under its key.
-        """
+        """The answer to the next call of a flight."""
         key = flight.key
         stored = self.transcript.answered.get(key)
         if stored is not None or flight.turns:
@@ -132,11 +126,9 @@ class Calls:
         def record(answer: Answer | None, outcome: str) -> None:
             request = flight.request
             call = Call(
-                flight=key.flight,
+                **key._asdict(),
                 seed=flight.episode.seed,
                 repeat=flight.repeat,
-                turn=key.turn,
-                attempt=flight.attempt,
                 messages=request["messages"],
                 request_digest=digest(request),
                 sampling_seed=request.get("seed"),
@@ -231,10 +223,6 @@ async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLi
         endpoint: Sends the requests; it is closed.
         limiter: Decides when a request is sent; it must be new.
         progress: Shows the progress.
-
-    Raises:
-        OSError: if the folder cannot be written to.
-        InvalidValueError: if the transcript is damaged or belongs to another run.
     """
     flights, fatal = list[Flight](), None
     prompt, numbers = config.load_prompt(), iter(range(config.flights))
@@ -277,8 +265,7 @@ async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLi
 def summary_lines(result: RunResult) -> list[str]:
     """The result of a run as text: the score of the flights that count, and the verdict."""
     results = [FlightResult.of(flight) for flight in result.flights]
-    turns: dict[TurnKind, int] = {name: sum(one.turns[name] for one in results) for name in TURN_KINDS}
-    unusable, lines = Unusable.among(turns), list[str]()
+    unusable, lines = Unusable.among(turns_of(results)), list[str]()
     mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
         counted = [one.success for one in results if one.status != "errored"]

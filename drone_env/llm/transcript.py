@@ -22,7 +22,7 @@ from drone_env.llm.rejections import Part
 from drone_env.models import Count, Message
 
 SENT = "sent.txt"
-LONGEST_CALL, LONGEST_KEY = 1 << 24, 64
+LONGEST_CALL = 1 << 24
 """Bytes of a line: an answer has at most 4 MiB, and JSON can escape it."""
 
 
@@ -76,11 +76,7 @@ class Call(Message):
         return len(self.failures) + (self.answer is not None)
 
     def answer_to(self, request: Mapping[str, Any]) -> Answer:
-        """The answer, if this call sent the same request as the run sends now.
-
-        Raises:
-            InvalidValueError: if it sent another one, or has no answer.
-        """
+        """The answer, if this call sent the same request as the run sends now."""
         sent = (self.messages, self.request_digest, self.sampling_seed)
         if self.answer is None or sent != (request["messages"], digest(request), request.get("seed")):
             raise InvalidValueError(f"call {self.key} has another request than this run sends")
@@ -103,41 +99,24 @@ class Transcript:
         calls: All calls.
         sent: The call of each request sent before.
         answered: The calls with an answer.
-
-    Raises:
-        OSError: if it cannot be opened.
-        InvalidValueError: if a line is not a call.
     """
 
     def __init__(self, path: Path) -> None:
-        self.calls: list[Call] = []
-        path.touch()
         sent = path.with_name(SENT)
+        path.touch()
         sent.touch()
-        self.sent = list(read_sent(sent))
-        end = 0
-        for size, call in read_calls(path):
-            end += size
-            self.calls.append(call)
+        self.calls, self.sent = list(read_calls(path)), list(read_sent(sent))
         self._file, self._sent = path.open("ab", buffering=0), sent.open("ab", buffering=0)
-        self._file.truncate(end)
-        self._sent.truncate(sum(len(f"{key}\n") for key in self.sent))
+        for file, lines in ((self._file, _whole_lines(path)), (self._sent, _whole_lines(sent))):
+            file.truncate(sum(len(line) for _, line in lines))
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
     def sending(self, key: CallKey) -> None:
-        """Write that a request is about to be sent.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
+        """Write that a request is about to be sent."""
         append_line(self._sent, str(key))
 
     def append(self, call: Call) -> None:
-        """Write a call; it is in the file when this returns.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
+        """Write a call; it is in the file when this returns."""
         append_line(self._file, call.model_dump_json())
         self.calls.append(call)
         if call.answer is not None:
@@ -151,34 +130,25 @@ class Transcript:
 
 
 def read_sent(path: Path) -> Iterator[CallKey]:
-    """The call of each request that was sent, in order, without a cut last line.
-
-    Raises:
-        OSError: if it cannot be read.
-        InvalidValueError: at a line that is not the key of a call.
-    """
-    for number, line in enumerate(read_lines(path, LONGEST_KEY), 1):
-        if not line.endswith(b"\n"):
-            return
+    """The call of each request that was sent, in order, without a cut last line."""
+    for number, line in _whole_lines(path):
         if not re.fullmatch(rb"(0|[1-9]\d*)-[1-9]\d*-[12]\n", line):
             raise InvalidValueError(f"line {number} of {path} is not FLIGHT-TURN-ATTEMPT")
         yield CallKey(*map(int, line.split(b"-")))
 
 
-def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
-    """The calls of a transcript, each with the bytes of its line, without a cut last line.
-
-    Raises:
-        OSError: if it cannot be read.
-        InvalidValueError: at a line that is not a call, or is the second answer to one.
-    """
+def read_calls(path: Path) -> Iterator[Call]:
+    """The calls of a transcript, without a cut last line."""
     seen: set[CallKey] = set()
-    for number, line in enumerate(read_lines(path, LONGEST_CALL), 1):
-        if not line.endswith(b"\n"):
-            return
+    for number, line in _whole_lines(path):
         call = Call.read(line, f"line {number} of {path} is no call")
         if call.answer is not None:
             if call.key in seen:
                 raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
             seen.add(call.key)
-        yield len(line), call
+        yield call
+
+
+def _whole_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    lines = enumerate(read_lines(path, LONGEST_CALL), 1)
+    return ((number, line) for number, line in lines if line.endswith(b"\n"))

@@ -11,7 +11,7 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
 from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent
-from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
+from drone_env.results.record import read_records, record_of, replay
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,7 @@ class VerifiedRun:
         path: Its folder.
         config: Its configuration.
         results: The result of each flight.
-        records: The record of each flight, in the same order.
-        step_errors: For each flight, why each step is a WAIT that the model did not choose; None if it chose it.
+        flights: The flights, in the same order.
         calls: Its transcript.
         requests: Number of requests sent.
     """
@@ -31,22 +30,16 @@ class VerifiedRun:
     path: Path
     config: RunConfig
     results: list[FlightResult]
-    records: list[EpisodeRecord]
-    step_errors: list[list[str | None]]
+    flights: list[Flight]
     calls: list[Call]
     requests: int
 
 
 def verified_run(path: Path) -> VerifiedRun:
-    """Verify a run: its records and results follow from the answers in its transcript.
-
-    Raises:
-        OSError: if a file of it cannot be read.
-        InvalidValueError: if it is damaged, or anything in it does not follow from its answers.
-    """
+    """Verify a run: its records and results follow from the answers in its transcript."""
     config = load_config(path)
     results, records = load_results(path), list(read_records(path / EPISODES))
-    calls = [call for _, call in read_calls(path / TRANSCRIPT)]
+    calls = list(read_calls(path / TRANSCRIPT))
     answers = {call.key: call for call in calls if call.answer is not None}
     failed = {call.key for call in calls if call.answer is None}
     if len(results) != len(records):
@@ -79,11 +72,11 @@ def verified_run(path: Path) -> VerifiedRun:
 
         return asyncio.run(fly(config.flight(result.flight, prompt), ask))
 
-    step_errors: list[list[str | None]] = []
+    flights = list[Flight]()
     for result, record in zip(results, records, strict=True):
         try:
             flight = replayed(result)
-            step_errors.append(flight.step_errors)
+            flights.append(flight)
             fits = record_of(flight.episode, config.model) == record
             if not fits:
                 replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
@@ -97,4 +90,4 @@ def verified_run(path: Path) -> VerifiedRun:
     made = Counter(call.key for call in calls for _ in range(call.requests))
     if missing := made - Counter(sent):
         raise InvalidValueError(f"{path}: {SENT} lacks a request of call {min(missing)}")
-    return VerifiedRun(path, config, results, records, step_errors, calls, len(sent))
+    return VerifiedRun(path, config, results, flights, calls, len(sent))

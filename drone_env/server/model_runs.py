@@ -96,7 +96,7 @@ class StoredRuns:
                 continue
             for flight in range(min(config.flights, MOST_FLIGHTS)):
                 if ids.of(flight) == episode_id:
-                    calls = [call for _, call in read_calls(path / TRANSCRIPT) if call.flight == flight]
+                    calls = [call for call in read_calls(path / TRANSCRIPT) if call.flight == flight]
                     return path, config, sorted(calls, key=lambda call: call.key)
         return None
 

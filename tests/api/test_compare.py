@@ -135,7 +135,7 @@ def test_a_models_flight_has_its_prompts_and_answers_by_step(
     first = next(one for one in flights["scripted"][14] if one.record.success)
     answer = get(client, f"/episodes/{first.id}/calls")
     assert (answer["run"], answer["model"], answer["prompt"]) == ("good", "scripted", "minimal-2")
-    calls = [call for _, call in read_calls(data / "llm" / "good" / "calls.jsonl") if call.flight == 0]
+    calls = [call for call in read_calls(data / "llm" / "good" / "calls.jsonl") if call.flight == 0]
     first_calls = [(call["step"], call["attempt"], call["outcome"]) for call in answer["calls"]][:3]
     assert first_calls == [(1, 1, "illegal"), (1, 2, "ok"), (2, 1, "ok")]
     assert [call["messages"] for call in answer["calls"]] == [call.messages for call in calls]

@@ -106,7 +106,7 @@ def fly(
     progress = Progress(config, limiter.budget, folder, store=store)
     with locked_run(folder, config, resume=False):
         result = asyncio.run(run(config, folder, sender, limiter, progress))
-    return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
+    return Flown(result, clock, list(read_calls(folder / "calls.jsonl")))
 
 
 def put_run(data: Path, name: str, pilot: str, seeds: range, **change: Any) -> Path:

@@ -259,7 +259,7 @@ def test_what_an_endpoint_does_not_meter_cannot_be_limited(endpoint: Start) -> N
 def test_what_is_no_limit_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidValueError):
         Options(**wrong)
-    with pytest.raises(InvalidValueError, match="prices must be 0 or more"):
+    with pytest.raises(InvalidValueError, match="must be 0 or more"):
         Options(price_prompt=1, price_completion=-1)
 
 
