@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from drone_env.llm.answers import Answer, ChatMessage
+from drone_env.llm.answers import Answer
 
 Part = Literal["system", "max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice"]
 Changes = Mapping[Part, str | None]
@@ -61,21 +61,14 @@ def changed(request: Mapping[str, Any], changes: Changes) -> dict[str, Any]:
     """The body of a request after changes."""
     sent = dict(request)
     for name, other in changes.items():
-        if name == "system":
-            sent["messages"] = merged(sent["messages"])
+        if name == "system" and sent["messages"][0]["role"] == "system":
+            system, user, *later = sent["messages"]
+            sent["messages"] = [{"role": "user", "content": f"{system['content']}\n\n{user['content']}"}, *later]
         elif name in sent:
             value = sent.pop(name)
             if other is not None:
                 sent[other] = value
     return sent
-
-
-def merged(messages: list[ChatMessage]) -> list[ChatMessage]:
-    """Messages whose system text is the beginning of the first user message."""
-    if messages[0]["role"] != "system":
-        return messages
-    system, user, *later = messages
-    return [{"role": "user", "content": f"{system['content']}\n\n{user['content']}"}, *later]
 
 
 def described(changes: Changes) -> list[str]:

@@ -4,16 +4,15 @@ import asyncio
 import contextlib
 import random
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import Answer, Unusable, in_common
 from drone_env.llm.config import RunConfig, host_of, is_loopback
-from drone_env.llm.endpoint import TryFailedError
+from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.image import following
 from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter
 from drone_env.llm.progress import Progress
@@ -32,17 +31,6 @@ LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
 MAX_BACKOFF = 30.0
 MAX_WAIT = 120.0
 """A call fails if the endpoint requests a longer wait in seconds (`Retry-After`)."""
-
-
-class Sender(Protocol):
-    """What sends requests: an `Endpoint`, or a scripted one."""
-
-    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
-        """See `Endpoint.send`."""
-        ...
-
-    async def close(self) -> None:
-        """Close all connections."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +87,7 @@ class Calls:
     """
 
     config: RunConfig
-    endpoint: Sender
+    endpoint: Endpoint
     transcript: Transcript
     limiter: RateLimiter
     progress: Progress
@@ -214,7 +202,9 @@ class Calls:
             await limiter.sleep(wait)
 
 
-async def run(config: RunConfig, folder: Path, endpoint: Sender, limiter: RateLimiter, progress: Progress) -> RunResult:
+async def run(
+    config: RunConfig, folder: Path, endpoint: Endpoint, limiter: RateLimiter, progress: Progress
+) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
     Args:
