@@ -157,10 +157,6 @@ class Unusable(NamedTuple):
         """Whether the share is above `MAX_UNUSABLE`."""
         return self.answers > MAX_UNUSABLE * self.of
 
-    def to_dict(self) -> dict[str, Any]:
-        """The numbers as JSON values."""
-        return {**self._asdict(), "share": self.share, "marked": self.marked}
-
     def __str__(self) -> str:
         mark = " !" if self.marked else ""
         return "-" if self.share is None else f"{self.share:.1%} ({self.answers} of {self.of}){mark}"
@@ -198,8 +194,7 @@ def finish_kind(reason: str | None) -> FinishKind:
     """Classify an answer by its finish reason; without one, it is complete."""
     # Gemini's own reason follows a colon, as in "content_filter: RECITATION".
     name = (reason or "stop").partition(":")[0].strip().lower()
-    kinds: list[FinishKind] = [kind for kind, names in FINISH_REASONS.items() if name in names]
-    return kinds[0] if kinds else "failed"
+    return next((kind for kind, names in FINISH_REASONS.items() if name in names), "failed")
 
 
 def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:

@@ -28,10 +28,11 @@ from drone_env.results.tables import Table, known_sum, number, percent
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
 
+NO_PRICES = Options()
 BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
 
 
-def report(run: VerifiedRun, options: Options | None = None, moves: bool = True) -> dict[str, Any]:
+def report(run: VerifiedRun, options: Options = NO_PRICES, moves: bool = True) -> dict[str, Any]:
     """The figures of a run as JSON values; unknown ones are null.
 
     Means are over maps: flights over the same map are averaged first. `score_ci95` (`results.statistics`) is null for
@@ -58,6 +59,7 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
     summary, maps = Summary.of(flown), map_rows(flown)
     means = {name: None if scores is None else mean_of(scores) for name, scores in baselines.items()}
     turns = turns_of(run.results)
+    unusable = Unusable.among(turns)
     return {
         "format": "drone_env/llm-report",
         "config": config.model_dump(mode="json"),
@@ -85,7 +87,7 @@ def report(run: VerifiedRun, options: Options | None = None, moves: bool = True)
         "normalised": normalised(summary.score, means["random"], means["optimal"]),
         "baselines": means,
         "turns": turns,
-        "unusable": Unusable.among(turns).to_dict(),
+        "unusable": {**unusable._asdict(), "share": unusable.share, "marked": unusable.marked},
         "waits": sum(result.waits for result in run.results),
         "moves": _moves(run) if moves else None,
         **_spending(run, options),
@@ -174,17 +176,13 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     return {"labels": dict(labels), "decisive": len(decisive), "accuracy": best / len(decisive) if decisive else None}
 
 
-def _spending(run: VerifiedRun, options: Options | None) -> dict[str, Any]:
-    budget = Budget(options or Options())
+def _spending(run: VerifiedRun, options: Options) -> dict[str, Any]:
+    budget = Budget(options)
     budget.resume(run.calls, run.requests)
     latencies = [call.latency for call in run.calls if call.answer is not None]
     return {
         "calls": {"answered": len(latencies), "requests": budget.requests, "without_usage": budget.unmetered},
-        "tokens": {
-            "prompt": budget.prompt_tokens,
-            "completion": budget.completion_tokens,
-            "total": budget.tokens,
-        },
+        "tokens": {"prompt": budget.prompt_tokens, "completion": budget.completion_tokens, "total": budget.tokens},
         "cost_usd": budget.cost,
         "latency_median": median_high(latencies) if latencies else None,
     }
