@@ -194,7 +194,8 @@ def finish_kind(reason: str | None) -> FinishKind:
     """Classify an answer by its finish reason; without one, it is complete."""
     # Gemini's own reason follows a colon, as in "content_filter: RECITATION".
     name = (reason or "stop").partition(":")[0].strip().lower()
-    return next((kind for kind, names in FINISH_REASONS.items() if name in names), "failed")
+    kinds: list[FinishKind] = [kind for kind, names in FINISH_REASONS.items() if name in names]
+    return kinds[0] if kinds else "failed"
 
 
 def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:

@@ -87,7 +87,7 @@ def verified_run(path: Path) -> VerifiedRun:
     if used != answers.keys():
         raise InvalidValueError(f"{path}: {len(answers.keys() - used)} answers belong to no flight")
     sent = list(read_sent(path / SENT))
-    made = Counter(call.key for call in calls for _ in [*call.failures, *filter(None, [call.answer])])
+    made = Counter(call.key for call in calls for _ in range(len(call.failures) + (call.answer is not None)))
     if missing := made - Counter(sent):
         raise InvalidValueError(f"{path}: {SENT} lacks a request of call {min(missing)}")
     return VerifiedRun(path, config, results, flights, calls, len(sent))
