@@ -36,7 +36,8 @@ class Sb3Agent(StatelessAgent):
         if not fitting:
             allowed = " or ".join(f"{space}" for space, _ in forms.values())
             raise UnsupportedTaskError(
-                f"this model takes {model.observation_space}; on {task.id!r} it can be {allowed}"
+                "this model was trained on another task or form of the observation: "
+                f"it takes {model.observation_space}; on {task.id!r} it can be {allowed}"
             )
         ((form, self._to_form),) = fitting
         normalised = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None

@@ -53,10 +53,7 @@ PACKED: Mapping[bytes, tuple[str, Callable[..., Any]]] = {
     b"BZh": (".bz2", bz2.open),
 }
 """Suffix and opener by the first bytes of a compressed file."""
-ALLOWED = (
-    "allowed are XML (.osm, .osm.gz, .osm.bz2) and PBF (.osm.pbf) of OpenStreetMap; "
-    "Overpass writes XML for [out:xml], not for [out:json]"
-)
+ALLOWED = "allowed are XML (.osm, .osm.gz, .osm.bz2) and PBF (.osm.pbf) of OpenStreetMap"
 COMPLETE = "include them: in Overpass by `(...; >;); out;`, in osmium by `extract --strategy smart`"
 HISTORY = "it contains several versions of an object: keep the newest by `osmium time-filter`"
 Place = tuple[float, float]
@@ -141,7 +138,7 @@ class Source:
         nodes = (node.location for node in self.objects(self.osmium.osm.NODE))
         places = [(at.lon, at.lat) for at in nodes if at.valid()]
         if not places:
-            raise InvalidValueError(f"no node has a place; {COMPLETE}")
+            raise InvalidValueError(f"it contains no node with a place, or all are deleted; {COMPLETE}")
         (west, south), (east, north) = np.min(places, axis=0).tolist(), np.max(places, axis=0).tolist()
         return west, south, east, north
 
@@ -255,7 +252,7 @@ def _opened(path: Path) -> Generator[Source, None, None]:
         expat.ExpatError,
         osmium.InvalidLocationError,
     ) as error:
-        raise InvalidValueError(f"{path}: not a readable extract of OpenStreetMap: {error}; {ALLOWED}") from None
+        raise InvalidValueError(f"{path}: cut short or damaged, so save it again: {error}; {ALLOWED}") from None
 
 
 def _read_xml(stream: Any, start: bytes) -> tuple[list[BBox], set[tuple[str, int]]]:
@@ -266,7 +263,10 @@ def _read_xml(stream: Any, start: bytes) -> tuple[list[BBox], set[tuple[str, int
         start: Its first bytes.
     """
     if start.lstrip(b"\xef\xbb\xbf\xff\xfe\0 \r\n\t")[:1] != b"<":
-        raise InvalidValueError(f"neither XML nor PBF, as it begins with {start[:16]!r}; {ALLOWED}")
+        if not start:
+            raise InvalidValueError(f"the file is empty; {ALLOWED}")
+        json = ": in Overpass, write [out:xml] instead of [out:json]" if start.lstrip()[:1] in (b"{", b"[") else ""
+        raise InvalidValueError(f"neither XML nor PBF{json}; {ALLOWED}")
     bounds: list[BBox] = []
     deleted: set[tuple[str, int]] = set()
     remarks: list[str] = []

@@ -32,7 +32,7 @@ def city(file: Source, out: Path, bbox: Box = None, cell: float = 16.0, size: Si
 
     Args:
         file: The extract: XML (.osm, .osm.gz, .osm.bz2) or PBF, at most 128 MiB.
-        out: The TOML file to write.
+        out: The TOML file to write; it must not exist.
         bbox: The area in degrees. Without it, the middle of the file.
         cell: Metres along the side of a cell, 1 to 100.
         size: Maximum number of columns and rows, 2x2 to 512x512.
@@ -42,6 +42,8 @@ def city(file: Source, out: Path, bbox: Box = None, cell: float = 16.0, size: Si
         raise InvalidValueError(f"--size is COLUMNSxROWS, such as 64x64, each at most {MAX_SIDE}; got {size!r}")
     if out.suffix != ".toml":
         raise InvalidValueError(f"--out takes a file that ends in .toml, got {out}")
+    if out.exists():
+        raise InvalidValueError(f"{out} exists: remove it, or name another file")
     imported = import_city(file, bbox, cell, (int(numbers[1]), int(numbers[2])))
     prepare_file("--out", out)
     write_city(imported, out)

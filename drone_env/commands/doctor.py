@@ -52,7 +52,7 @@ def doctor(json: bool = False) -> int:
 def _diagnose() -> Iterator[Finding]:
     yield Finding("system", "python", "ok", f"{platform.python_version()} ({sys.executable}), {platform.platform()}")
     yield _checked("packages", "required", _complete, "")
-    for extra in sorted(metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []):
+    for extra in sorted({*metadata.metadata(DISTRIBUTION).get_all("Provides-Extra", [])} - {"dev", "docs", "test"}):
         yield _checked("extras", extra, _complete, extra, otherwise="absent")
     for task in ("easy_delivery", "medium_delivery", "hard_delivery"):
         yield _checked("networks", task, _network, "pathqnet", task)

@@ -163,8 +163,13 @@ def infer(
             if errors := progress.not_stored:
                 missing = f"{len(errors)} flights are not in the store: {errors[0]}"
                 print(f"{missing}; to add them, {to_resume}", file=sys.stderr)
-        stopped = [f"to continue, {to_resume}"] if result.verdict == "stopped" else []
-        print(*runner.summary_lines(result), f"run: {path}", *stopped, sep="\n", file=sys.stderr)
+        more = {
+            "stopped": "to continue",
+            "incomplete": "to continue with a higher limit",
+            "invalid": "to repeat the calls that failed",
+        }
+        resume = [f"{more[result.verdict]}, {to_resume}"] if result.verdict in more else []
+        print(*runner.summary_lines(result), f"run: {path}", *resume, sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[result.verdict]
 
 

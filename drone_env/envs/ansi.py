@@ -88,7 +88,7 @@ def step_line(step: int, action: Action, reward: float, done: bool, error: str |
     )
 
 
-def end_line(success: bool, score: float, rewards: Sequence[float]) -> str:
-    """Return the line after the last step."""
-    listed = ",".join(f"{reward:.2f}" for reward in rewards)
-    return f"[END] success={str(success).lower()} steps={len(rewards)} score={score:.3f} rewards={listed}"
+def end_line(success: bool, score: float | None, rewards: Sequence[float]) -> str:
+    """Return the line after the last step; the score is null if it is None."""
+    listed, shown = ",".join(f"{reward:.2f}" for reward in rewards), "null" if score is None else f"{score:.3f}"
+    return f"[END] success={str(success).lower()} steps={len(rewards)} score={shown} rewards={listed}"

@@ -181,6 +181,8 @@ class Endpoint:
             where = self._clean(headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
         hint = HINTS[402] if NO_CREDIT.search(text) else HINTS.get(status)
+        if status == 401 and self._token is None:
+            hint = "no token was sent: set OPENAI_API_KEY; HF_TOKEN goes to Hugging Face only"
         if hint is not None:
             return TryFailedError(status, f"{hint} ({reason})", fatal=True)
         retried = status in RETRIED or status >= 500 or status == 200
@@ -284,7 +286,7 @@ def _json(data: bytes) -> Any:
     try:
         return json.loads(data)
     except ValueError:
-        raise ValueError(f"JSON was expected, got {data.decode(errors='replace')}") from None
+        raise ValueError(f"JSON was expected (check API_BASE_URL), got {data.decode(errors='replace')}") from None
 
 
 def _error_text(data: bytes) -> str:

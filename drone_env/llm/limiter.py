@@ -5,7 +5,6 @@ import heapq
 import itertools
 import math
 import time
-from collections import Counter
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -201,23 +200,25 @@ class RateLimiter:
         self._waiting: list[tuple[int, int, asyncio.Future[Sent]]] = []
         self._numbers = itertools.count()
         self._timer: asyncio.Future[None] | None = None
-        self._used: Counter[int] = Counter()
-        """Requests by flight."""
+        self._turn: dict[int, int] = {}
+        """The turn that each flight asks for."""
+        self._turns = 0
+        """Turns with a request."""
         self._flying: set[int] = set()
         self.begin(FIRST_CONCURRENCY, options.concurrency, 1)
 
-    def begin(self, first: int, flights: int, calls: int, sent: Iterable[int] = ()) -> None:
+    def begin(self, first: int, flights: int, longest: int, turns: int = 0) -> None:
         """Set what is known about a run.
 
         Args:
             first: Number of requests at once before the first answer.
             flights: Number of flights.
-            calls: Calls of the longest flight.
-            sent: The flight of each request of earlier parts.
+            longest: Turns of the longest flight.
+            turns: Turns that earlier parts asked for.
         """
         self._search = ConcurrencySearch(first, min(self.options.concurrency, flights))
-        self._calls = calls
-        self._used.update(sent)
+        self._longest = longest
+        self._turns = turns
 
     @property
     def limit(self) -> int:
@@ -225,21 +226,24 @@ class RateLimiter:
         return self._search.limit
 
     @asynccontextmanager
-    async def slot(self, flight: int = 0) -> AsyncGenerator[Sent, None]:
-        """Wait until a request of a flight may be sent, count it, and hold its slot until the end of the `with`.
+    async def slot(self, flight: int = 0, turn: int = 1) -> AsyncGenerator[Sent, None]:
+        """Wait until a request for a turn of a flight may be sent, count it, and hold its slot during the `with`.
 
         Raises:
             LimitReachedError: if the budget is spent.
         """
-        turn: asyncio.Future[Sent] = asyncio.get_running_loop().create_future()
-        heapq.heappush(self._waiting, (flight, next(self._numbers), turn))
+        is_new = self._turn.get(flight) != turn
+        self._turn[flight] = turn
+        admitted: asyncio.Future[Sent] = asyncio.get_running_loop().create_future()
+        heapq.heappush(self._waiting, (flight, next(self._numbers), admitted))
         self._admit()
         try:
-            sent = await turn
+            sent = await admitted
         except asyncio.CancelledError:
-            if not turn.cancelled() and turn.exception() is None:
-                self._close(turn.result())
+            if not admitted.cancelled() and admitted.exception() is None:
+                self._close(admitted.result())
             raise
+        self._turns += is_new
         try:
             sent.at = self.now()
             yield sent
@@ -249,9 +253,9 @@ class RateLimiter:
     def _admit(self) -> None:
         """Admit the waiting requests that may be sent now."""
         while self._waiting and self.active < self.limit:
-            flight, _, turn = self._waiting[0]
+            flight, _, admitted = self._waiting[0]
             error = self.budget.spent()
-            if error is None and not turn.done():
+            if error is None and not admitted.done():
                 now = self.now()
                 if not self._affordable(flight):
                     return
@@ -264,11 +268,10 @@ class RateLimiter:
                 self._next_request = max(self._next_request, now - gap) + gap
                 self.active += 1
                 self.budget.requests += 1
-                self._used[flight] += 1
                 self._flying.add(flight)
-                turn.set_result(Sent(now, self._search.sent(self.active)))
-            elif not turn.done():
-                turn.set_exception(LimitReachedError(error))
+                admitted.set_result(Sent(now, self._search.sent(self.active)))
+            elif not admitted.done():
+                admitted.set_exception(LimitReachedError(error))
             heapq.heappop(self._waiting)
 
     async def _admit_after(self, seconds: float) -> None:
@@ -277,12 +280,15 @@ class RateLimiter:
         self._admit()
 
     def _affordable(self, flight: int) -> bool:
-        """Whether the budget suffices for the longest possible rest of all flights before this one."""
+        """Whether the budget suffices for the longest possible rest of all flights before this one.
+
+        A turn takes as many requests as the turns so far, with retries and repairs.
+        """
         left = self.budget.calls_left(self.active)
         if left == math.inf:
             return True
-        before = sum(max(1, self._calls - self._used[number]) for number in self._flying if number < flight)
-        return before == 0 or left > before
+        turns = sum(self._longest - self._turn[number] + 1 for number in self._flying if number < flight)
+        return turns == 0 or left > turns * max(1.0, self.budget.requests / max(1, self._turns))
 
     def _close(self, sent: Sent) -> None:
         self.active -= 1

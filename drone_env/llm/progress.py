@@ -110,8 +110,8 @@ class Progress:
 def log_text(flight: Flight, model: str, whole: bool = True) -> str:
     """The log lines of a flight, each with its newline.
 
-    A step with an unusable answer shows the outcome of that answer as its error. A flight that stopped early has fewer
-    steps, and its score is that of waiting to the end.
+    A step with an unusable answer shows the outcome of that answer as its error. A flight that a limit stopped has
+    fewer steps, and its score is that of waiting to the end; an errored flight has no score.
 
     Args:
         flight: The flight.
@@ -124,5 +124,5 @@ def log_text(flight: Flight, model: str, whole: bool = True) -> str:
         done = episode.ended and number == episode.steps
         lines.append(step_line(number, Action(step.action), step.reward, done, error))
     if whole:
-        lines.append(end_line(flight.success, flight.score, flight.rewards))
+        lines.append(end_line(flight.success, None if flight.status == "errored" else flight.score, flight.rewards))
     return "".join(f"{line}\n" for line in lines)

@@ -157,7 +157,7 @@ class Calls:
         limiter, options, key = self.limiter, self.limiter.options, flight.key
         since: float | None = None
         while True:
-            async with limiter.slot(key.flight) as sent:
+            async with limiter.slot(key.flight, key.turn) as sent:
                 flight.changes = self.changes
                 self.progress.on_request(flight)
                 self.transcript.sending(key)
@@ -220,7 +220,7 @@ async def run(
         limiter.budget.resume(transcript.calls, len(transcript.sent))
         first = 1 if is_loopback(host_of(config.base_url)) else FIRST_CONCURRENCY
         longest = 1 if prompt.plan else config.task_config.max_steps
-        limiter.begin(first, config.flights, longest, (key.flight for key in transcript.sent))
+        limiter.begin(first, config.flights, longest, len({(key.flight, key.turn) for key in transcript.sent}))
         calls = Calls(config, endpoint, transcript, limiter, progress)
 
         async def worker() -> None:

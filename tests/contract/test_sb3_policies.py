@@ -80,7 +80,9 @@ def test_a_masked_model_is_told_what_would_bump() -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    with pytest.raises(UnsupportedTaskError, match=r"takes Box.*; on 'medium_delivery' it can be Dict.* or Box"):
+    with pytest.raises(
+        UnsupportedTaskError, match=r"another task .* takes Box.*; on 'medium_delivery' it can be Dict.* or Box"
+    ):
         evaluate(model_of(PPO, "flat"), "medium")
     env = VecNormalize(DroneDeliveryVecEnv("easy", 2, observation="flat"))
     with pytest.raises(InvalidValueError, match="need a class of your own"):

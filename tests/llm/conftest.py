@@ -23,7 +23,7 @@ TOKEN = "sk-test-0123456789"
 LINE = re.compile(
     r"\[START\] task=\S+ env=drone_env_v1 model=scripted"
     r"|\[STEP\] step=\d+ action=(?:UP|DOWN|LEFT|RIGHT|WAIT) reward=\d\.\d\d done=(?:true|false) error=\w+"
-    r"|\[END\] success=(?:true|false) steps=\d+ score=0\.\d{3} rewards=(?:\d\.\d\d(?:,\d\.\d\d)*)?"
+    r"|\[END\] success=(?:true|false) steps=\d+ score=(?:0\.\d{3}|null) rewards=(?:\d\.\d\d(?:,\d\.\d\d)*)?"
 )
 
 

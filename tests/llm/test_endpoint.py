@@ -201,7 +201,12 @@ def test_the_endpoint_may_ask_to_wait(send: Send, status: int, headers: dict[str
         (400, {"message": "failed", "metadata": {"raw": "too hot"}}, "400: failed: too hot", False),
         (400, "max_tokens is too large", "400: max_tokens is too large (see --max-answer-tokens)", False),
         (400, "top_k: 0; user: no", "400: top_k: 0; user: no (see --extra)", False),
-        (200, "x" * 195 + TOKEN, f"200: not an answer: JSON was expected, got {'x' * 195}***", False),
+        (
+            200,
+            "x" * 195 + TOKEN,
+            f"200: not an answer: JSON was expected (check API_BASE_URL), got {'x' * 195}***",
+            False,
+        ),
         (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
     ],
 )

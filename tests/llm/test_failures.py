@@ -32,7 +32,7 @@ def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault
     assert (done.status, told in done.err, len(scripted.requests())) == (2, True, 1), done.err
     assert [f["status"] for f in done.flights] == ["errored"]
     (lines,) = blocks(done.out)
-    assert lines[-1] == "[END] success=false steps=0 score=0.010 rewards="
+    assert lines[-1] == "[END] success=false steps=0 score=null rewards="
     verified(done)
 
 

@@ -189,6 +189,27 @@ def test_a_budget_ends_as_many_flights_as_it_can(tmp_path: Path, concurrency: in
     assert [flight.status for flight in flown.flights] == ["finished"] * 4 + ["budget_stop"]
 
 
+def test_a_rejected_request_is_no_progress_of_its_flight() -> None:
+    async def work(limiter: RateLimiter) -> None:
+        limiter.begin(4, flights=2, longest=5)
+        for _ in range(2):
+            async with limiter.slot(0, turn=1):
+                pass
+
+        async def next_flight() -> None:
+            async with limiter.slot(1, turn=1):
+                pass
+
+        waiting = asyncio.ensure_future(next_flight())
+        await asyncio.sleep(1)
+        # Five turns at two requests each are left of the first flight, but only eight requests.
+        assert not waiting.done()
+        limiter.ended(0)
+        await waiting
+
+    with_limiter(work, max_calls=10)
+
+
 def test_a_budget_that_suffices_for_all_holds_no_flight_back(tmp_path: Path) -> None:
     most_open: list[int] = []
     for name, options in (("free", Options()), ("limited", Options(max_calls=60 * 20))):

@@ -169,11 +169,11 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     ),
     "the world": (with_bounds(bounds(-180, -85, 180, 85)), r"nodes are in 25 59.9.* with --bbox WEST"),
     "across 180 degrees": (with_bounds(bounds(179.9, -1, -179.9, 1)), "with --bbox WEST"),
-    "JSON": (lambda text: '{"elements": []}', r"begins with b'{\"elements\": .* for \[out:xml\], not"),
+    "JSON": (lambda text: '{"elements": []}', r"neither XML nor PBF: in Overpass, write \[out:xml\]"),
     "HTML": (lambda text: "<html></html>", "<html> in place of <osm>; allowed are XML"),
-    "half": (lambda text: text[:700], "not a readable extract of OpenStreetMap: unclosed token"),
+    "half": (lambda text: text[:700], "cut short or damaged, so save it again: unclosed token"),
     "half of a gzip": (lambda text: gzip.compress(text.encode())[:-9], "ended before the end-of-stream"),
-    "nothing": (lambda text: b"", "neither XML nor PBF"),
+    "nothing": (lambda text: b"", "the file is empty"),
 }
 
 
