@@ -1,11 +1,24 @@
 """Standard output that cannot be written, and errors on standard error."""
 
+import codecs
 import io
 import os
 import sys
 from collections.abc import Callable
 
+from drone_env.core.cells import CELL_KINDS, LETTERS, TARGET
 from drone_env.errors import UnknownNameError
+
+PLAIN = {kind.emoji: f"{LETTERS[kind.name]} " for kind in CELL_KINDS.values()} | {TARGET: "@ ", "·": ".", "•": "*"}
+"""What replaces the symbols of a map that the terminal's encoding lacks; all else that it lacks becomes `?`."""
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    return "".join(PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
+
+
+codecs.register_error("plain", _plain)
 
 
 class OutputError(Exception):
@@ -40,8 +53,7 @@ def guarded(run: Callable[[], int]) -> int:
     sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # Some terminals lack emoji.
-            stream.reconfigure(errors="replace")
+            stream.reconfigure(errors="plain")
     if type(out) is io.TextIOWrapper:
         sys.stdout = Output(out.buffer, out.encoding, out.errors, None, out.line_buffering, out.write_through)
     try:

@@ -21,7 +21,7 @@ from drone_env.envs.registry import PLUGINS
 from drone_env.errors import install_command
 from drone_env.graders import GRADERS
 from drone_env.results import store
-from tests.tools import missing_in, missing_package
+from tests.tools import PATIENCE, missing_in, missing_package
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
@@ -56,7 +56,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> Generator[None, None, None]:
 @pytest.fixture(scope="session", autouse=True)
 def patience() -> None:
     """Let servers in this process wait for optima on a busy machine."""
-    store.PATIENCE = 60
+    store.PATIENCE = PATIENCE
 
 
 @pytest.hookimpl(wrapper=True)

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import NoReturn
 
 ROOT = Path(__file__).parents[1]
+PATIENCE = 300
+"""Seconds to wait for a program or a response: on a busy machine the first compilation takes minutes."""
 LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """The large packages that `uv sync` leaves out; the extra `dev` contains them."""
 ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
@@ -92,13 +94,13 @@ def limited(kind: int, most: int) -> Generator[None, None, None]:
 
 
 def eventually(holds: Callable[[], object], told: Callable[[], str] = lambda: "") -> None:
-    """Wait until a condition is true, for at most 100 seconds.
+    """Wait until a condition is true, for at most `PATIENCE`.
 
     Args:
         holds: The condition.
         told: Returns the message of a failure.
     """
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + PATIENCE
     while not holds():
         assert time.monotonic() < deadline, f"timed out: {told()}"
         time.sleep(0.02)

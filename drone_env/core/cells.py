@@ -40,5 +40,9 @@ CELL_KINDS: dict[Cell, CellKind] = {
 N_CELL_KINDS = len(CELL_KINDS)
 SYMBOLS = {int(cell): "· " if cell == Cell.ROAD else kind.emoji for cell, kind in CELL_KINDS.items()}
 """The symbol of each cell id in text, two terminal columns wide. Roads are frequent, so their symbol is a dot."""
+TARGET = "🎯"
+"""The symbol of the current target in text."""
+LETTERS = dict(zip((kind.name for kind in CELL_KINDS.values()), ".BTOPxD?C", strict=True))
+"""The letter of each kind of cell, for language models and for terminals without emoji."""
 ROAD_CELL, DELIVERY_CELL, PAD_CELL = int(Cell.ROAD), int(Cell.DELIVERY), int(Cell.PAD)
 DELIVERED_CELL, DRONE_CELL = int(Cell.DELIVERED), int(Cell.DRONE)

@@ -12,13 +12,12 @@ Rewards have two decimals, the score three. `success` means that every parcel wa
 from collections.abc import Sequence
 
 from drone_env.core.actions import Action
-from drone_env.core.cells import SYMBOLS, Cell
+from drone_env.core.cells import SYMBOLS, TARGET, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 
 ENV_NAME = "drone_env_v1"
 ROAD = SYMBOLS[Cell.ROAD]
-TARGET = "🎯"
 WAY = "• "
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from drone_env.core.actions import ACTION_OFFSETS, Action
-from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.cells import CELL_KINDS, LETTERS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
@@ -33,8 +33,6 @@ NO_TEXT = "(no text)"
 LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel", Cell.PAD: "charging pad"}
 """Names in prompts that differ from the names of the cells."""
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
-LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
-"""The letter of each kind of cell in the grid as text."""
 COMPASS_PADS = 5
 """The largest number of charging pads that the compass shows."""
 LEGEND = (

@@ -12,6 +12,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from drone_env.server.process import listen
 from drone_env.server.protocols import Http, WebSockets
+from tests.tools import PATIENCE
 
 PING, TEXT, MORE = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
 """Masked frames: a ping without payload, and one-byte fragments of a text: the first, and another."""
@@ -48,7 +49,7 @@ def running(
         finally:
             opened.close()
             server.should_exit = True
-            thread.join(60)
+            thread.join(PATIENCE)
     assert not thread.is_alive()
 
 
@@ -57,7 +58,7 @@ def connected(address: tuple[str, int]) -> socket.socket:
     sock = socket.socket()
     for size in (socket.SO_SNDBUF, socket.SO_RCVBUF):
         sock.setsockopt(socket.SOL_SOCKET, size, 16_384)
-    sock.settimeout(60)
+    sock.settimeout(PATIENCE)
     sock.connect(address)
     return sock
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import websockets.sync.client
 
-from tests.tools import ROOT, eventually, reserved_port
+from tests.tools import PATIENCE, ROOT, eventually, reserved_port
 
 
 class Server:
@@ -28,7 +28,9 @@ class Server:
     def __init__(self, command: list[str], data: Path, port: int, settings: dict[str, str]) -> None:
         self.url = f"http://127.0.0.1:{port}"
         # AppState, because each client reads the system's certificates, which is slow. It keeps no connection open.
-        self.client = httpx.Client(base_url=self.url, timeout=60, limits=httpx.Limits(max_keepalive_connections=0))
+        self.client = httpx.Client(
+            base_url=self.url, timeout=PATIENCE, limits=httpx.Limits(max_keepalive_connections=0)
+        )
         variables = {f"DRONE_ENV_{name}": value for name, value in settings.items()}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRONE_ENV_DATA": str(data), **variables}
         self.data = data
@@ -52,11 +54,11 @@ class Server:
 
     def assert_well(self) -> None:
         """A page can fly, the health is good, and nothing has failed."""
-        with websockets.sync.client.connect(self.url.replace("http", "ws") + "/live", open_timeout=60) as page:
+        with websockets.sync.client.connect(self.url.replace("http", "ws") + "/live", open_timeout=PATIENCE) as page:
             page.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
-            while json.loads(page.recv(timeout=60))["type"] != "flights":
+            while json.loads(page.recv(timeout=PATIENCE))["type"] != "flights":
                 pass
-        assert self.client.get("/health", timeout=60).status_code == 200
+        assert self.client.get("/health").status_code == 200
         assert "Traceback" not in self.log.read_text()
 
     def kill(self) -> None:
@@ -69,7 +71,7 @@ class Server:
         """Terminate the process, and wait."""
         self.process.terminate()
         try:
-            self.process.wait(timeout=60)
+            self.process.wait(PATIENCE)
         finally:
             self.kill()
 

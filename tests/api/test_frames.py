@@ -12,6 +12,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from drone_env.server import protocols
 from drone_env.server.protocols import WebSockets
 from tests.api.raw import MORE, PING, TEXT, everything, open_socket, running
+from tests.tools import PATIENCE
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
@@ -96,7 +97,7 @@ def test_a_socket_that_sends_nothing_not_even_a_pong_is_closed_and_the_applicati
 
     with running(app, ws_ping_interval=0.1, ws_ping_timeout=0.1) as connect:
         sock = open_socket(connect())
-        assert closed.wait(60)
+        assert closed.wait(PATIENCE)
         # This wakes the application, which waits to send more.
         assert everything(sock).endswith(b"keepalive ping timeout")
     assert [type(error) for error in ended] == [ClientDisconnected]

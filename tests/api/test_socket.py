@@ -20,6 +20,7 @@ from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.cluster.sessions import socket_result
+from tests.tools import PATIENCE
 from tests.unit.stores import failing
 
 
@@ -163,7 +164,7 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind
             await asyncio.sleep(0)
             turns += 1
 
-    asyncio.run(asyncio.wait_for(fly(), 60))
+    asyncio.run(asyncio.wait_for(fly(), PATIENCE))
     assert answers == 200
     assert turns >= 200
 

@@ -12,6 +12,7 @@ from drone_env.server.logs import KEPT, RequestLog
 from drone_env.server.routes.history import FOLLOWERS
 from tests.api.raw import WHOLE, connected, masked, open_socket, taken_of
 from tests.api.serving import Server
+from tests.tools import PATIENCE
 
 MOST = 64 << 20
 """Bytes that nobody who is answered would be able to leave with the server: kernels keep some MB."""
@@ -25,7 +26,7 @@ def test_pages_that_do_not_read_hold_up_nobody_and_are_read_from_no_more(server:
         listener.sendall(WHOLE.replace(b"/", b"/terminal_logs", 1)[:-2] + b"Accept: text/event-stream\r\n\r\n")
         page.sendall(masked(b'{"type":"subscribe","topics":["requests","episodes"]}'))
         assert taken_of(page, attach, MOST) < MOST
-        with httpx.Client(base_url=server.url, timeout=60) as http:
+        with httpx.Client(base_url=server.url, timeout=PATIENCE) as http:
             for _ in range(2 * KEPT):
                 assert http.get("/nowhere/" + "x" * 190).status_code == 404
         server.assert_well()
@@ -34,7 +35,7 @@ def test_pages_that_do_not_read_hold_up_nobody_and_are_read_from_no_more(server:
 @pytest.mark.feature("H9")
 def test_the_request_log_is_streamed(server: Server) -> None:
     with (
-        httpx.Client(base_url=server.url, timeout=60) as http,
+        httpx.Client(base_url=server.url, timeout=PATIENCE) as http,
         http.stream("GET", "/terminal_logs", headers={"Accept": "text/event-stream"}) as live,
     ):
         assert live.headers["Content-Type"].startswith("text/event-stream")
@@ -60,7 +61,7 @@ def test_followers_of_the_requests_skip_what_is_not_kept_any_more() -> None:
             log.add("GET", "/later", 200, 0)
         assert numbers(await anext(reader)) == [*range(log.count - KEPT + 1, log.count + 1)]
 
-    asyncio.run(asyncio.wait_for(follow(), 60))
+    asyncio.run(asyncio.wait_for(follow(), PATIENCE))
 
 
 def test_there_is_room_for_so_many_followers(client: TestClient) -> None:

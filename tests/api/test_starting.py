@@ -12,7 +12,7 @@ import pytest
 from drone_env.results.store import Store
 from drone_env.server import app
 from tests.api.serving import Server, serving
-from tests.tools import find_tool, ran, reserved_port
+from tests.tools import PATIENCE, find_tool, ran, reserved_port
 
 EXAMPLE = """
 from drone_env.client import DroneEnvClient
@@ -59,7 +59,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
         # In the environment of the tests, as it is: what `uv run` would install is there.
         rest = ["-c", RUN_UV, find_tool("uv"), sys.prefix, *rest]
     with serving(tmp_path / "data", tuple(rest)) as server:
-        with httpx.Client(base_url=server.url, timeout=60) as http:
+        with httpx.Client(base_url=server.url, timeout=PATIENCE) as http:
             assert http.get("/health").json()["status"] == "healthy"
             # uvicorn keeps its own --host to itself: what arrives at loopback has to name this machine.
             public = "0.0.0.0" in command and "uvicorn" not in command
@@ -69,7 +69,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
             http.cookies.clear()
             assert http.get("/state").status_code == 200, "callers who name no session"
         server.process.send_signal(asked)
-        assert server.process.wait(timeout=60) == status
+        assert server.process.wait(PATIENCE) == status
         assert "Traceback" not in server.log.read_text()
     with Store(tmp_path / "data") as store:
         assert store.count_sessions() == 1

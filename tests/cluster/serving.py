@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.api.serving import Server
-from tests.tools import ROOT, eventually, find_tool, is_taken, reserved_port
+from tests.tools import PATIENCE, ROOT, eventually, find_tool, is_taken, reserved_port
 
 COMMAND = ["-m", "drone_env.cli", "serve"]
 FAILURES = "max_fails=2 fail_timeout=5s"
@@ -46,7 +46,7 @@ class Nginx:
         """End it."""
         self.process.terminate()
         try:
-            self.process.wait(timeout=60)
+            self.process.wait(PATIENCE)
         finally:
             self.process.kill()
             self.process.wait()

@@ -15,6 +15,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.models import DroneState, observation_fields
+from tests.tools import PATIENCE
 
 TASK = "hard"
 Progress = Callable[[], None]
@@ -24,7 +25,7 @@ class Client(httpx.AsyncClient):
     """Sends so many requests at a time: the time that httpx takes grows with the square of those that wait."""
 
     def __init__(self, url: str, at_once: int = 32) -> None:
-        super().__init__(base_url=url, timeout=60)
+        super().__init__(base_url=url, timeout=PATIENCE)
         self._gate = asyncio.Semaphore(at_once)
 
     async def send(self, *request: Any, **options: Any) -> httpx.Response:
@@ -127,7 +128,7 @@ class SocketSession:
         self.socket: Any = None
 
     async def open(self) -> None:
-        self.socket = await websockets.connect(self.url, compression=None, open_timeout=60, ping_interval=None)
+        self.socket = await websockets.connect(self.url, compression=None, open_timeout=PATIENCE, ping_interval=None)
         options = {"task_name": TASK, "seed": self.seed, "reward_profile": ORIGINAL_PROFILE}
         assert await self.ask("reset", options)
 

@@ -22,7 +22,7 @@ from drone_env.server.map_choice import TaskApi
 from drone_env.server.settings import Settings
 from tests.api.serving import Server
 from tests.package.installed import copy_tracked
-from tests.tools import ROOT, ran
+from tests.tools import PATIENCE, ROOT, ran
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
 
@@ -146,7 +146,7 @@ class TestEnvironment:
 def test_the_validator_passes_the_running_server(server: Server) -> None:
     from openenv.cli._validation import validate_running_environment
 
-    report = validate_running_environment(server.url, timeout_s=30)
+    report = validate_running_environment(server.url, timeout_s=PATIENCE)
     assert report["summary"]["passed_count"] == report["summary"]["total_count"] == 6, report
     assert (report["passed"], report["mode"]) == (True, "simulation")
 

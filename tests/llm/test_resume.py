@@ -10,7 +10,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.report import report
 from drone_env.llm.transcript import Transcript
 from drone_env.llm.verify import verified_run
-from tests.tools import eventually
+from tests.tools import PATIENCE, eventually
 
 from .conftest import ROOT, TOKEN, Start, environment, json_lines, verified
 
@@ -56,7 +56,7 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
         paid = json_lines(folder / "calls.jsonl")
         assert [(call["turn"], call["attempt"]) for call in paid] == [(turn, 1) for turn in range(1, 10)]
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=PATIENCE)
     finally:
         process.kill()
         process.communicate()

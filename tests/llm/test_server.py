@@ -29,7 +29,7 @@ def test_a_server_flies_along(endpoint: Start, tmp_path: Path) -> None:
     with serving(tmp_path / "data", ("-m", "drone_env.cli", "serve")) as server:
         done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
         assert (done.status, done.turns) == (0, {"ok": 3}), done.err
-        (stored,) = server.client.get("/memory_logs", timeout=30).json()["episodes"]
+        (stored,) = server.client.get("/memory_logs").json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # Here the battery is smaller than the server's.
         with pytest.raises(InvalidValueError, match=r"other rules: map 14, step 0: battery_steps.* is 60, must be 25"):

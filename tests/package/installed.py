@@ -27,7 +27,7 @@ import httpx  # noqa: E402
 
 from drone_env import __version__  # noqa: E402
 from tests.stranger import background  # noqa: E402
-from tests.tools import path_of_python, reserved_port, tracked  # noqa: E402
+from tests.tools import PATIENCE, path_of_python, reserved_port, tracked  # noqa: E402
 
 
 def copy_tracked(folder: Path) -> None:
@@ -107,7 +107,7 @@ class Installed:
         command = [str(self.bin / "drone-env"), "serve", "--port", str(port)]
         with (
             background(command, port, self.place, self.environment),
-            httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client,
+            httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE) as client,
         ):
             assert client.get("/health").json()["status"] == "healthy"
             for file in files:

@@ -9,11 +9,11 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.cells import CELL_KINDS, TARGET, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs import rendering
-from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
+from drone_env.envs.ansi import ROAD, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import draw_picture, save_picture
 from drone_env.errors import EpisodeError
 from drone_env.planning.greedy import greedy_action
