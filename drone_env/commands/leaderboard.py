@@ -1,6 +1,7 @@
 """`drone-env leaderboard`: rank agents and language models."""
 
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -96,18 +97,20 @@ def required_entries(path: Path) -> list[LeaderboardEntry]:
 
 def _table(board: Leaderboard) -> Table:
     figures = ("score (95 %)", "normalised", "regret", "success", "errored", "unusable", "tokens")
+    prompts = [entry.report["config"].get("prompt", "-") for entry in board.rows]
+    same = Counter(zip((entry.agent for entry in board.rows), prompts, strict=True))
     rows = [
         (
             str(rank),
-            entry.agent,
-            entry.report["config"].get("prompt", "-"),
+            f"{entry.agent} ({entry.path.name})" if same[entry.agent, prompt] > 1 else entry.agent,
+            prompt,
             with_interval(entry.report["score"], entry.report["score_ci95"]),
             number(entry.report["normalised"]),
             number(entry.report["regret"]),
             percent(entry.report["success_rate"]),
             *_model_columns(entry.report),
         )
-        for rank, entry in enumerate(board.rows, 1)
+        for rank, (entry, prompt) in enumerate(zip(board.rows, prompts, strict=True), 1)
     ]
     return Table(f"{board.task}, {board.maps}", ("", "agent or model", "prompt", *figures), rows)
 

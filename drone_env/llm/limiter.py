@@ -197,7 +197,7 @@ class RateLimiter:
         self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
         self._slowest: float | None = None
-        self._waiting: list[tuple[int, int, asyncio.Future[Sent]]] = []
+        self._waiting: list[tuple[int, int, bool, asyncio.Future[Sent]]] = []
         self._numbers = itertools.count()
         self._timer: asyncio.Future[None] | None = None
         self._turn: dict[int, int] = {}
@@ -235,7 +235,7 @@ class RateLimiter:
         is_new = self._turn.get(flight) != turn
         self._turn[flight] = turn
         admitted: asyncio.Future[Sent] = asyncio.get_running_loop().create_future()
-        heapq.heappush(self._waiting, (flight, next(self._numbers), admitted))
+        heapq.heappush(self._waiting, (flight, next(self._numbers), is_new, admitted))
         self._admit()
         try:
             sent = await admitted
@@ -243,7 +243,6 @@ class RateLimiter:
             if not admitted.cancelled() and admitted.exception() is None:
                 self._close(admitted.result())
             raise
-        self._turns += is_new
         try:
             sent.at = self.now()
             yield sent
@@ -253,7 +252,7 @@ class RateLimiter:
     def _admit(self) -> None:
         """Admit the waiting requests that may be sent now."""
         while self._waiting and self.active < self.limit:
-            flight, _, admitted = self._waiting[0]
+            flight, _, is_new, admitted = self._waiting[0]
             error = self.budget.spent()
             if error is None and not admitted.done():
                 now = self.now()
@@ -268,6 +267,7 @@ class RateLimiter:
                 self._next_request = max(self._next_request, now - gap) + gap
                 self.active += 1
                 self.budget.requests += 1
+                self._turns += is_new
                 self._flying.add(flight)
                 admitted.set_result(Sent(now, self._search.sent(self.active)))
             elif not admitted.done():

@@ -36,6 +36,11 @@ def test_only_the_same_maps_stand_on_one_board_and_a_folder_stands_for_all_in_it
     assert [row["path"] for row in boards[0]["rows"]] == [str(agents), str(agents), str(model)]
     assert waits["normalised"] < 0 < greedy["normalised"]
     assert [len(board["rows"]) for board in ranked(capsys, tmp_path, model.parent)["boards"]] == [3, 1]
+    # Rows that would look alike show their folders.
+    twice = [str(model), str(put_run(tmp_path, "again", "WAIT", range(14, 18)))]
+    assert main(["leaderboard", *twice]) == 0
+    table = capsys.readouterr().out
+    assert all(f"({Path(folder).name})" in table for folder in twice)
 
 
 def test_folders_of_other_maps_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
