@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 from drone_env import __version__
@@ -97,7 +98,8 @@ def run(
     for file in settings.reward_profiles:
         register_reward_file(file)
     import uvicorn
-    from uvicorn.supervisors import Multiprocess
+
+    from drone_env.server.supervisor import Supervisor
 
     with listen(settings.host, settings.port) as listening:
         Store(settings.data).close()
@@ -124,7 +126,7 @@ def run(
         # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):
             if settings.workers > 1:
-                Multiprocess(config, [listening]).run()
+                Supervisor(config, [listening]).run()
             else:
                 server = uvicorn.Server(config)
                 try:
@@ -136,6 +138,13 @@ def run(
                         os._exit(0)
                 if not server.started:
                     sys.exit(STARTUP_FAILED)
+
+
+def leave_ctrl_c() -> None:
+    """Keep Ctrl-C from this thread, and from the threads and processes that it starts. A terminal sends it to all."""
+    if sys.platform != "win32":
+        resource_tracker.ensure_running()  # its start would unblock the signal later
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
 
 
 def listen(host: str, port: int) -> socket.socket:

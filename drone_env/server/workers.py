@@ -27,6 +27,7 @@ from drone_env.results.sessions import in_share
 from drone_env.server.exceptions import FAILED, RequestError
 from drone_env.server.jobs import serve, too_long, too_much
 from drone_env.server.map_choice import DEFAULT_TASK, is_registered
+from drone_env.server.process import leave_ctrl_c
 from drone_env.server.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -156,6 +157,7 @@ class Workers:
             thread.join(END_SECONDS)  # a thread that is starting a process may take longer; threads are daemons
 
     def _serve(self, reserved: bool) -> None:
+        leave_ctrl_c()
         process: _Process | None = None
         while (job := self._next(reserved)) is not None:
             result, error, process = self._run(job, process)

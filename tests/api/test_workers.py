@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import httpx
@@ -30,6 +31,44 @@ def test_workers_fly_one_session_and_end_with_the_first_process_however_that_end
             for worker in workers:
                 if state_of(worker) not in ("", "Z"):
                     os.kill(int(worker), signal.SIGKILL)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
+@pytest.mark.parametrize(
+    ("workers", "asked"), [(1, (signal.SIGINT,)), (2, (signal.SIGINT,) * 3), (2, (signal.SIGTERM,))]
+)
+def test_it_ends_quietly_when_all_its_processes_are_told_while_a_job_process_starts(
+    tmp_path: Path, workers: int, asked: tuple[signal.Signals, ...]
+) -> None:
+    with serving(tmp_path / "data", WORKERS=str(workers)) as server, ThreadPoolExecutor(1) as pool:
+        job = pool.submit(httpx.get, server.url + "/maps/easy/7", timeout=60)
+        eventually(lambda: any(map(is_importing, descendants(server.process.pid))))
+        for number in asked:
+            # As a terminal does: first the server, then all others.
+            for process in (server.process.pid, *descendants(server.process.pid)):
+                with suppress(ProcessLookupError):
+                    os.kill(process, number)
+        assert server.process.wait(timeout=60) == (-signal.SIGTERM if signal.SIGTERM in asked else 0)
+        job.exception()
+        assert "Traceback" not in server.log.read_text()
+
+
+def descendants(process: int) -> list[int]:
+    """Return the processes that a process and its descendants have started."""
+    found: list[int] = []
+    for children in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(FileNotFoundError, ProcessLookupError):
+            for child in map(int, children.read_text().split()):
+                found += [child, *descendants(child)]
+    return found
+
+
+def is_importing(process: int) -> bool:
+    """Return whether a process is the one that forks job processes, and has imported the first of its packages."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        folder = Path(f"/proc/{process}")
+        return "forkserver" in (folder / "cmdline").read_text() and "pydantic_core" in (folder / "maps").read_text()
+    return False
 
 
 def concurrent_steps(http: httpx.Client) -> list[int]:
