@@ -337,7 +337,7 @@ class Collection:
         Args:
             name: Its type and id.
             tags: Its tags.
-            forms: What it can be.
+            forms: Forms that its geometry allows.
             lines: Its ways.
             lost: Number of its ways that are not in the file.
 

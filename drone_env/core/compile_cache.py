@@ -135,7 +135,7 @@ def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     The function must be module-level, and call only functions of its own file, of `core` and of `planning`.
 
     Raises:
-        InvalidValueError: if Numba is told not to compile.
+        InvalidValueError: if `NUMBA_DISABLE_JIT` is set.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

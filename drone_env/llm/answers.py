@@ -292,7 +292,7 @@ def _words(text: str) -> list[str] | None:
     if text[:1] in ("{", "["):
         return _json_words(text)
     words = [word for part in SEPARATOR.split(NUMBERS.sub("", text)) if (word := part.strip(AROUND))]
-    # Dots in place of the rest of a route are no route.
+    # Dots that replace the rest of a route make it unusable.
     if not words or ".." in text or not all(WORD.match(word) for word in words):
         return None
     if len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):

@@ -68,7 +68,7 @@ class ConcurrencySearch:
         self._seconds: dict[int, float] = {}
         """Seconds per token by limit; infinite if it overloads the endpoint."""
         self._expiry: dict[int, int] = {}
-        """The round at which the seconds of a limit are out of date."""
+        """The round from which the seconds of a limit are out of date."""
         self._rejected: Counter[int] = Counter()
         self._rounds = 0
         self._begin(min(first, most), early=min(first, most))

@@ -171,7 +171,7 @@ def added(*counts: int | None) -> int | None:
 class RateLimiter:
     """Decides when a request of a run is sent.
 
-    Of all waiting requests, that of the first flight goes first. Under a limit of calls, tokens or cost, a flight waits
+    The waiting request of the lowest-numbered flight goes first. Under a limit of calls, tokens or cost, a flight waits
     until the budget suffices for all flights before it, so that a budget ends as many flights as it can.
 
     Args:

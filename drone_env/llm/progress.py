@@ -71,7 +71,7 @@ class Progress:
             print(f"{flights}, {budget.requests} requests{tokens}{cost}", file=sys.stderr)
 
     def on_reading(self, reading: Reading) -> None:
-        """Print once what the first answers have in common if none of them is usable."""
+        """If none of the first answers is usable, print once what they have in common."""
         if reading.kind == "ok":
             self._early = None
         elif self._early is not None:

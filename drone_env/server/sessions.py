@@ -92,7 +92,7 @@ class Sessions:
             options: The body of the request.
             address: The address of a caller without an id, who shares the session of the address. A shared session
                 without steps is not reused, because the caller who opened it may still use its id.
-            owner: The address of any caller, who has a share of the sessions.
+            owner: The address of the caller; each address has a share of the sessions.
             keep: Sessions that are not evicted.
 
         Returns:

@@ -101,7 +101,7 @@ class AppState:
 
 
 def caller_address(connection: HTTPConnection) -> str:
-    """Return the address of a client, which has a share of what is limited, or "" if it is unknown."""
+    """Return the address of a client, the unit of fair shares; "" if it is unknown."""
     return "" if connection.client is None else connection.client.host
 
 

@@ -70,7 +70,7 @@ async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()
     message = cast(dict[str, Any], body) if isinstance(body, dict) else {}
     method, number = message.get("method"), message.get("id")
     try:
-        # Some clients start again with the headers of a session that is gone.
+        # Some clients initialise again but still send the id of their old session.
         named = None if method == "initialize" else await named_session(shared, request.headers)
         if method == "tools/call" and named is None and "session_id" not in (message.get("params") or ()):
             raise ToolError("invalid_args", f"{SESSION_HEADER} is missing: send the one of initialize")
