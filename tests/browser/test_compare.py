@@ -99,8 +99,11 @@ def test_a_tick_moves_and_opens_nothing_and_a_name_ticks_nothing(page: Page, ser
     address = page.url
 
     def places() -> list[float]:
-        # At once: the table may be drawn again between two questions.
-        return boxes.evaluate_all("all => all.map((one) => one.getBoundingClientRect().top)")
+        # Found and measured in one call: a locator finds first, and the table may be drawn again before it measures.
+        return page.evaluate(
+            """[...document.querySelectorAll("#view-compare input[type=checkbox]")].map(
+                one => one.getBoundingClientRect().top)"""
+        )
 
     before, ticked = places(), page.get_by_role("checkbox", checked=True)
     boxes.nth(0).click()
