@@ -1,6 +1,6 @@
 """Draw how networks learn on Skyline, by seconds of CPU time: docs/images/learning.png.
 
-Of the tour network's runs it reads `results/tournet*/history.csv`, of the others what `benchmarks/peers.py` has left.
+Reads `history.csv` of the tour network's trainings, and the results of `benchmarks/peers.py`.
 
     python benchmarks/learning_curves.py --runs distilled=results/tournet rewards=results/tournet_rewards
 """
@@ -37,7 +37,7 @@ def of_tour_network(kind: str, folder: Path, task: str) -> Curve:
 def of_peers(folder: Path, task: str) -> list[Curve]:
     """The trainings of `benchmarks/peers.py`."""
     runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(folder.glob(f"{task}-*-seed*.json"))]
-    return [(run["algorithm"], run["curve"]["cpu_seconds"], run["curve"]["share"]) for run in runs if run["test"]]
+    return [(run["algorithm"], run["curve"]["cpu_seconds"], run["curve"]["ratio"]) for run in runs]
 
 
 def main() -> None:

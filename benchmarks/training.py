@@ -1,18 +1,16 @@
 """How soon our trainer and Stable-Baselines3's DQN fly near the optimum.
 
 Both learn on the same simulator with the same network, reward and validation maps, in turn, in one run. Every few
-seconds of computing the network is validated, which is not counted; what is printed is when its mean score first
-reached each share of the mean exact optimum. `SB3` contains the settings of Stable-Baselines3, the best of those tried
-(docs/learning.md).
+seconds of CPU time the network is validated, which does not count. The table shows when its mean score first reached
+each ratio to the mean exact optimum. `SB3` contains the settings of Stable-Baselines3, the best of those tried.
 """
 
 import argparse
-import contextlib
 import dataclasses
+import math
 import platform
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,9 +31,7 @@ from drone_env.rl.config import preset
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer
 
-SHARES = (0.95, 0.99, 0.995)
-SECONDS = 2.0
-"""Of computing, between two validations."""
+RATIOS = (0.95, 0.99, 0.995)
 NUM_ENVS = 512
 SB3: dict[str, Any] = {
     "learning_rate": 1e-3,
@@ -47,69 +43,52 @@ SB3: dict[str, Any] = {
     "train_freq": 1,
     "gradient_steps": 8,
     "gamma": 0.99,
+    "exploration_fraction": 0.15,
     "exploration_final_eps": 0.2,
     "max_grad_norm": 10,
 }
 SB3_STEPS = 400_000
-SB3_EXPLORATION_STEPS = 60_000
 
 
-class ReachedError(Exception):
-    """Ends a run that has reached all shares, or has had its time."""
+class Point(NamedTuple):
+    """One validation: CPU seconds and steps before it, ratio to the optimum, share of maps with all delivered."""
+
+    seconds: float
+    steps: int
+    ratio: float
+    success: float
 
 
 class Watch:
-    """Validates now and then, and notes when the shares are reached.
+    """Validates an agent every few seconds of CPU time, from the first look on. Validations do not count.
 
     Args:
         validator: Flies the maps.
-        limit: Seconds of computing after which the run is ended.
-        shares: Optimality ratios; if all are reached, the run ends.
-        every: Seconds of computing between two validations.
+        limit: CPU seconds after which the training ends.
+        until: Ratio at which the training ends.
+        every: CPU seconds between two validations.
     """
 
-    def __init__(
-        self, validator: Validator, limit: float, shares: Sequence[float] = SHARES, every: float = SECONDS
-    ) -> None:
-        self.validator, self.limit, self.shares, self.every = validator, limit, shares, every
-        self.reached: dict[float, tuple[float, float, int]] = {}
-        self.curve: list[tuple[float, int, float, float]] = []
-        """Seconds of computing, steps, share of the optimum and of the maps on which everything was delivered."""
-        self.best = 0.0
-        self._cpu, self._wall = time.process_time(), time.perf_counter()
-        self._next = every
+    def __init__(self, validator: Validator, limit: float, until: float = math.inf, every: float = 2.0) -> None:
+        self.validator, self.limit, self.until, self.every = validator, limit, until, every
+        self.curve: list[Point] = []
+        self._began, self._next = math.nan, every
 
-    @property
-    def spent(self) -> float:
-        """Seconds of computing so far, less those of validation."""
-        return time.process_time() - self._cpu
-
-    def look(self, act: ActBatch, steps: int) -> None:
-        """Validate if it is time to; `steps` have been flown.
-
-        Raises:
-            ReachedError: when there is nothing more to wait for.
-        """
-        cpu, wall = time.process_time(), time.perf_counter()
-        if cpu - self._cpu < self._next:
-            return
-        spent = cpu - self._cpu
+    def look(self, act: ActBatch, steps: int) -> bool:
+        """Validate if it is due; return whether the training continues."""
+        if math.isnan(self._began):
+            self._began = time.process_time()
+        seconds = time.process_time() - self._began
+        if seconds < self._next:
+            return True
         validation = self.validator.validate(act)
-        share = validation.score / validation.optimum
-        self.curve.append((spent, steps, share, validation.success))
-        self.best = max(self.best, share)
-        for wanted in self.shares:
-            if share >= wanted and wanted not in self.reached:
-                self.reached[wanted] = spent, wall - self._wall, steps
-        if (self.shares and len(self.reached) == len(self.shares)) or spent >= self.limit:
-            raise ReachedError
-        self._cpu += time.process_time() - cpu
-        self._wall += time.perf_counter() - wall
-        self._next = min(spent + self.every, self.limit)
+        self.curve.append(Point(seconds, steps, validation.score / validation.optimum, validation.success))
+        self._began, self._next = time.process_time() - seconds, min(seconds + self.every, self.limit)
+        return self.curve[-1].ratio < self.until and seconds < self.limit
 
 
 class PathQNetFeatures(BaseFeaturesExtractor):
-    """PathQNet up to its last layer, which is the one that Stable-Baselines3 adds."""
+    """PathQNet without its last layer, which Stable-Baselines3 adds."""
 
     def __init__(self, observation_space: spaces.Dict) -> None:
         telemetry = observation_space["telemetry"].shape
@@ -134,11 +113,10 @@ class Look(BaseCallback):
         self.watch = watch
 
     def _on_step(self) -> bool:
-        self.watch.look(self.act, self.num_timesteps)
-        return True
+        return self.watch.look(self.act, self.num_timesteps)
 
     def act(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of the highest values of the network that acts."""
+        """The actions with the highest values of the online network."""
         model = self.model
         assert isinstance(model, DQN)
         planes = torch.from_numpy(one_hot(grids))
@@ -146,81 +124,56 @@ class Look(BaseCallback):
             return model.q_net({"grid": planes.float(), "telemetry": torch.from_numpy(telemetry)}).argmax(1).numpy()
 
 
-def ours(task: str, seed: int, threads: int, validator: Validator, limit: float) -> Watch:
-    """Train with our trainer, by the defaults of `drone-env train`."""
-    config = dataclasses.replace(
-        preset("fast", task), seed=seed, num_threads=threads, validation_every=10**9, validation_maps=1
-    )
-    trainer = Trainer(config)
-    watch = Watch(validator, limit)
-    with contextlib.suppress(ReachedError):
-        for _ in trainer.train():
-            watch.look(trainer.act, trainer.steps)
-    return watch
+def train_ours(task: str, seed: int, threads: int, watch: Watch) -> None:
+    """Train with our trainer, with the defaults of `drone-env train`."""
+    config = preset("fast", task)
+    trainer = Trainer(dataclasses.replace(config, seed=seed, num_threads=threads, validation_every=10**9))
+    for _ in trainer.train():
+        if not watch.look(trainer.act, trainer.steps):
+            break
 
 
-def theirs(task: str, seed: int, threads: int, validator: Validator, limit: float) -> Watch:
+def train_sb3(task: str, seed: int, threads: int, watch: Watch) -> None:
     """Train with Stable-Baselines3's DQN."""
     torch.set_num_threads(threads)
     env = DroneDeliveryVecEnv(task, NUM_ENVS, observation="dict")
     policy: dict[str, Any] = {"features_extractor_class": PathQNetFeatures, "net_arch": [], "normalize_images": False}
-    exploration = SB3_EXPLORATION_STEPS / SB3_STEPS
-    model = DQN(
-        "MultiInputPolicy", env, policy_kwargs=policy, exploration_fraction=exploration, seed=seed, device="cpu", **SB3
-    )
+    model = DQN("MultiInputPolicy", env, policy_kwargs=policy, seed=seed, device="cpu", **SB3)
     model.set_logger(Logger(None, []))  # its own would leave a folder behind for each model
-    watch = Watch(validator, limit)
-    with contextlib.suppress(ReachedError):
-        model.learn(SB3_STEPS, Look(watch))
-    return watch
+    model.learn(SB3_STEPS, Look(watch))
 
 
-CONTENDERS: dict[str, Callable[[str, int, int, Validator, float], Watch]] = {
-    "drone-env train": ours,
-    "Stable-Baselines3 DQN": theirs,
-}
-
-
-def shown(times: list[tuple[float, float, int] | None], of: int) -> str:
-    """The median of what was reached, or that not all runs got there."""
-    if any(entry is None for entry in times):
-        return f"{sum(entry is not None for entry in times)} of {of} runs"
-    cpu, wall, steps = np.median(np.array(times, float), axis=0)
-    return f"{cpu:.0f} s CPU, {wall:.0f} s, {steps:,.0f} steps"
+LEARNERS = {"drone-env train": train_ours, "Stable-Baselines3 DQN": train_sb3}
 
 
 def main() -> None:
-    """Run and print."""
+    """Train in turn and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="easy")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=1, help="that PyTorch computes with")
-    parser.add_argument("--limit", type=float, default=900.0, help="seconds of computing for one run")
-    parser.add_argument("--maps", type=int, default=200, help="validation maps")
+    parser.add_argument("--threads", type=int, default=1, help="PyTorch threads (%(default)s)")
+    parser.add_argument("--limit", type=float, default=900.0, help="CPU seconds of one run (%(default)s)")
+    parser.add_argument("--maps", type=int, default=200, help="validation maps (%(default)s)")
     arguments = parser.parse_args()
-    task = get_task(arguments.task)
-    validator = Validator(task, arguments.maps)
-    print(f"{task.id}, {arguments.maps} validation maps, {arguments.threads} threads, {platform.processor()}")
-    print(
-        f"PyTorch {torch.__version__}; Stable-Baselines3: {SB3}, {NUM_ENVS} episodes side by side, epsilon to its end "
-    )
-    print(f"in {SB3_EXPLORATION_STEPS:,} steps")
-    watches: dict[str, list[Watch]] = {name: [] for name in CONTENDERS}
+    validator = Validator(get_task(arguments.task), arguments.maps)
+    print(f"{arguments.task}, {arguments.maps} validation maps, {platform.processor()}, PyTorch {torch.__version__}")
+    curves: dict[str, list[list[Point]]] = {name: [] for name in LEARNERS}
     for seed in range(arguments.seeds):
-        for name, run in CONTENDERS.items():
-            watch = run(task.short_name, seed, arguments.threads, validator, arguments.limit)
-            watches[name].append(watch)
-            reached = {share: f"{cpu:.0f} s CPU" for share, (cpu, _, _) in watch.reached.items()}
-            print(f"seed {seed}, {name}: {reached}, best {watch.best:.4f} of the optimum", flush=True)
-    print(
-        f"\n| of the optimum | {' | '.join(CONTENDERS)} | ratio of CPU seconds |\n|---|"
-        + "---|" * (len(CONTENDERS) + 1)
-    )
-    for share in SHARES:
-        times = {name: [watch.reached.get(share) for watch in of] for name, of in watches.items()}
-        medians = [np.median([entry[0] for entry in of if entry]) if all(of) else None for of in times.values()]
-        ratio = f"{medians[1] / medians[0]:.1f}" if medians[0] and medians[1] else "-"
-        print(f"| {share} | {' | '.join(shown(of, arguments.seeds) for of in times.values())} | {ratio} |")
+        for name, train in LEARNERS.items():
+            watch = Watch(validator, arguments.limit, until=max(RATIOS))
+            train(arguments.task, seed, arguments.threads, watch)
+            curves[name].append(watch.curve)
+            last = max(watch.curve, key=lambda point: point.ratio)
+            print(f"seed {seed}, {name}: {last.ratio:.4f} after {last.seconds:.0f} s CPU", flush=True)
+    print(f"\n| ratio | {' | '.join(LEARNERS)} |\n|---|{'---|' * len(LEARNERS)}")
+    for ratio in RATIOS:
+        cells: list[str] = []
+        for runs in curves.values():
+            reached = [next((point for point in curve if point.ratio >= ratio), None) for curve in runs]
+            first = [point for point in reached if point is not None]
+            seconds, steps = np.median([point[:2] for point in first], axis=0) if first else (math.nan, math.nan)
+            cells.append(f"{seconds:.0f} s, {steps:,.0f} steps ({len(first)} of {len(runs)} runs)")
+        print(f"| {ratio} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":
