@@ -12,7 +12,7 @@ import tyro
 
 from drone_env.commands.arguments import ChosenTask, ProfileName, SeedRange, SplitName, select_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
-from drone_env.core.tasks import get_task, own_rules
+from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
@@ -193,7 +193,7 @@ def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSett
             base_url=check_url(settings.api_base_url),
             task=task.id,
             task_version=task.version,
-            rules=own_rules(task),
+            rules=custom_task_rules(task),
             split=split,
             seeds=(maps.start, maps.stop),
             repeats=run.repeats,

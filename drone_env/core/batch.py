@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
@@ -63,6 +62,7 @@ class Buffers(NamedTuple):
     final_seeds: Any
 
 
+@compiled.inlined
 def start_episode(tables: Tables, buffers: Buffers, i: int) -> None:
     """Start episode `i` on map `seeds[i]`."""
     grid, state = buffers.grids[i], buffers.states[i]
@@ -71,12 +71,14 @@ def start_episode(tables: Tables, buffers: Buffers, i: int) -> None:
     buffers.open_actions[i] = open_actions(tables, grid, state)
 
 
+@compiled.inlined
 def start_next_episode(tables: Tables, buffers: Buffers, i: int) -> None:
     """Start episode `i` on its next map."""
     buffers.seeds[i] = next_seed(buffers.seeds[i])
     start_episode(tables, buffers, i)
 
 
+@compiled.inlined
 def write_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     """Write the result of episode `i` into entry `k`."""
     state = buffers.states[i]
@@ -86,6 +88,7 @@ def write_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     buffers.final_seeds[k] = buffers.seeds[i]
 
 
+@compiled.inlined
 def write_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     """Write the last observation of episode `i` into entry `k`."""
     for cell in range(tables.cells):
@@ -151,10 +154,6 @@ def all_valid(actions: Any) -> bool:
     for i in range(len(actions)):
         valid &= (actions[i] >= 0) & (actions[i] < N_ACTIONS)
     return valid
-
-
-for function in (start_episode, start_next_episode, write_final, write_final_observation):
-    register_jitable(forceinline=True, **compiled.OPTIONS)(function)
 
 
 def entry_point(kernel: Any, *arguments: Any) -> Any:

@@ -19,19 +19,25 @@ cgutils: Any = import_module("numba.core.cgutils")
 # Steps do not allocate, so they need no reference counts (`_nrt`). No divisor is zero (`error_model`). Calls would push
 # all tables, so functions are inlined (`forceinline`). Together, these options make a step nine times faster.
 OPTIONS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
-for module in (grid_generator, rules, seeds):
-    for function in vars(module).values():
-        if isfunction(function) and function.__module__ == module.__name__:
-            register_jitable(forceinline=True, **OPTIONS)(function)
-
-kernel = compiled_once(nogil=True, **OPTIONS)
-"""A decorator: compile a function that releases the interpreter's lock."""
 
 
 def jitable(function: Any) -> Any:
     """A decorator: make a Python function callable from compiled code."""
     return register_jitable(**OPTIONS)(function)
 
+
+def inlined(function: Any) -> Any:
+    """The same, and compiled code contains the function at each call."""
+    return register_jitable(forceinline=True, **OPTIONS)(function)
+
+
+for module in (grid_generator, rules, seeds):
+    for function in vars(module).values():
+        if isfunction(function) and function.__module__ == module.__name__:
+            inlined(function)
+
+kernel = compiled_once(nogil=True, **OPTIONS)
+"""A decorator: compile a function that releases the interpreter's lock."""
 
 reset = compiled_once(**OPTIONS)(rules.reset)
 step = compiled_once(**OPTIONS)(rules.step)

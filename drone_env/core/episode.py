@@ -346,17 +346,12 @@ class Episode:
         """Restore a snapshot of an episode with the same task and reward profile.
 
         Raises:
-            InvalidValueError: if the snapshot has another task, profile or size; the state does not change.
+            InvalidValueError: if the snapshot has another task or profile; the state does not change.
         """
         if state.task != self.task or state.reward_profile != self.reward_profile:
             raise InvalidValueError(
                 f"the snapshot is of {state.task.id!r} with rewards {state.reward_profile.id!r}; "
                 f"this episode flies {self.task.id!r} with {self.reward_profile.id!r}"
-            )
-        if (len(state.grid), len(state.numbers)) != (self._grid_array.nbytes, self._state_array.nbytes):
-            raise InvalidValueError(
-                f"the snapshot holds {len(state.grid)} and {len(state.numbers)} bytes of grid and state; "
-                f"{self.task.id!r} has {self._grid_array.nbytes} and {self._state_array.nbytes}"
             )
         self._seed = state.seed
         self._state = view(self._state_array)

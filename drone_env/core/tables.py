@@ -140,15 +140,44 @@ def state_size(tables: Tables) -> int:
 @lru_cache(maxsize=64)
 def tabulate(task: TaskConfig) -> Tables:
     """The task's tables as read-only NumPy arrays, for compiled code."""
-    width, height = task.width, task.height
-    cells = width * height
-    moves = np.full((height, width, N_ACTIONS), NOWHERE, np.uint16)
-    for y in range(height):
-        for x in range(width):
-            for action, (dx, dy) in ACTION_OFFSETS.items():
-                if 0 <= x + dx < width and 0 <= y + dy < height:
-                    moves[y, x, action] = (y + dy) * width + x + dx
+    tables: dict[str, Any] = {
+        "key": task_key(task.id + (f"/{task.terrain.digest()}" if task.terrain else ""), task.version),
+        "width": task.width,
+        "height": task.height,
+        "cells": task.width * task.height,
+        "deliveries": task.deliveries,
+        "max_steps": task.max_steps,
+        "capacity": task.battery_capacity,
+        "efficiency_needs_all": int(task.efficiency_needs_all),
+        "street_spacing": task.street_spacing,
+        **_move_tables(task),
+        **_kind_tables(task),
+        **_city_tables(task),
+        **_telemetry_tables(task),
+    }
+    return read_only(Tables(**tables))
 
+
+def _move_tables(task: TaskConfig) -> dict[str, Any]:
+    """The positions of the cells, and where actions lead."""
+    cells = np.arange(task.width * task.height)
+    columns, rows = cells % task.width, cells // task.width
+    moves = np.full((len(cells), N_ACTIONS), NOWHERE, np.uint16)
+    for action, (dx, dy) in ACTION_OFFSETS.items():
+        x, y = columns + dx, rows + dy
+        inside = (0 <= x) & (x < task.width) & (0 <= y) & (y < task.height)
+        moves[inside, action] = (y * task.width + x)[inside]
+    return {
+        "columns": columns,
+        "rows": rows,
+        "moves": np.ravel(moves),
+        "open_moves": ((moves != NOWHERE) << 8 * np.arange(N_ACTIONS)).sum(axis=1),
+        "around": np.ravel(np.where(moves == NOWHERE, cells[:, None], moves)[:, :N_MOVES]).astype(np.uint16),
+    }
+
+
+def _kind_tables(task: TaskConfig) -> dict[str, Any]:
+    """What the kind of a cell means for a drone that enters it or is above it."""
     impassable = np.zeros(N_CELL_KINDS, np.uint8)
     impassable[list(task.impassable)] = 1
     drain = np.ones((N_CELL_KINDS, N_ACTIONS), np.int16)
@@ -161,39 +190,27 @@ def tabulate(task: TaskConfig) -> Tables:
     flight_event[Cell.OBSTACLE] = Event.OBSTACLE
     flight_event[Cell.BUILDING] = Event.BUILDING
     flight_event[Cell.TREE] = Event.TREE
-    terrain_numbers = np.zeros(N_CELL_KINDS, np.uint8)
-    terrain_numbers[list(TERRAIN)] = np.arange(N_TERRAIN)
-
-    numbers = np.arange(cells)
-    tables: dict[str, Any] = {
-        "key": task_key(task.id + (f"/{task.terrain.digest()}" if task.terrain else ""), task.version),
-        "width": width,
-        "height": height,
-        "cells": cells,
-        "deliveries": task.deliveries,
-        "max_steps": task.max_steps,
-        "capacity": task.battery_capacity,
-        "columns": numbers % width,
-        "rows": numbers // width,
-        "moves": np.ravel(moves),
-        "open_moves": (np.reshape(moves != NOWHERE, (cells, N_ACTIONS)) << 8 * np.arange(N_ACTIONS)).sum(axis=1),
-        "around": np.where(moves == NOWHERE, numbers.reshape(height, width, 1), moves)[:, :, :N_MOVES]
-        .ravel()
-        .astype(np.uint16),
+    return {
         "any_impassable": int(impassable.any()),
         "impassable": impassable,
         "drain": np.ravel(drain),
         "flight_event": np.ravel(flight_event),
-        "street_spacing": task.street_spacing,
-        **_city_tables(task),
-        "efficiency_needs_all": int(task.efficiency_needs_all),
+    }
+
+
+def _telemetry_tables(task: TaskConfig) -> dict[str, Any]:
+    """The values of telemetry."""
+    cells = np.arange(task.width * task.height)
+    shares = np.column_stack([cells % task.width / task.width, cells // task.width / task.height])
+    terrain_numbers = np.zeros(N_CELL_KINDS, np.uint8)
+    terrain_numbers[list(TERRAIN)] = np.arange(N_TERRAIN)
+    return {
         "telemetry_size": task.telemetry_size,
-        "shares": np.ravel(np.column_stack([numbers % width / width, numbers // width / height])).astype(np.float32),
+        "shares": np.ravel(shares).astype(np.float32),
         "battery_share": (np.arange(task.battery_capacity + 1) / task.battery_capacity).astype(np.float32),
         "steps_share": (np.arange(task.max_steps, -1, -1) / task.max_steps).astype(np.float32),
         "terrain_numbers": terrain_numbers,
     }
-    return read_only(Tables(**tables))
 
 
 def _city_tables(task: TaskConfig) -> dict[str, Any]:

@@ -389,11 +389,11 @@ TASKS: dict[str, TaskConfig] = {
 PACKAGE_TASKS = frozenset(TASKS)
 """The ids of the tasks in this package; id and version identify their rules."""
 
-FINDERS: list[Callable[[str], TaskConfig | None]] = []
+TASK_FINDERS: list[Callable[[str], TaskConfig | None]] = []
 """Functions that find further tasks by name, such as maps stored by the server; called in order."""
 
 
-def own_rules(*tasks: TaskConfig) -> dict[str, str]:
+def custom_task_rules(*tasks: TaskConfig) -> dict[str, str]:
     """The digests of tasks that are not in this package, because their names do not identify their rules."""
     return {f"rules of {task.id}": task.digest for task in tasks if task.id not in PACKAGE_TASKS}
 
@@ -408,7 +408,7 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
         task = name
     else:
         named = [task for task in TASKS.values() if name in (task.id, task.short_name, task.grader)]
-        found = named or [task for find in FINDERS if (task := find(name)) is not None]
+        found = named or [task for find in TASK_FINDERS if (task := find(name)) is not None]
         if not found:
             raise UnknownNameError("task", name, [task.short_name for task in TASKS.values()], also=TASKS)
         task = found[0]

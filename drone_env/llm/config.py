@@ -12,7 +12,7 @@ from typing_extensions import Self
 
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import N_SEEDS
-from drone_env.core.tasks import TaskConfig, get_task, own_rules
+from drone_env.core.tasks import TaskConfig, custom_task_rules, get_task
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.text_episode import Flight
@@ -237,7 +237,7 @@ class RunConfig(Message):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.rules != own_rules(self.task_config):
+        if self.rules != custom_task_rules(self.task_config):
             raise ValueError(f"the task {self.task!r} has changed since the run: name the file as it was")
         if self.profile.id != self.reward_profile:
             raise ValueError(f"rewards are those of {self.profile.id!r}, not of {self.reward_profile!r}")

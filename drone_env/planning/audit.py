@@ -12,14 +12,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drone_env.core.actions import FLYING, N_ACTIONS, Action, Event
 from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compile_cache import compiled_once
-from drone_env.core.compiled import jitable
+from drone_env.core.compiled import inlined, jitable
 from drone_env.core.episode import Episode, Observation, rollout
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
 from drone_env.core.rules import manhattan, score, step
@@ -51,87 +51,97 @@ def number_of(state: Any, parcels: Any, cell: int) -> int:
     return 0
 
 
+class Audit(NamedTuple):
+    """The map, the reward and the tables of an audit, for kernels."""
+
+    tables: Tables
+    rewards: Rewards
+    gamma: float
+    """The learner's discount."""
+    noise: float
+    """Absolute tolerance of returns."""
+    grid: Any
+    """uint8[cells], without the drone; restored after each step."""
+    state: Any
+    """uint16[state size], working memory."""
+    parcels: Any
+    """int64[n], the entries of `state` of the undelivered parcels."""
+    first_step: int
+    """Steps taken at the start."""
+    lowest: Any
+    """int64[T + 1], the lowest possible battery after each step."""
+    sizes: Any
+    """int64[T], the number of battery values from it on."""
+    values: Any
+    """float64[2, battery, 2^n, n, cells], the highest returns for even and odd steps."""
+    lows: Any
+    """The same shape: the lowest scores with these returns."""
+    choices: Any
+    """uint8[T, battery, 2^n, n, cells], an action with this return and score."""
+
+
+@inlined
+def fly_action(audit: Audit, t: int, units: int, delivered: int, target: int, cell: int, action: int) -> Any:
+    """Fly one action from a state; return the highest return from there on, and the lowest score that it leads to."""
+    tables, rewards, grid, state, parcels = audit.tables, audit.rewards, audit.grid, audit.state, audit.parcels
+    under, target_cell = grid[cell], state[parcels[target]]
+    put_drone(tables, grid, state, cell, audit.first_step + t, audit.lowest[t] + units)
+    state[TARGET] = target_cell
+    state[DISTANCE] = manhattan(tables, cell, target_cell)
+    before = state[DELIVERIES_DONE]
+    paid = step(tables, rewards, grid, state, action)
+    arrived = state[DELIVERIES_DONE] != before
+    if state[OUTCOME] != FLYING:
+        low = score(tables, state)
+    else:
+        later, left = 1 - (t & 1), state[BATTERY] - audit.lowest[t + 1]
+        after, aim = delivered, target
+        if arrived:
+            after, aim = delivered_set(state, parcels), number_of(state, parcels, state[TARGET])
+        paid += audit.gamma * audit.values[later, left, after, aim, state[CELL]]
+        low = audit.lows[later, left, after, aim, state[CELL]]
+    grid[state[CELL]] = state[UNDER]
+    if arrived:
+        put_parcels(tables, grid, state, parcels, delivered)
+    grid[cell] = under
+    return paid, low
+
+
+@inlined
+def choose(returns: Any, scores: Any, noise: float) -> tuple[int, float]:
+    """Among the actions with the highest return, the first one with the lowest score; and that return."""
+    best, largest, choice = returns[0], 0.0, -1
+    for value in returns:
+        best, largest = max(best, value), max(largest, abs(value))
+    lowest = best - (TIE * largest + noise)
+    for action in range(N_ACTIONS):
+        if returns[action] >= lowest and (choice < 0 or scores[action] < scores[choice]):
+            choice = action
+    return choice, best
+
+
 # It allocates two small arrays, so it needs reference counts.
 @compiled_once(nogil=True, error_model="numpy")
-def audit_kernel(
-    tables: Tables,
-    rewards: Rewards,
-    gamma: float,
-    noise: float,
-    grid: Any,
-    state: Any,
-    parcels: Any,
-    first_step: int,
-    lowest: Any,
-    sizes: Any,
-    values: Any,
-    lows: Any,
-    choices: Any,
-) -> None:
-    """Compute the tables backwards from the last step.
-
-    Args:
-        tables: The task's tables.
-        rewards: The profile's tables.
-        gamma: The learner's discount.
-        noise: Absolute tolerance of returns.
-        grid: uint8[cells], without the drone; restored afterwards.
-        state: uint16[state size], working memory.
-        parcels: int64[n], the entries of `state` of the undelivered parcels.
-        first_step: Steps taken at the start.
-        lowest: int64[T + 1], the lowest possible battery after each step.
-        sizes: int64[T], the number of battery values from it on.
-        values: float64[2, battery, 2^n, n, cells], the highest returns for even and odd steps.
-        lows: The same shape: the lowest scores with these returns.
-        choices: uint8[T, battery, 2^n, n, cells], an action with this return and score.
-    """
-    n = len(parcels)
-    returns = np.zeros(N_ACTIONS)
-    scores = np.zeros(N_ACTIONS)
-    for t in range(len(sizes) - 1, -1, -1):
-        now, later = t & 1, 1 - (t & 1)
+def audit_kernel(audit: Audit) -> None:
+    """Compute the tables backwards from the last step."""
+    tables, grid, n = audit.tables, audit.grid, len(audit.parcels)
+    returns, scores = np.zeros(N_ACTIONS), np.zeros(N_ACTIONS)
+    for t in range(len(audit.sizes) - 1, -1, -1):
         for delivered in range((1 << n) - 1):
-            put_parcels(tables, grid, state, parcels, delivered)
-            for target in range(n):
-                if delivered >> target & 1:
+            put_parcels(tables, grid, audit.state, audit.parcels, delivered)
+            for place in range(n * tables.cells):
+                target, cell = divmod(place, tables.cells)
+                under = grid[cell]
+                if delivered >> target & 1 or under == DELIVERY_CELL or tables.impassable[under]:
                     continue
-                target_cell = state[parcels[target]]
-                for cell in range(tables.cells):
-                    under = grid[cell]
-                    if under == DELIVERY_CELL or tables.impassable[under]:
-                        continue
-                    for units in range(sizes[t]):
-                        for action in range(N_ACTIONS):
-                            put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
-                            state[TARGET] = target_cell
-                            state[DISTANCE] = manhattan(tables, cell, target_cell)
-                            before = state[DELIVERIES_DONE]
-                            returns[action] = step(tables, rewards, grid, state, action)
-                            arrived = state[DELIVERIES_DONE] != before
-                            if state[OUTCOME] != FLYING:
-                                scores[action] = score(tables, state)
-                            else:
-                                left = state[BATTERY] - lowest[t + 1]
-                                after, aim = delivered, target
-                                if arrived:
-                                    after = delivered_set(state, parcels)
-                                    aim = number_of(state, parcels, state[TARGET])
-                                returns[action] += gamma * values[later, left, after, aim, state[CELL]]
-                                scores[action] = lows[later, left, after, aim, state[CELL]]
-                            grid[state[CELL]] = state[UNDER]
-                            if arrived:
-                                put_parcels(tables, grid, state, parcels, delivered)
-                            grid[cell] = under
-                        best = returns.max()
-                        tie = TIE * np.abs(returns).max() + noise
-                        choice = -1
-                        for action in range(N_ACTIONS):
-                            tied = returns[action] >= best - tie
-                            if tied and (choice < 0 or scores[action] < scores[choice]):
-                                choice = action
-                        values[now, units, delivered, target, cell] = best
-                        lows[now, units, delivered, target, cell] = scores[choice]
-                        choices[t, units, delivered, target, cell] = choice
+                for units in range(audit.sizes[t]):
+                    for action in range(N_ACTIONS):
+                        flown = fly_action(audit, t, units, delivered, target, cell, action)
+                        returns[action], scores[action] = flown
+                    choice, best = choose(returns, scores, audit.noise)
+                    audit.values[t & 1, units, delivered, target, cell] = best
+                    audit.lows[t & 1, units, delivered, target, cell] = scores[choice]
+                    audit.choices[t, units, delivered, target, cell] = choice
 
 
 @dataclass(frozen=True)
@@ -258,7 +268,8 @@ def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
     values, lows = np.zeros((2, 2, *shape))
     choices = np.zeros((len(sizes), *shape), np.uint8)
     noise = NOISE * float(max(np.abs(rewards.events).max(), np.abs(rewards.potential).max()))
-    audit_kernel(tables, rewards, gamma, noise, grid, state, parcels, start.steps, lowest, sizes, values, lows, choices)
+    work = (start.steps, lowest, sizes, values, lows, choices)
+    audit_kernel(Audit(tables, rewards, gamma, noise, grid, state, parcels, *work))
 
     flight = start.copy()
 

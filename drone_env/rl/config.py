@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, own_profile
-from drone_env.core.tasks import get_task, own_rules
+from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.errors import InvalidValueError
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -144,7 +144,7 @@ class TrainConfig:
         return {name: value for name, value in asdict(self).items() if name not in self.unsaved} | {
             "task": task.id,
             "task_version": task.version,
-            **own_rules(task),
+            **custom_task_rules(task),
             **rewards,
         }
 

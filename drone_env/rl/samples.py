@@ -21,7 +21,7 @@ from drone_env.agents.tour_features import (
 )
 from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
-from drone_env.core.compiled import jitable, kernel
+from drone_env.core.compiled import inlined, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rules import choose_target, reset, step
@@ -56,59 +56,43 @@ class Workspace(NamedTuple):
     """uint16[state size]"""
     parcels: Any
     """int64[deliveries], the indices of the parcels in `state`."""
+    legs: Legs
+    """Of whole episodes: all parcels wait at the start."""
+    scores: Any
+    """float64[ranks], the score of each rank."""
+    distances: Distances
 
 
-@jitable
-def place_stops(workspace: Workspace, legs: Legs) -> None:
-    """Write the map of the workspace, without its drone, into the legs."""
-    for cell in range(workspace.tables.cells):
+@inlined
+def begin_map(workspace: Workspace, seed: int) -> int:
+    """Compute the values of map `seed`, remove its drone, and return the cell of its start."""
+    tables, _, grid, state, _, legs, _, distances = workspace
+    reset(tables, grid, state, seed)
+    start = int(state[CELL])
+    grid[start] = state[UNDER]
+    for cell in range(tables.cells):
         legs.search.stop_at[cell] = NO_STOP
-        legs.search.ground[cell] = workspace.grid[cell]
+        legs.search.ground[cell] = grid[cell]
     stop = legs.parcels
-    for cell in range(workspace.tables.cells):
-        if stop < len(legs.stops) and workspace.grid[cell] == PAD_CELL:
+    for cell in range(tables.cells):
+        if stop < len(legs.stops) and grid[cell] == PAD_CELL:
             legs.stops[stop] = cell
             stop += 1
     for i in range(legs.parcels):
-        legs.stops[i] = workspace.state[PARCELS + i]
+        legs.stops[i] = state[PARCELS + i]
     for i in range(len(legs.stops)):
         legs.search.stop_at[legs.stops[i]] = i
+    mark_delivered(legs, (1 << legs.parcels) - 1)
+    find_distances(legs.search, legs.stops, distances)
+    value_kernel(legs)
+    return start
 
 
-@jitable
-def option_row(legs: Legs, delivered: int, done: int, features: Features, option: int, units: int) -> int:
-    """The row of `legs.ranks` after an option, `features.numbers[option, 1]` steps later."""
-    stop, drained = features.token[option] - 1, features.numbers[option, 0]
-    after = units - drained if legs.search.counts else 1
-    if drained < 0:
-        return row_of(legs, delivered, stop, after)
-    return row_after(legs, delivered, done, stop, after)
-
-
-@jitable
-def find_option(features: Features, m: int, token: int, units: int, steps: int) -> int:
-    """The option of state m to a token with these units and steps; -1 if there is none."""
-    for option in range(features.begins[m], features.begins[m + 1]):
-        if (
-            features.token[option] == token
-            and features.numbers[option, 0] == units
-            and features.numbers[option, 1] == steps
-        ):
-            return option
-    return -1
-
-
-@jitable
-def sample_start_state(workspace: Workspace, counts: int, start: int, key: int) -> tuple[int, bool]:
-    """Place the drone at the start of the map or anywhere on it; return the next key and whether the cell is free.
-
-    Args:
-        workspace: The map, without the drone; it receives the state.
-        counts: 1 if units count beside steps.
-        start: The cell of the map's start.
-        key: The random key.
-    """
-    tables, _, grid, state, parcels = workspace
+@inlined
+def draw_start(workspace: Workspace, start: int, key: int) -> tuple[int, bool]:
+    """Place the drone at the start of the map or anywhere on it; return the next key and whether the cell is free."""
+    tables, _, grid, state, parcels, legs, _, _ = workspace
+    counts = legs.search.counts
     delivered, cell, units, left = 0, start, tables.capacity, tables.max_steps
     key = next_key(key)
     if uniform_below(key, 100) >= FROM_START:
@@ -130,100 +114,125 @@ def sample_start_state(workspace: Workspace, counts: int, start: int, key: int) 
     return key, True
 
 
+@inlined
+def row_after_option(legs: Legs, delivered: int, done: int, features: Features, option: int, units: int) -> int:
+    """The row of `legs.ranks` after an option, `features.numbers[option, 1]` steps later."""
+    stop, drained = features.token[option] - 1, features.numbers[option, 0]
+    after = units - drained if legs.search.counts else 1
+    if drained < 0:
+        return row_of(legs, delivered, stop, after)
+    return row_after(legs, delivered, done, stop, after)
+
+
+@inlined
+def write_state(workspace: Workspace, features: Features, values: Any, m: int) -> tuple[int, int, bool]:
+    """Write the current state and the values of its options as state m.
+
+    Returns:
+        The best option, or -1 if there is none; the number of options that lose the mission; and whether values differ.
+    """
+    tables, _, _, state, parcels, legs, scores, distances = workspace
+    search = legs.search
+    delivered = delivered_set(state, parcels)
+    cell, units, left = int(state[CELL]), int(state[BATTERY]), tables.max_steps - state[STEPS]
+    still = left if search.counts else min(left, units)
+    done = mark_delivered(legs, delivered)
+    find_paths(search, cell, units, 0)
+    write_features(search, legs.stops, legs.parcels, delivered, cell, units, left, distances, features, m)
+    first, best, lost, differ = features.begins[m], -1, 0, False
+    for option in range(first, features.begins[m + 1]):
+        row = row_after_option(legs, delivered, done, features, option, units)
+        values[option] = scores[legs.ranks[row, still - features.numbers[option, 1]]]
+        differ |= values[option] != values[first]
+        lost += values[option] < COMPLETE
+        if best < 0 or values[option] > values[best]:
+            best = option
+    return best, lost, differ
+
+
+@inlined
+def find_option(features: Features, m: int, token: int, units: int, steps: int) -> int:
+    """The option of state m to a token with these units and steps; -1 if there is none."""
+    for option in range(features.begins[m], features.begins[m + 1]):
+        if (
+            features.token[option] == token
+            and features.numbers[option, 0] == units
+            and features.numbers[option, 1] == steps
+        ):
+            return option
+    return -1
+
+
+@inlined
+def draw_option(features: Features, values: Any, m: int, best: int, key: int) -> tuple[int, int]:
+    """The best option of state m, or another one that keeps the mission; and the next key."""
+    first, end = features.begins[m], features.begins[m + 1]
+    key = next_key(key)
+    other = uniform_below(key, 100)
+    allowed = 0.0 if other >= OTHER else NEAR if other < NEARLY_BEST else 1.0
+    for _ in range(8):
+        key = next_key(key)
+        option = first + uniform_below(key, end - first)
+        if values[option] >= max(COMPLETE, values[best] - allowed):
+            return option, key
+    return best, key
+
+
+@inlined
+def sample_flight(workspace: Workspace, features: Features, values: Any, m: int, end: int, key: int) -> tuple[int, int]:
+    """Fly from the current state on and write states from number m on, before `end`; return the next m and key."""
+    tables, rewards, grid, state, _, legs, _, _ = workspace
+    token, units, steps = -1, 0, 0  # the rest of the path that the drone is on
+    while state[OUTCOME] == FLYING and m < end:
+        best, lost, differ = write_state(workspace, features, values, m)
+        if best < 0:
+            break
+        key = next_key(key)
+        drawn = uniform_below(key, 200)
+        chosen = find_option(features, m, token, units, steps)
+        keep = KEEP_ON_PATH if chosen >= 0 else KEEP_AT_CHOICE
+        if values[best] < COMPLETE:
+            chosen, keep = best, KEEP_LOST
+        elif lost == 0:
+            keep //= 2
+        if chosen < 0:
+            chosen, key = draw_option(features, values, m, best, key)
+        token, action, battery = features.token[chosen], features.numbers[chosen, 2], int(state[BATTERY])
+        units, steps = features.numbers[chosen, 0], features.numbers[chosen, 1]
+        if differ and drawn < 2 * keep:
+            m += 1
+        step(tables, rewards, grid, state, action)
+        units -= battery - state[BATTERY] if legs.search.counts else 1
+        steps -= 1
+        key = next_key(key)
+        if action == WAIT or uniform_below(key, 100) >= GOES_ON:
+            token = -1
+    return m, key
+
+
 @kernel
-def sample_kernel(
-    workspace: Workspace,
-    legs: Legs,
-    scores: Any,
-    distances: Distances,
-    seeds: Any,
-    per_map: int,
-    features: Features,
-    values: Any,
-) -> int:
+def sample_kernel(workspace: Workspace, seeds: Any, per_map: int, features: Features, values: Any) -> int:
     """Write up to `per_map` states of each map and return their number.
 
     Args:
         workspace: Working memory.
-        legs: Working memory, for whole episodes.
-        scores: float64[ranks], the score of each rank.
-        distances: Working memory.
         seeds: int64[maps]
         per_map: Maximum number of states of each map.
         features: The output.
         values: float32[options], the values of the options, also output.
     """
-    tables, rewards, grid, state, parcels = workspace
-    m, n, search = 0, legs.parcels, legs.search
+    m = 0
     features.begins[0] = 0
     for seed in seeds:
-        reset(tables, grid, state, seed)
-        start = state[CELL] * 1
-        grid[start] = state[UNDER]
-        place_stops(workspace, legs)
-        mark_delivered(legs, (1 << n) - 1)
-        find_distances(search, legs.stops, distances)
-        value_kernel(legs)
-        key, target = mix64(seed ^ GOLDEN), m + per_map
+        start = begin_map(workspace, seed)
+        key, end = mix64(seed ^ GOLDEN), m + per_map
         for _ in range(4 * per_map):
-            if m == target:
+            if m == end:
                 break
-            key, flies = sample_start_state(workspace, legs.search.counts, start, key)
-            if not flies:
-                continue
-            chosen_token, path_units, path_steps = -1, 0, 0
-            while state[OUTCOME] == FLYING and m < target:
-                delivered = delivered_set(state, parcels)
-                cell, units, left = state[CELL] * 1, state[BATTERY] * 1, tables.max_steps - state[STEPS]
-                still = left if legs.search.counts else min(left, units)
-                done = mark_delivered(legs, delivered)
-                find_paths(search, cell, units, 0)
-                write_features(search, legs.stops, n, delivered, cell, units, left, distances, features, m)
-                first, behind = features.begins[m], features.begins[m + 1]
-                best, lost, alike = -1, 0, True
-                for option in range(first, behind):
-                    row = option_row(legs, delivered, done, features, option, units)
-                    values[option] = scores[legs.ranks[row, still - features.numbers[option, 1]]]
-                    alike &= values[option] == values[first]
-                    lost += values[option] < COMPLETE
-                    if best < 0 or values[option] > values[best]:
-                        best = option
-                if best < 0:
-                    break
-                key = next_key(key)
-                drawn = uniform_below(key, 200)
-                chosen = find_option(features, m, chosen_token, path_units, path_steps)
-                keep = KEEP_ON_PATH if chosen >= 0 else KEEP_AT_CHOICE
-                if values[best] < COMPLETE:
-                    chosen, keep = best, KEEP_LOST
-                elif lost == 0:
-                    keep //= 2
-                if chosen < 0:
-                    chosen = best
-                    key = next_key(key)
-                    other = uniform_below(key, 100)
-                    allowed = 0.0 if other >= OTHER else NEAR if other < NEARLY_BEST else 1.0
-                    for _ in range(8):
-                        key = next_key(key)
-                        option = first + uniform_below(key, behind - first)
-                        if values[option] >= max(COMPLETE, values[best] - allowed):
-                            chosen = option
-                            break
-                action, before = features.numbers[chosen, 2], units
-                chosen_token, path_units, path_steps = (
-                    features.token[chosen],
-                    features.numbers[chosen, 0],
-                    features.numbers[chosen, 1],
-                )
-                if not alike and drawn < 2 * keep:
-                    m += 1
-                step(tables, rewards, grid, state, action)
-                key = next_key(key)
-                path_units -= before - state[BATTERY] if legs.search.counts else 1
-                path_steps -= 1
-                if action == WAIT or uniform_below(key, 100) >= GOES_ON:
-                    chosen_token = -1
-            grid[state[CELL]] = state[UNDER]
+            key, flies = draw_start(workspace, start, key)
+            if flies:
+                m, key = sample_flight(workspace, features, values, m, end, key)
+                workspace.grid[workspace.state[CELL]] = workspace.state[UNDER]
     return m
 
 
@@ -256,15 +265,15 @@ class SampleGenerator:
         legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
         scores, _ = ranked_scores(task)
         grid, state = np.zeros(tables.cells, np.uint8), np.zeros(state_size(tables), np.uint16)
-        workspace = Workspace(tables, tabulate_rewards(task, UNPAID), grid, state, entries)
         stops = len(legs.stops)
-        self._working_memory = workspace, legs, scores, make_distances(stops)
+        rewards, distances = tabulate_rewards(task, UNPAID), make_distances(stops)
+        self._workspace = Workspace(tables, rewards, grid, state, entries, legs, scores, distances)
         states = maps * per_map + 1
         options = states * stops * most_paths(task)
         self._features, self._values = make_features(states, stops, options), np.zeros(options, np.float32)
 
     def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:
         """The samples of these maps."""
-        m = sample_kernel(*self._working_memory, seeds, self._per_map, self._features, self._values)
+        m = sample_kernel(self._workspace, seeds, self._per_map, self._features, self._values)
         features = Features(*(array.copy() for array in first_states(self._features, m)))
         return Samples(features, self._values[: len(features.token)].copy())

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from drone_env.core.tasks import TASKS, TaskConfig, get_task, own_rules
+from drone_env.core.tasks import TASKS, TaskConfig, custom_task_rules, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.rl.config import Share, ShareBelowOne, check_values
 
@@ -129,7 +129,7 @@ class TourConfig:
         return {name: value for name, value in asdict(self).items() if name != "checkpoint_seconds"} | {
             "task": ALL if self.task == ALL else get_task(self.task).id,
             "tasks": {task.id: task.version for task in self.tasks()},
-            **own_rules(*self.tasks()),
+            **custom_task_rules(*self.tasks()),
         }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
-from drone_env.core.tasks import FINDERS, TASKS, TaskConfig
+from drone_env.core.tasks import TASK_FINDERS, TASKS, TaskConfig
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.files import MAPS
@@ -108,7 +108,7 @@ def serve(
     load_plugins()
     TASKS.update(registered[0])
     REWARD_PROFILES.update(registered[1])
-    FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
+    TASK_FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
     context = JobContext(settings)
     _contexts.append(context)
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.

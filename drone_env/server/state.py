@@ -8,7 +8,7 @@ from typing import Annotated, TypeVar
 from fastapi import Depends, Header, Request, Response
 from starlette.requests import HTTPConnection
 
-from drone_env.core.tasks import FINDERS
+from drone_env.core.tasks import TASK_FINDERS
 from drone_env.files import MAPS
 from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
@@ -90,12 +90,12 @@ class AppState:
         self.store = Store(self.settings.data, self._clock, submit=self.workers.solve)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self.sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds)
-        FINDERS.append(self.maps.find)
+        TASK_FINDERS.append(self.maps.find)
 
     def close(self) -> None:
         """Close the store, and drop all jobs."""
         self.steps.shutdown()
-        FINDERS.remove(self.maps.find)
+        TASK_FINDERS.remove(self.maps.find)
         self.store.close()
         self.workers.close()
 

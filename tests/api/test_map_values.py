@@ -13,7 +13,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import optimal
-from drone_env.planning.states import battery_range, charging_pads
+from drone_env.planning.cell_states import battery_range, charging_pads
 from drone_env.results.analysis import analyse_flight
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from drone_env.core.tasks import get_task, own_rules
+from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig, Sampling
@@ -66,7 +66,7 @@ def run_config(
         "base_url": "http://localhost:1/v1",
         "task": known.id,
         "task_version": known.version,
-        "rules": own_rules(known),
+        "rules": custom_task_rules(known),
         "split": "custom",
         "seeds": (seeds[0], seeds[-1] + 1) if isinstance(seeds, range) else seeds,
         "repeats": 1,

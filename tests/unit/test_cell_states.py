@@ -9,7 +9,7 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tables import BATTERY, EVENT, OUTCOME, STEPS
-from drone_env.planning.states import battery_range, charging_pads, states_at_cells
+from drone_env.planning.cell_states import battery_range, charging_pads, states_at_cells
 from tests.toy import fly, toy_episode
 
 TOUR = "RRDDLLDRRRUUUURDDLLLUURRDDDLLUURRRDD"

@@ -16,7 +16,7 @@ import pytest
 
 from drone_env.core import compile_cache
 from drone_env.core.compile_cache import CodeCache, cache_folder, digest_of_sources, is_compiled, print_before_compiling
-from drone_env.planning.states import range_kernel
+from drone_env.planning.cell_states import range_kernel
 
 PACKAGE = compile_cache.PACKAGE
 KERNEL = """

@@ -149,7 +149,7 @@ def gain_of_best(analysis: FlightAnalysis, move: Move) -> str:
 def why_failed(flown: Episode) -> str:
     """Why an ended flight failed, in one sentence; empty if it delivered all parcels: a job of a worker process."""
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.states import charging_pads
+    from drone_env.planning.cell_states import charging_pads
 
     task, pads = flown.task, charging_pads(flown)
     if flown.outcome is Outcome.OUT_OF_STEPS:
@@ -348,7 +348,7 @@ def _cells(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
 
 def _ranges(episode: Episode) -> dict[str, Any]:
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.states import battery_range, charging_pads
+    from drone_env.planning.cell_states import battery_range, charging_pads
 
     task = episode.task
 
@@ -368,7 +368,7 @@ def _ranges(episode: Episode) -> dict[str, Any]:
 
 
 def _cell_values(episode: Episode, solver: "Solver | None", agent: BatchAgent | None) -> CellValues:
-    from drone_env.planning.states import states_in_chunks
+    from drone_env.planning.cell_states import states_in_chunks
 
     task = episode.task
     shape = (task.height, task.width)
