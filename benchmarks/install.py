@@ -42,7 +42,13 @@ def measure(requirement: str, folder: Path) -> str:
     subprocess.run([*pip, "install", "--no-index", "--find-links", str(downloads), requirement], check=True)
     disk, cpu = megabytes(packages) - before, cpu_seconds()
     variables = {"PATH": "", "HOME": str(folder), "DRONE_ENV_CACHE": str(folder / "cache")}
-    subprocess.run([str(environment / "bin" / "drone-env"), *FLIGHT], cwd=folder, env=variables, check=True)
+    subprocess.run(
+        [str(environment / "bin" / "drone-env"), *FLIGHT],
+        cwd=folder,
+        env=variables,
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
     count = len(list(downloads.iterdir())) - 1  # without our wheel
     return f"| {count} | {megabytes(downloads):.0f} | {disk:.0f} | {cpu_seconds() - cpu:.1f} |"
 

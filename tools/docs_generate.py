@@ -1,6 +1,6 @@
 """Write the parts of the documentation that take minutes to compute.
 
-    tasks   docs/images/<task>.png, preview.png of the page, and the scores and CPU times in docs/benchmark.md
+    tasks   docs/images/<task>.png, preview.png of the page, and the scores in docs/benchmark.md
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` and on `aligned`
 
@@ -8,8 +8,8 @@
 """
 
 import sys
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,18 +47,12 @@ def picture(task: TaskConfig, seed: int, file: Path, pixels: int) -> None:
 
 
 def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
-    """The figures of each agent that supports a task, with `cpu_ms`, its CPU time for a map in milliseconds."""
+    """The figures of each agent that supports a task."""
     figures: dict[str, dict[str, Any]] = {}
-    # The optima are cached, so their time counts only for the first agent.
-    for agent in (BEST, *(agent for agent in AGENTS if agent != BEST)):
-        try:
-            evaluate(agent, task, "validation", 2)  # compiles
-        except UnsupportedTaskError:
-            continue
-        began = time.process_time()
-        figures[agent] = summarise(evaluate(agent, task, "test", MAPS))
-        figures[agent]["cpu_ms"] = (time.process_time() - began) / MAPS * 1e3
-        print(f"{task.id} {agent}: {figures[agent]['score_ratio']:.4f}", file=sys.stderr)
+    for agent in AGENTS:
+        with suppress(UnsupportedTaskError):
+            figures[agent] = summarise(evaluate(agent, task, "test", MAPS))
+            print(f"{task.id} {agent}: {figures[agent]['score_ratio']:.4f}", file=sys.stderr)
     return figures
 
 
@@ -70,7 +64,6 @@ def agents_tables(tasks: list[TaskConfig]) -> str:
         "Ratio to the optimum, and share of flights that delivered all parcels": lambda of: (
             f"{number(of['score_ratio'])}, {of['success_rate']:.1%}"
         ),
-        "CPU time of a flight in ms": lambda of: f"{of['cpu_ms']:.3g}",
     }
     parts: list[str] = []
     for title, cell in cells.items():
