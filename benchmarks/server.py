@@ -1,12 +1,11 @@
 """Measure the cost of a step over WebSocket and HTTP, and of OpenEnv's echo environment in the same run.
 
     python benchmarks/server.py [--task hard] [--seconds 5] [--rounds 3] [--sessions 1 8 64 256]
-                                [--by WebSocket HTTP openenv-HTTP] [--other CHECKOUT]
+                                [--by WebSocket HTTP] [--other CHECKOUT]
 
 The echo environment is the one that `openenv init` writes, served by OpenEnv's own server. Each server has one worker,
 each session one persistent connection and one request at a time. Over HTTP, our server stores each step before it
-responds; OpenEnv's server makes a new environment for each step. The HTTP body is `{"direction": ...}` or, as
-openenv-HTTP, `{"action": {...}}`.
+responds; OpenEnv's server makes a new environment for each step.
 
 `--other` names a second checkout of this project, such as one by `git worktree add`, and times its server in the same
 rounds. Rounds alternate between the servers; the table shows medians. Other load on the machine hardly changes the CPU
@@ -33,7 +32,7 @@ import httpx
 
 ROOT = Path(__file__).parents[1]
 PORTS = {"drone-env": 18_431, "echo": 18_432, "other": 18_433}
-WAYS = ("WebSocket", "HTTP", "openenv-HTTP")
+WAYS = ("WebSocket", "HTTP")
 MOVES = ("UP", "LEFT", "DOWN", "RIGHT")
 NEW = {"X-Session-Id": "new"}
 ECHO_SERVER = """
@@ -169,7 +168,7 @@ async def open_session(port: int, way: str, task: str, echo: bool = False) -> Se
     await http.open()
     answer = json.loads(await http.ask(http.request("/reset", begin, {} if echo else NEW)))
     named = {} if echo else {"X-Session-Id": answer["session_id"]}
-    bodies = [{"action": action} if echo or way == "openenv-HTTP" else action for action in actions]
+    bodies = [{"action": action} if echo else action for action in actions]
     return Session(http, http.request("/reset", begin, named), [http.request("/step", body, named) for body in bodies])
 
 
@@ -271,9 +270,7 @@ def main() -> None:
     print("| sessions | by | server | steps/s | p50 ms | p99 ms | server CPU us/step |\n|---|---|---|---|---|---|---|")
     with running(given.other) as processes:
         for sessions, way in itertools.product(given.sessions, given.by):
-            # OpenEnv's HTTP has one form.
-            names = [name for name in processes if (name, way) != ("echo", "openenv-HTTP")]
-            rounds: dict[str, list[Figures]] = {name: [] for name in names}
+            rounds: dict[str, list[Figures]] = {name: [] for name in processes}
             for _ in range(given.rounds):
                 for name, figures in rounds.items():
                     timed = one_round(name, processes[name], way, given.task, sessions, given.seconds)
