@@ -63,7 +63,7 @@ limited() {
   shift
   if command -v timeout >/dev/null; then timeout "$seconds" "$@"; else "$@"; fi
 }
-# What openenv says without the checks that it skips: behind so many of them nobody would see the one that failed.
+# Print openenv's output without the checks that it skips, which would hide the one that failed.
 without_skipped() {
   local line skipping=''
   while IFS= read -r line || [ -n "$line" ]; do

@@ -1,21 +1,16 @@
 """Measure the cost of a step over WebSocket and HTTP, and of OpenEnv's echo environment in the same run.
 
-    python benchmarks/server.py [--task hard] [--seconds 5] [--rounds 3] [--sessions 1 8 64 256] [--json FILE]
-                                [--by WebSocket HTTP openenv-HTTP] [--other CHECKOUT]
+    python benchmarks/server.py [--task hard] [--seconds 5] [--rounds 3] [--sessions 1 8 64 256]
+                                [--by WebSocket HTTP] [--other CHECKOUT]
 
-The echo environment is the one that `openenv init` writes, served by OpenEnv's own server. Each server has one worker.
-Each session has its own persistent connection, and sends a step as soon as it receives the last response. Over HTTP
-ours names its session by `X-Session-Id`, and sends `{"direction": ...}` (HTTP) or OpenEnv's `{"action": {...}}`
-(openenv-HTTP); it stores each step before the answer. OpenEnv's has no sessions there: it makes an environment for each
-step.
+The echo environment is the one that `openenv init` writes, served by OpenEnv's own server. Each server has one worker,
+each session one persistent connection and one request at a time. Over HTTP, our server stores each step before it
+responds; OpenEnv's server makes a new environment for each step.
 
-Before and after, in one run: `--other` names a second checkout of this project, such as
-`git worktree add /tmp/before main` makes, whose server is timed in the same rounds (`other`). Only its HTTP and
-WebSocket interface is used.
-
-The load comes from this process, on the same machine; it speaks both protocols itself, as libraries would take more
-time than the servers do. Rounds alternate between the servers; shown is the median of the rounds. CPU time of the
-server is what other load on the machine hardly changes.
+`--other` names a second checkout of this project, such as one by `git worktree add`, and times its server in the same
+rounds. Rounds alternate between the servers; the table shows medians. Other load on the machine hardly changes the CPU
+time. The load comes from this process, which speaks both protocols itself: libraries would take more time than the
+servers.
 """
 
 import argparse
@@ -37,7 +32,7 @@ import httpx
 
 ROOT = Path(__file__).parents[1]
 PORTS = {"drone-env": 18_431, "echo": 18_432, "other": 18_433}
-WAYS = ("WebSocket", "HTTP", "openenv-HTTP")
+WAYS = ("WebSocket", "HTTP")
 MOVES = ("UP", "LEFT", "DOWN", "RIGHT")
 NEW = {"X-Session-Id": "new"}
 ECHO_SERVER = """
@@ -59,13 +54,11 @@ class Figures(NamedTuple):
     p50_ms: float
     p99_ms: float
     cpu_us: float
-    """CPU time of the server for a step, which other load on the machine hardly changes."""
+    """CPU time of the server for a step."""
     proxy_us: float
-    """That of the proxy before it; 0 where there is none."""
-    sent: float
-    """Bytes of the request of a step, without those of TCP."""
+    """CPU time of the proxy for a step."""
     received: float
-    """Bytes of its answer."""
+    """Bytes of the response to a step."""
 
 
 def frame(message: dict[str, Any]) -> bytes:
@@ -76,14 +69,11 @@ def frame(message: dict[str, Any]) -> bytes:
 
 
 class Connection:
-    """A kept connection to a server, which counts its bytes.
-
-    A library would take more time than the server does, on the same cores.
-    """
+    """A persistent connection to a server, which counts the bytes of responses."""
 
     def __init__(self, port: int) -> None:
         self.port = port
-        self.sent = self.received = 0
+        self.received = 0
 
     async def open(self) -> None:
         """Connect."""
@@ -95,14 +85,12 @@ class Connection:
         await self.writer.wait_closed()
 
     async def ask(self, message: bytes) -> bytes:
-        """Send a message that is written already, and return its answer."""
+        """Send an encoded message and return the response."""
         self.writer.write(message)
-        answer = await self.answer()
-        self.sent += len(message)
-        return answer
+        return await self.answer()
 
     async def answer(self) -> bytes:
-        """The next answer."""
+        """The next response."""
         raise NotImplementedError
 
 
@@ -110,11 +98,7 @@ class Socket(Connection):
     """A WebSocket to `/ws`."""
 
     async def open(self) -> None:
-        """Connect.
-
-        Raises:
-            ConnectionError: if the server refuses.
-        """
+        """Connect."""
         await super().open()
         self.writer.write(
             f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{self.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -125,11 +109,7 @@ class Socket(Connection):
             raise ConnectionError(answer.decode())
 
     async def answer(self) -> bytes:
-        """The payload of the next text frame; pings are answered.
-
-        Raises:
-            ConnectionError: if the server closes.
-        """
+        """The payload of the next text frame. Pings get a pong."""
         while True:
             head = await self.reader.readexactly(2)
             length = head[1] & 0x7F
@@ -148,18 +128,14 @@ class Http(Connection):
     """HTTP, one request after another."""
 
     def request(self, path: str, body: dict[str, Any], headers: dict[str, str]) -> bytes:
-        """A request as it travels."""
+        """An encoded request."""
         content = json.dumps(body).encode()
         lines = [f"POST {path} HTTP/1.1", f"Host: 127.0.0.1:{self.port}", "Content-Type: application/json"]
         lines += [f"{name}: {value}" for name, value in headers.items()]
         return "\r\n".join([*lines, f"Content-Length: {len(content)}", "", ""]).encode() + content
 
     async def answer(self) -> bytes:
-        """The body of the next answer.
-
-        Raises:
-            ConnectionError: if it is a refusal.
-        """
+        """The body of the next response."""
         head = await self.reader.readuntil(b"\r\n\r\n")
         length = next(int(line[15:]) for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
         answer = await self.reader.readexactly(length)
@@ -170,7 +146,7 @@ class Http(Connection):
 
 
 class Session(NamedTuple):
-    """An open session: its connection, and what it asks."""
+    """An open session: its connection and its encoded requests."""
 
     connection: Connection
     reset: bytes
@@ -178,7 +154,7 @@ class Session(NamedTuple):
 
 
 async def open_session(port: int, way: str, task: str, echo: bool = False) -> Session:
-    """A session of a server, over a connection of its own, with an episode; `echo` speaks to that environment."""
+    """A session with a new episode, over its own connection."""
     begin = {} if echo else {"task_name": task}
     actions = [{"message": "RIGHT"}] if echo else [{"direction": move} for move in MOVES]
     if way == "WebSocket":
@@ -192,16 +168,12 @@ async def open_session(port: int, way: str, task: str, echo: bool = False) -> Se
     await http.open()
     answer = json.loads(await http.ask(http.request("/reset", begin, {} if echo else NEW)))
     named = {} if echo else {"X-Session-Id": answer["session_id"]}
-    bodies = [{"action": action} if echo or way == "openenv-HTTP" else action for action in actions]
+    bodies = [{"action": action} if echo else action for action in actions]
     return Session(http, http.request("/reset", begin, named), [http.request("/step", body, named) for body in bodies])
 
 
 async def fly(session: Session, until: float, latencies: list[float]) -> None:
-    """Steps until the time is over, a new episode after each end.
-
-    Raises:
-        ConnectionError: if a step is not answered with an observation.
-    """
+    """Step until the time is over; after each end of an episode, reset."""
     clock, number = time.perf_counter, 0
     while (sent := clock()) < until:
         answer = await session.connection.ask(session.steps[number % len(session.steps)])
@@ -214,7 +186,7 @@ async def fly(session: Session, until: float, latencies: list[float]) -> None:
 
 
 def cpu_seconds(processes: Iterable[int]) -> float:
-    """CPU time that processes have used together (Linux)."""
+    """Total CPU time of processes (Linux)."""
     stats = [Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2] for process in processes]
     return sum(int(ticks) for stat in stats for ticks in stat.split()[11:13]) / os.sysconf("SC_CLK_TCK")
 
@@ -222,33 +194,30 @@ def cpu_seconds(processes: Iterable[int]) -> float:
 async def time_sessions(
     sessions: Sequence[Session], server: Sequence[int], seconds: float, proxy: Sequence[int] = ()
 ) -> Figures:
-    """Step sessions as fast as they are answered, and close them. `server` and `proxy` are processes."""
+    """Step sessions as fast as the server responds, and close them. `server` and `proxy` are process ids."""
     latencies: list[float] = []
-    before = [session.connection.sent for session in sessions], [session.connection.received for session in sessions]
+    before = sum(session.connection.received for session in sessions)
     cpu, proxy_cpu, started = cpu_seconds(server), cpu_seconds(proxy), time.perf_counter()
     await asyncio.gather(*[fly(session, started + seconds, latencies) for session in sessions])
     elapsed = time.perf_counter() - started
     cpu, proxy_cpu = cpu_seconds(server) - cpu, cpu_seconds(proxy) - proxy_cpu
-    sent = sum(session.connection.sent for session in sessions) - sum(before[0])
-    received = sum(session.connection.received for session in sessions) - sum(before[1])
+    received = sum(session.connection.received for session in sessions) - before
     for session in sessions:
         await session.connection.close()
     steps, ordered = len(latencies), sorted(latencies)
     p50, p99 = (ordered[int(share * (steps - 1))] * 1000 for share in (0.5, 0.99))
-    return Figures(
-        steps / elapsed, p50, p99, cpu / steps * 1e6, proxy_cpu / steps * 1e6, sent / steps, received / steps
-    )
+    return Figures(steps / elapsed, p50, p99, cpu / steps * 1e6, proxy_cpu / steps * 1e6, received / steps)
 
 
 async def one_round(server: str, process: int, way: str, task: str, count: int, seconds: float) -> Figures:
-    """Time one server under this many sessions."""
+    """Time one server with this many sessions."""
     sessions = [await open_session(PORTS[server], way, task, server == "echo") for _ in range(count)]
     return await time_sessions(sessions, [process], seconds)
 
 
 @contextmanager
 def running(other: Path | None) -> Generator[dict[str, int], None, None]:
-    """The servers, running: their process ids."""
+    """Context manager of the running servers; its value is their process ids by name."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as started:
         init = [sys.executable, "-m", "openenv.cli", "init", "echo", "--output-dir", folder]
         subprocess.run(init, check=True, capture_output=True)
@@ -274,12 +243,7 @@ def our_server(checkout: Path, name: str, folder: str) -> tuple[list[str], dict[
 
 
 def wait_for(server: subprocess.Popen[bytes], port: int) -> None:
-    """Wait until a server is healthy.
-
-    Raises:
-        RuntimeError: if it has ended, such as when another has its port.
-        TimeoutError: if it is not healthy within a minute.
-    """
+    """Wait at most a minute until a server is healthy."""
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         try:
@@ -293,7 +257,7 @@ def wait_for(server: subprocess.Popen[bytes], port: int) -> None:
 
 
 def main() -> None:
-    """Time, print, and save."""
+    """Time the servers and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="hard")
     parser.add_argument("--seconds", type=float, default=5.0)
@@ -301,16 +265,12 @@ def main() -> None:
     parser.add_argument("--sessions", type=int, nargs="+", default=[1, 8, 64, 256])
     parser.add_argument("--by", choices=WAYS, nargs="+", default=WAYS, help="how steps are sent")
     parser.add_argument("--other", type=Path, help="a second checkout of this project, timed in the same rounds")
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    report: list[dict[str, Any]] = []
     print(f"Task: {given.task}\n")
     print("| sessions | by | server | steps/s | p50 ms | p99 ms | server CPU us/step |\n|---|---|---|---|---|---|---|")
     with running(given.other) as processes:
         for sessions, way in itertools.product(given.sessions, given.by):
-            # OpenEnv's HTTP has one form.
-            names = [name for name in processes if (name, way) != ("echo", "openenv-HTTP")]
-            rounds: dict[str, list[Figures]] = {name: [] for name in names}
+            rounds: dict[str, list[Figures]] = {name: [] for name in processes}
             for _ in range(given.rounds):
                 for name, figures in rounds.items():
                     timed = one_round(name, processes[name], way, given.task, sessions, given.seconds)
@@ -322,11 +282,6 @@ def main() -> None:
                     f"| {middle.p99_ms:.2f} | {middle.cpu_us:.0f} |",
                     flush=True,
                 )
-                timings = {"sessions": sessions, "by": way, "server": name, "median": middle._asdict()}
-                report.append({**timings, "rounds": [f._asdict() for f in figures]})
-    if given.json is not None:
-        measured = {"task": given.task, "other": None if given.other is None else str(given.other), "report": report}
-        given.json.write_text(json.dumps(measured, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Write the parts of the documentation that take minutes to compute.
 
-    tasks   docs/images/<task>.png; docs/benchmark.md: the scores of the agents
+    tasks   docs/images/<task>.png, preview.png of the page, and the scores in docs/benchmark.md
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` and on `aligned`
 
@@ -8,40 +8,79 @@
 """
 
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from docs_agents import table_of_all
 from docs_tables import put, table
 
+from drone_env.agents import AGENTS
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
+from drone_env.errors import UnsupportedTaskError
 from drone_env.planning.audit import audit_maps, audited_profile, summarise_audits
 from drone_env.planning.optimal import solve
+from drone_env.results.evaluate import evaluate, summarise
+from drone_env.results.statistics import with_interval
+from drone_env.results.tables import number
+from drone_env.server.page_files import PAGE
 
 DOCS = Path(__file__).parents[1] / "docs"
 BENCHMARK, REWARD = DOCS / "benchmark.md", DOCS / "reward.md"
+MAPS = 1000
+"""Test maps of each task in docs/benchmark.md."""
+BEST = "optimal"
 AUDITED = {"easy_delivery": 1000, "hard_delivery": 40, "skyline_easy": 200}
 """How many test maps the audits of a task run over."""
 CURVES, CURVES_EPISODES = "easy", 1_500
 """The task of the curves, and how many episodes are enough to see which way each goes."""
 
 
-def picture(task: TaskConfig) -> None:
-    """Draw a best flight over the first test map."""
-    seed = split_seeds("test", 1)[0]
-    episode = Episode(task, seed=seed).fly(solve(task, seed).actions)
-    save_picture(episode, DOCS / "images" / f"{task.id}.png", 480)
+def picture(task: TaskConfig, seed: int, file: Path, pixels: int) -> None:
+    """Draw a best flight over a map."""
+    save_picture(Episode(task, seed=seed).fly(solve(task, seed).actions), file, pixels)
+
+
+def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
+    """The figures of each agent that supports a task."""
+    figures: dict[str, dict[str, Any]] = {}
+    for agent in AGENTS:
+        with suppress(UnsupportedTaskError):
+            figures[agent] = summarise(evaluate(agent, task, "test", MAPS))
+            print(f"{task.id} {agent}: {figures[agent]['score_ratio']:.4f}", file=sys.stderr)
+    return figures
+
+
+def agents_tables(tasks: list[TaskConfig]) -> str:
+    """The tables of docs/benchmark.md: a row per agent, a column per task."""
+    figures = [figures_of(task) for task in tasks]
+    cells: dict[str, Callable[[dict[str, Any]], str]] = {
+        "Score (95 % interval)": lambda of: with_interval(of["mean_score"], of["score_ci95"]),
+        "Ratio to the optimum, and share of flights that delivered all parcels": lambda of: (
+            f"{number(of['score_ratio'])}, {of['success_rate']:.1%}"
+        ),
+    }
+    parts: list[str] = []
+    for title, cell in cells.items():
+        rows = [["agent", *(task.short_name for task in tasks)]]
+        for agent in (*(agent for agent in AGENTS if agent != BEST), BEST):
+            rows.append([agent, *(cell(of[agent]) if agent in of else "-" for of in figures)])
+        parts.append(f"**{title}**\n\n{table(rows)}")
+    return "\n\n".join(parts)
 
 
 def write_tasks() -> None:
-    """Draw a best flight of every task, and write the table of docs/benchmark.md."""
+    """Draw a best flight of every task, and write the tables of docs/benchmark.md."""
     for task in TASKS.values():
-        picture(task)
-    BENCHMARK.write_text(put(BENCHMARK.read_text(encoding="utf-8"), "agents", table_of_all()), encoding="utf-8")
+        picture(task, split_seeds("test", 1)[0], DOCS / "images" / f"{task.id}.png", 480)
+    picture(TASKS["skyline_medium"], 43, PAGE / "preview.png", 630)
+    text = agents_tables([task for task in TASKS.values() if task.terrain is None])
+    BENCHMARK.write_text(put(BENCHMARK.read_text(encoding="utf-8"), "agents", text), encoding="utf-8")
 
 
 def audits(task: TaskConfig, maps: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""Find sentences that are hard to read: in docs, docstrings, comments, messages and the page.
+"""Find sentences that are hard to read: in docs, docstrings, comments, messages, scripts and the page.
 
     python tools/plain.py [--list] [PATH ...]
 
@@ -20,7 +20,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LIMIT = 0.015
-PATHS = ("README.md", "CONTRIBUTING.md", "docs", "drone_env")
+PATHS = ("*.md", "*.py", "benchmarks", "deploy", "docs", "drone_env", "examples", "space", "tests", "tools", ".ci")
+SUFFIXES = (".md", ".py", ".js", ".html", ".conf", ".sh", ".ci/run")
 VERBS = "is|are|has|have|was|does|do|may|must|can|goes|comes|takes|counts|holds|needs|wants|will|would|makes"
 RULES = {
     "clause as subject": r"^(?:And |But |So )?(?:What|Who|Whoever|Whatever|Which|All that|Nothing that)\b[^,.?]*"
@@ -28,13 +29,13 @@ RULES = {
     "clause as object": r"\b(?:of|from|by|with|for|than|about) (?:what|who|whoever|whatever)\b",
     "program that speaks": r"\b(?:says (?:so|who|what|which|why|how|whether)|tells (?:who|what|it|them)|(?:is|are) told"
     r"|asked whether|hears|knows (?:of|nothing))\b",
-    "stands or lies for is": r"\b(?:stands?|lies?) (?:in|on|at|beside|below|above|here|there|as|for|behind|between)\b",
+    "stands": r"\b(?:stands?|lies?) (?:in|on|at|beside|below|above|here|there|as|for|behind|between)\b",
     "who for those who": r"(?:^|[,;:] |\b(?:of|for|by|to|with) )who (?:is|are|has|flies|wants|needs|sends|reads)\b",
     "where for if": r"(?:^|, |; )where (?:it|that|there|they|nothing|none|no) (?:is|are|has|have|was|can|does)\b",
     "inverted order": r"^(?:In it|On it|Of it|Of them|Of these|Of those|Of one|From it|By it|Beside it|To it|Nor"
     r"|So (?:is|are|does))\b",
     "vague person": r"\b(?:nobody|somebody|anybody|oneself|himself|one's own)\b",
-    "vague quantity": r"\b(?:so many|so much|as long again|a few at a time)\b",
+    "vague quantity": r"\b(?:so many|so much|as long again|a few at a[ ]time)\b",
 }
 PATTERNS = {name: re.compile(rule) for name, rule in RULES.items()}
 
@@ -49,6 +50,8 @@ def texts(path: Path) -> Iterator[str]:
     elif path.suffix == ".js":
         yield from (match[1] or match[2] for match in re.finditer(r"/\*(.*?)\*/|//([^\n]*)", source, re.DOTALL))
         yield from (match[2] for match in re.finditer(r"([\"'`])((?:\\.|(?!\1)[^\\\n])*)\1", source))
+    elif path.suffix != ".py":
+        yield "\n".join(line.strip().lstrip("#") for line in source.splitlines() if re.match(r"\s*#(?!!)|$", line))
     else:
         # Strings include docstrings, messages, help texts and field descriptions.
         for node in ast.walk(ast.parse(source)):
@@ -71,7 +74,7 @@ def files(paths: list[str]) -> list[Path]:
     """Return the tracked files with texts under these paths."""
     listed = subprocess.run(["git", "ls-files", *paths], capture_output=True, text=True, check=True).stdout.split()
     written = [name for name in listed if "/vendor/" not in name and "/bundle/" not in name]
-    return [Path(name) for name in written if name.endswith((".md", ".py", ".js", ".html"))]
+    return [Path(name) for name in written if name.endswith(SUFFIXES)]
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ SMALL = {"width": 1120, "height": 700}
 """The smallest window with the wide layout: each cell that is drawn costs CPU time."""
 NARROW = {"width": 390, "height": 844}
 PATIENCE_MS = 60_000
-"""How long to wait for what a test expects of a page: long, because only a failing test waits that long."""
+"""How long to wait for an expectation about a page: long, because only a failing test waits that long."""
 # Containers have little /dev/shm and run as root.
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
 
@@ -42,7 +42,7 @@ class Tabs:
 
     Args:
         browser: Where to open them.
-        url: What the paths are relative to.
+        url: The base of the paths.
     """
 
     def __init__(self, browser: Browser, url: str) -> None:

@@ -60,9 +60,9 @@ def test_the_leaderboard_opens_down_to_a_flight_and_the_address_says_what_is_ope
 
 
 def test_a_link_to_pilots_that_have_not_flown_offers_to_fly_them(page: Page, server: Server) -> None:
-    show(page, "/?view=compare&task=medium&pilots=optimal,nobody")
+    show(page, "/?view=compare&task=medium&pilots=optimal,carol")
     part = page.locator("#view-compare").get_by_role("status").filter(has_text="No flights of Medium by ")
-    expect(part).to_have_text("No flights of Medium by Optimal or nobody yet.")
+    expect(part).to_have_text("No flights of Medium by Optimal or carol yet.")
     expect(rows(page, "Leaderboard").first).to_contain_text("(few)")
     press(page, "Fly now")
     expect(page).to_have_url(re.compile(r"/\?task=medium&seed=[0-9]+&pilot=optimal$"))

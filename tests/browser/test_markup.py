@@ -1,4 +1,4 @@
-"""Whatever has HTML in it is shown as text."""
+"""The page shows HTML in names and messages as text."""
 
 import json
 import re

@@ -29,7 +29,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     boards = page.get_by_role("img", name="City map")
 
     def expect_ranked(at: int) -> None:
-        """The best first, at the end; before, nobody stands before others for what is only possible."""
+        """The best pilot is first at the end; during the flight, possible deliveries do not count."""
         now = {name: value[min(at, len(value) - 1)] for name, value in values.items()}
         best_first = sorted(now, key=now.__getitem__, reverse=True)
         expect(names).to_have_text(best_first if at >= len(values["Random"]) - 1 else list(NAMES.values()))

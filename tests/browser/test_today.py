@@ -56,7 +56,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     at_its_end(page, seed, f"/?task={task}&seed={seed}&pilot=tournet")
     expect(page.locator(".by-hand dt")).to_have_text(["Your best", "Possible", "Tournet", "Best today"])
     assert figures(page) == {"Your best": score, "Possible": score, "Tournet": network, "Best today": score}
-    # Any other name of a pilot is refused, and the page says so.
+    # The page rejects the names of other pilots and shows an error.
     over(page, 7, "/?task=easy&seed=7&pilot=human")
     field.fill("greedy")
     field.press("Enter")

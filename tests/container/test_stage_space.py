@@ -42,7 +42,7 @@ def space(export: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def pushed(space: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `openenv push` makes of it, and would upload."""
+    """The folder that `openenv push` makes from it and would upload."""
     from openenv.cli.commands import push
 
     folder = tmp_path_factory.mktemp("pushed")

@@ -70,7 +70,7 @@ def test_gymnasium_shows_it_in_a_window(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_gymnasium_check_env_passes_on_wrapped_environments(wrapper: type[gymnasium.Wrapper]) -> None:
     with warnings.catch_warnings():
-        # The checker says so of every wrapped environment.
+        # The checker warns about every wrapped environment.
         warnings.filterwarnings("ignore", message=".*is different from the unwrapped version.*")
         check_env(wrapper(make(SKYLINE)))
 

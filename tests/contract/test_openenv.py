@@ -162,7 +162,7 @@ def test_the_manifest_names_what_there_is_and_the_validator_passes_it(tmp_path: 
     levels = [TASKS[task] for task in STANDARD]
     assert manifest["tasks"] == [{"id": task.id, "grader": task.grader} for task in levels]
     assert manifest["graders"] == [{"id": task.grader} for task in levels]
-    copy_tracked(tmp_path)  # nobody writes there meanwhile
+    copy_tracked(tmp_path)  # no other test writes to this copy
     done = CliRunner().invoke(app, ["validate", str(tmp_path), "--level", "static"])
     assert done.exit_code == 0, done.output
 

@@ -1,6 +1,6 @@
-"""The pages of the documentation and the code blocks in them, with what invisible comments say of a block.
+"""The pages of the documentation and their code blocks. A hidden comment above a block describes it:
 
-<!-- not run: REASON -->             the block is only checked for what can be known without running it
+<!-- not run: REASON -->             the block is only checked, not run
 <!-- not run (COMMAND): REASON -->   likewise its commands that begin with COMMAND; any number of these
 <!-- output of: COMMAND -->          the block is what COMMAND prints
 <!-- file: NAME -->                  the block is a file that the page's commands find under this name
@@ -31,7 +31,7 @@ class Block:
         where: Page and line, for messages.
         line: The line of its fence, from 1.
         language: The first word after the fence.
-        text: What stands in it.
+        text: Its content.
         not_run: Why the whole block is not run, or None.
         skipped: Beginnings of the commands that are not run, and why.
         output_of: The command that prints it, or None.

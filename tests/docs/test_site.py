@@ -1,4 +1,4 @@
-"""What the documentation gets from the code is up to date, and the site is built from it without a warning."""
+"""Generated parts of the documentation are up to date, and the site builds without a warning."""
 
 import re
 import sys

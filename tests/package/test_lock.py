@@ -1,4 +1,4 @@
-"""The lock agrees with pyproject.toml, and both with what `pip install -e ".[dev]"` made here."""
+"""The lock agrees with pyproject.toml, and both agree with the packages that `pip install -e ".[dev]"` installed."""
 
 from importlib.metadata import PackageNotFoundError, version
 

@@ -1,4 +1,4 @@
-"""What is handed out: the files of wheel and source distribution, and both installed outside the checkout."""
+"""Wheel and source distribution: their files, and both installed outside the checkout."""
 
 import re
 import subprocess

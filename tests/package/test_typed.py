@@ -1,4 +1,4 @@
-"""What the project's first description has people type, as it stands there.
+"""The commands of the project's first description work unchanged.
 
 Each way to start the server and the Python client are in tests/api/test_starting.py, `inference.py` in tests/llm, what
 is typed to build and to hand in in tests/container.

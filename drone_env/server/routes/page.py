@@ -12,22 +12,20 @@ from drone_env.server.pilots import HUMAN
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"])
-STYLES = "".join(f'<link rel="stylesheet" href="static/css/{name}.css">' for name in ("hello", "hello-motion"))
 SHEETS = re.compile('(<link rel="stylesheet" .*\n)+')
 
 
 @router.get("/", include_in_schema=False)
 def page(request: Request, shared: AppStateDep) -> Response:
-    """The page; without a query it contains a flight that moves before its scripts run."""
+    """The page; without a query it greets the visitor before its scripts run."""
     shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
     if is_bundled():
         html = SHEETS.sub('<link rel="stylesheet" href="static/bundle/page.css">\n', html)
         html = html.replace("static/js/main.js", "static/bundle/main.js")
-    if not request.url.query:
-        hello = (PAGE / "first_paint.html").read_text(encoding="utf-8")
-        html = html.replace("<!-- hello -->", hello.replace("<!-- today -->", _today()))
-        html = html.replace("</head>", f"{STYLES}\n</head>")
+    if request.url.query:
+        html = html.replace('id="hello"', 'id="hello" hidden')
+    html = html.replace("<!-- today -->", _today())
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
 

@@ -15,7 +15,7 @@ import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
 import { explain, mountFiles, mountRecord, Past } from "./past.js";
 import { mountPlan } from "./plan.js";
-import { linkOf, says } from "./router.js";
+import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountStrip } from "./strip.js";
 import { mountThinking } from "./thinking.js";
@@ -100,21 +100,21 @@ export function mountFly(root, context) {
     return { ...flights, step: (atEnd ? following : cursor === 0 && !flights.ended) ? null : cursor };
   }
 
-  // The bare address shows a recorded flight above the map, which waits to be flown.
+  // The bare address greets the visitor above a map, which waits to be flown.
   const greeting = document.getElementById("hello");
-  const greets = () => greeting !== null && router.bare;
+  const greets = () => router.bare;
   function greeted() {
     const { task, seed } = greeting.dataset;
     return fleet.complete({ task, seed: Number(seed), pilots: fleet.able(fleet.task(task)).slice(0, 1) });
   }
-  /** Whether the map below the recorded flight is untouched. */
+  /** Whether the map below the greeting is untouched. */
   const waits = () => says(greeted(), fleet.setup) && stage.clock.end() === 0;
 
   function writeAddress() {
     // Values of the flights that a start replaces may still arrive.
     if (!fleet.shown || fleet.starting || context.view !== "fly" || (greets() && waits())) return;
     router.flies(present(), greets());
-    if (greeting) greeting.hidden = true;
+    greeting.hidden = true;
   }
   fleet.on("begun", writeAddress);
   stage.on("frames", () => greets() && writeAddress());
@@ -144,16 +144,13 @@ export function mountFly(root, context) {
           problem(`The lesson could not be loaded: ${message}`);
         },
       );
-    if (greeting) greeting.hidden = !greets();
+    greeting.hidden = !greets();
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
     } else if (address.episode && address.fork === null) {
       if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
       else await open(() => past.open(address.episode, address.step));
-    } else if (fleet.tracks.length && router.bare && !greeting) {
-      // Only a load brings the recorded flight of the bare address.
-      location.replace(linkOf({}));
     } else await fly(address);
   }
 

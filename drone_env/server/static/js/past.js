@@ -97,7 +97,7 @@ export class Past {
   }
 }
 
-export async function recordOf({ api }, track) {
+async function recordOf({ api }, track) {
   track.record ??= await api.get(`episodes/${encodeURIComponent(track.episode.id)}`);
   return track.record;
 }

@@ -80,7 +80,7 @@ export function mountPlan(root, context, fleet, acts) {
 
   const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
-  /** The same pilots; the rows of those that cannot fly the task say why. */
+  /** The same pilots; the rows of those that cannot fly the task show the reason. */
   const chooseTask = (task) => acts.start({ task: task.short_name, seed: null, pilots: [] }).finally(update);
 
   function update() {

@@ -50,7 +50,7 @@ export const named = (context, agent, remark = "") =>
     el("span", who(context, agent), el("span.margin", { text: remark })),
   );
 
-/** The number of maps from which a mean says something. */
+/** Means over fewer maps are marked. */
 const ENOUGH = 30;
 const counted = ({ maps }) => el("span", String(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
 
@@ -104,7 +104,7 @@ export function leaderboard(context, board, compare) {
 }
 
 /** The maps of a pilot, largest loss first, with a button that opens the flight. @param {Answer<"AgentMap">[]} maps */
-export function mapsOf(context, name, maps) {
+function mapsOf(context, name, maps) {
   const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
   const sorted = [...maps].sort((x, y) => (regret(y) ?? -1) - (regret(x) ?? -1) || x.seed - y.seed);
   const open = ({ id, seed }) =>

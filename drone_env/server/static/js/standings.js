@@ -66,7 +66,7 @@ export function placeOf({ over, tracks, track }) {
   return `${PLACES[place] ?? `${place + 1}th`} of ${tracks.length}${tie}: ${all}. The higher score wins.`;
 }
 
-/** What a flight has for certain, as no promise counts in a race: its parcels; then its score, or how early it had them. */
+/** Ranks a flight by delivered parcels; at equal numbers by its score, or by how early it delivered the last one. */
 function earned(track, step) {
   const { score, outcome, deliveries_done: parcels } = track.frameAt(step);
   const since = track.frames.findIndex(({ deliveries_done }) => deliveries_done === parcels);
