@@ -16,7 +16,7 @@ from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
-from drone_env.llm.limiter import Number, Options, Whole
+from drone_env.llm.budget import Number, Options, Whole
 
 if TYPE_CHECKING:
     from drone_env.llm.config import InferenceSettings, RunConfig
@@ -128,8 +128,8 @@ def infer(
         from drone_env.llm import report as reports
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import load_settings
+        from drone_env.llm.docker_server import running_image
         from drone_env.llm.endpoint import Endpoint
-        from drone_env.llm.image import running_image
         from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import Progress
 

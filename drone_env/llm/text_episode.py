@@ -1,28 +1,19 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
+from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.rejections import NO_CHANGES, Changes, changed
 from drone_env.llm.transcript import CallKey
-from drone_env.models import NAMES
 
 Status = Literal["finished", "errored", "budget_stop"]
-
-
-class LimitReachedError(DroneEnvError):
-    """The budget of a run is spent."""
-
-
-class CallFailedError(DroneEnvError):
-    """A call brought no answer, after all retries."""
 
 
 class TextEpisode:
@@ -79,32 +70,32 @@ class TextEpisode:
             EpisodeError: if the flight is over.
             EndpointError: if the server did not finish the answer; ask for another one.
         """
+        return self.take(self.prompt.read_answer(Answer(text=answer) if isinstance(answer, str) else answer))
+
+    def take(self, reading: Reading) -> list[ChatMessage]:
+        """Fly an answer that has been parsed: the rest of `answer`."""
         if not self.messages:
             raise EpisodeError("the flight is over: start another TextEpisode")
-        reading = self.prompt.read_answer(Answer(text=answer) if isinstance(answer, str) else answer)
-        outcome: TurnKind = reading.kind
-        if self.attempt == 1 and outcome != "ok":
+        if self.attempt == 1 and not reading.actions:
             self.attempt = 2
             self.messages = [*self.messages, *self.prompt.repair_messages(reading.text, reading.reason)]
             return self.messages
-        if self.attempt == 2 and outcome == "ok":
-            outcome = "repaired"
+        outcome: TurnKind = "repaired" if self.attempt == 2 and reading.actions else reading.kind
         self.attempt = 1
         self.turns.append(outcome)
         if not reading.actions:
             self.faults.append(reading)
         episode = self.episode
         for action in reading.actions or (Action.WAIT,):
+            episode.step(action)
+            self.step_errors.append(None if reading.actions else outcome)
+            if self._history:
+                x, y = episode.position
+                self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
             if episode.ended:
                 break
-            episode.step(action)
-            x, y = episode.position
-            self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
-            self.step_errors.append(None if reading.actions else outcome)
-        if episode.ended or self.prompt.plan:
-            self.messages = []
-        else:
-            self.messages = self.prompt.messages(episode, self._steps[-self._history :] if self._history else ())
+        done = episode.ended or self.prompt.plan
+        self.messages = [] if done else self.prompt.messages(episode, self._steps[-self._history :])
         return self.messages
 
     def fly(self, directions: object) -> str:
@@ -158,14 +149,14 @@ class TextEpisode:
 
 def status_text(episode: Episode) -> str:
     """The position, battery, target and deliveries in words, as the answer to a tool call."""
-    below = below_text(episode.task, NAMES[episode.under])
+    below = below_text(episode)
     return (
         f"Position: {episode.position}. Battery: {episode.battery_units} units. "
         f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
     ) + (f" {below}." if below else "")
 
 
-class Flight(TextEpisode):
+class EpisodeRun(TextEpisode):
     """A flight of a run. Its calls can fail.
 
     Attributes:
@@ -186,6 +177,11 @@ class Flight(TextEpisode):
     error: str | None = None
 
     @property
+    def seed(self) -> int:
+        """The map."""
+        return self.episode.seed
+
+    @property
     def key(self) -> CallKey:
         """The key of the next call."""
         return CallKey(self.index, len(self.turns) + 1, self.attempt)
@@ -193,34 +189,10 @@ class Flight(TextEpisode):
     @property
     def request(self) -> dict[str, Any]:
         """The body of the next request."""
-        return changed({"messages": self.messages, **self.parameters}, {**self.asked, **self.changes})
+        body = {"messages": self.messages, **self.parameters}
+        return changed(body, {**self.asked, **self.changes}) if self.asked or self.changes else body
 
-    def stop(self, error: CallFailedError | LimitReachedError) -> None:
+    def stop(self, status: Literal["errored", "budget_stop"], error: str) -> None:
         """End the flight because a call has no answer."""
-        failed = isinstance(error, CallFailedError)
-        self.turns.append("api_error" if failed else "budget_stop")
-        self.status, self.error, self.messages = "errored" if failed else "budget_stop", str(error), []
-
-
-async def fly(
-    flight: Flight,
-    ask: Callable[[Flight], Awaitable[Answer]],
-    follow: Callable[[Episode], Awaitable[None]] | None = None,
-) -> Flight:
-    """Fly a flight to its end and return it. Equal answers give equal flights.
-
-    Args:
-        flight: The flight.
-        ask: Returns the answer to the next call; raises `CallFailedError` or `LimitReachedError` if there is none.
-        follow: Called at the start and after each answer.
-    """
-    while True:
-        if follow is not None:
-            await follow(flight.episode)
-        if not flight.messages:
-            return flight
-        try:
-            flight.answer(await ask(flight))
-        except (CallFailedError, LimitReachedError) as error:
-            flight.stop(error)
-            return flight
+        self.turns.append("api_error" if status == "errored" else status)
+        self.status, self.error, self.messages = status, error, []

@@ -10,9 +10,10 @@ from typing import Any
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Options
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.limiter import Options, RateLimiter
+from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import locked_run

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Options
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.limiter import Options
 from tests.tools import reserved_port
 
 from .conftest import TOKEN, Start, blocks, verified

@@ -13,7 +13,7 @@ import pytest
 
 from drone_env.core.seeds import SPLITS
 from drone_env.llm.answers import Answer
-from drone_env.llm.limiter import Options
+from drone_env.llm.budget import Options
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 from tests.toy import LOG_OF_MAP_14

@@ -11,8 +11,9 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Options
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.limiter import Options, RateLimiter
+from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 

@@ -11,7 +11,7 @@ from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.limiter import Options
+from drone_env.llm.budget import Options
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run

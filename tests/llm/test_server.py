@@ -12,7 +12,7 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
-from drone_env.llm.image import following
+from drone_env.llm.follow import following
 from drone_env.results.store import FILE_NAME, Store
 from tests.api.serving import serving
 from tests.tools import reserved_port

@@ -8,7 +8,7 @@ from pydantic import SecretStr
 
 from drone_env.errors import InvalidValueError
 from drone_env.files import differences
-from drone_env.llm.config import InferenceSettings, Sampling, load_settings, models_table
+from drone_env.llm.config import InferenceSettings, Sampling, load_settings
 from tests.environment import SETTINGS
 
 from .conftest import ROOT
@@ -166,4 +166,3 @@ def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: py
         assert value(name) == "of-the-environment"
         monkeypatch.delenv(name)
     assert {name.upper() for name in InferenceSettings.model_fields} == set(SETTINGS)
-    assert models_table() in (ROOT / "docs" / "llm.md").read_text(encoding="utf-8")

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Options
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.limiter import Options, RateLimiter
+from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.run_folder import CONFIG, locked_run
 from drone_env.llm.runner import RunResult, run
