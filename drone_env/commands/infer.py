@@ -91,7 +91,7 @@ class SamplingOptions:
         extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
     """
 
-    temperature: Number = 0.0
+    temperature: float = 0.0
     no_temperature: Flag = False
     top_p: Number = None
     max_answer_tokens: int = 1024

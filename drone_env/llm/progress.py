@@ -116,9 +116,9 @@ def log_lines(run: EpisodeRun, model: str, printed: int = 0) -> list[str]:
         model: Name of the pilot.
         printed: Number of lines to leave out.
     """
-    first, ended = max(printed - 1, 0), run.episode.ended
-    steps = list(zip(run.episode.actions, run.rewards, run.step_errors, strict=True))
-    return ([] if printed else [start_line(run.episode.task, model)]) + [
+    episode, first = run.episode, max(printed - 1, 0)
+    steps, ended = list(zip(episode.actions, episode.rewards, run.step_errors, strict=True)), episode.ended
+    return ([] if printed else [start_line(episode.task, model)]) + [
         step_line(number, Action(action), reward, ended and number == len(steps), error)
         for number, (action, reward, error) in enumerate(steps[first:], first + 1)
     ]

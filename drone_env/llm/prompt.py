@@ -243,18 +243,19 @@ def _template(text: str) -> Any:
 
 def _values(episode: Episode, last_steps: Sequence[str]) -> dict[str, object]:
     """The values that a template can use."""
-    task, cells = episode.task, episode.grid()
-    (x, y), target, steps = episode.position, episode.target, episode.steps
+    task, cells, steps, target = episode.task, episode.grid(), episode.steps, episode.target
+    (x, y), battery, distance = episode.position, episode.battery, episode.distance_to_target or 0
+    units, done = episode.battery_units, episode.deliveries_done
     places = {kind: _places(cells == kind) for kind in (Cell.DELIVERY, *TITLES)}
     deciding = _deciding(task)
     return {
         "x": x,
         "y": y,
-        "battery_percent": round(100 * episode.battery),
-        "battery_steps": episode.battery_units,
+        "battery_percent": round(100 * battery),
+        "battery_steps": units,
         "target": "none" if target is None else str(target),
-        "distance": episode.distance_to_target or 0,
-        "deliveries_done": episode.deliveries_done,
+        "distance": distance,
+        "deliveries_done": done,
         "deliveries_total": task.deliveries,
         "step": steps,
         "steps_left": task.max_steps - steps,

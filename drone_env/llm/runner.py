@@ -10,7 +10,7 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Unusable, in_common
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common
 from drone_env.llm.budget import LimitReachedError
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import Endpoint, TryFailedError
@@ -102,55 +102,43 @@ class Calls:
 
     async def fly_turn(self, run: EpisodeRun) -> None:
         """Make the next call of a flight and fly its answer; stop the flight if there is none."""
-        stored = self.transcript.answered.get(run.key)
-        if stored is None:
-            await self._ask(run)
-        else:
-            run.changes = stored.changes
-            run.answer(stored.answer_to(run.request))
+        key = run.key
+        stored = self.transcript.answered.get(key)
+        if stored is not None:
+            run.answer(stored.answer_to(run.request(stored.changes)))
+        elif (reading := await self._reading(run, key)) is not None:
+            run.take(reading)
+            self.progress.on_reading(reading)
         self.progress.on_steps(run)
 
-    async def _ask(self, run: EpisodeRun) -> None:
-        key, failures = run.key, list[Failure]()
+    async def _reading(self, run: EpisodeRun, key: CallKey) -> Reading | None:
+        """The answer to a new call, which is in the transcript; None if there is none, and the flight stops."""
+        failures, answer, reading, latency = list[Failure](), None, None, 0.0
         try:
             answer, latency = await self._send(run, key, failures)
+            if not self.transcript.answered and (warning := missing_text(run.body, answer)):
+                self.progress.notice(warning)
+            reading = run.prompt.read_answer(answer)
+            outcome = reading.kind
         except LimitReachedError as error:
-            if failures:
-                self._record(run, key, None, "budget_stop", failures)
-            run.stop("budget_stop", str(error))
+            run.stop(outcome := "budget_stop", str(error))
+            if not failures:
+                return None
         except TryFailedError as failed:
-            self._record(run, key, None, "api_error", failures)
             # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be.
             first = not self.transcript.answered and 300 <= failed.status < 500 and not failed.retried
             if failed.fatal or failed.starting or first:
                 verb = "returned" if failed.status else "gives"
                 self.fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
             run.stop("errored", str(failed))
-        else:
-            if not self.transcript.answered and (warning := missing_text(run.request, answer)):
-                self.progress.notice(warning)
-            reading = run.prompt.read_answer(answer)
-            self._record(run, key, answer, reading.kind, failures, latency)
-            self.progress.on_reading(reading)
-            run.take(reading)
-
-    def _record(
-        self,
-        run: EpisodeRun,
-        key: CallKey,
-        answer: Answer | None,
-        outcome: str,
-        failures: list[Failure],
-        latency: float = 0.0,
-    ) -> None:
-        request = run.request
+            outcome = "api_error"
         call = Call(
             **key._asdict(),
             seed=run.seed,
             repeat=run.repeat,
-            messages=request["messages"],
-            request_digest=digest(request),
-            sampling_seed=request.get("seed"),
+            messages=run.body["messages"],
+            request_digest=digest(run.body),
+            sampling_seed=run.body.get("seed"),
             changes=dict(run.changes),
             answer=answer,
             outcome=outcome,
@@ -160,20 +148,20 @@ class Calls:
         )
         self.transcript.append(call)
         self.limiter.budget.count(call)
+        return reading
 
     async def _send(self, run: EpisodeRun, key: CallKey, failures: list[Failure]) -> tuple[Answer, float]:
         """The answer, and its seconds without any wait for a slot; appends each failed try to `failures`."""
-        limiter, options = self.limiter, self.limiter.options
+        limiter, options, call_id = self.limiter, self.limiter.options, str(key)
         since: float | None = None
         while True:
             async with limiter.slot(key.flight, key.turn) as sent:
-                run.changes = self.changes
-                request = run.request
+                request = run.request(self.changes)
                 if not run.turns:
                     self.progress.on_steps(run)
-                self.transcript.sending(key)
+                self.transcript.sending(call_id)
                 try:
-                    answer = await self.endpoint.send(request, str(key))
+                    answer = await self.endpoint.send(request, call_id)
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after or 0.0
                     self.reached |= failed.status > 0 or not failed.starting

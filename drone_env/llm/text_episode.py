@@ -34,6 +34,7 @@ class TextEpisode:
 
     Attributes:
         episode: The episode in its current state.
+        seed: The map.
         messages: The next request; empty at the end of the flight.
         turns: The outcome of each request for actions, in order.
         attempt: 1, or 2 if `messages` ask for a repaired answer.
@@ -55,6 +56,7 @@ class TextEpisode:
     ) -> None:
         self.prompt = get_prompt(prompt) if isinstance(prompt, str) else prompt
         self.episode = Episode(task, reward_profile, seed)
+        self.seed = self.episode.seed
         self.turns: list[TurnKind] = []
         self.faults: list[Reading] = []
         self.step_errors: list[str | None] = []
@@ -138,7 +140,7 @@ class TextEpisode:
         """The optimum of the map minus `score`; None if the map is too large to be solved."""
         from drone_env.planning.optimal import best_of  # Imported lazily: only finished flights need it.
 
-        optimum = best_of(self.episode.task, self.episode.seed)
+        optimum = best_of(self.episode.task, self.seed)
         return None if optimum is None else optimum.score - self.score
 
     @property
@@ -164,7 +166,8 @@ class EpisodeRun(TextEpisode):
         repeat: The number of earlier flights of the run over the same map.
         parameters: The fields of its requests besides the messages.
         asked: What the run's configuration changes in its requests.
-        changes: What else the next request changes, because the endpoint rejects it.
+        changes: What else the last request changed, because the endpoint rejects it.
+        body: The body of the last request.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
     """
@@ -173,24 +176,25 @@ class EpisodeRun(TextEpisode):
     parameters: Mapping[str, Any]
     asked: Changes = NO_CHANGES
     changes: Changes = NO_CHANGES
+    body: Mapping[str, Any]
     status: Status = "finished"
     error: str | None = None
-
-    @property
-    def seed(self) -> int:
-        """The map."""
-        return self.episode.seed
 
     @property
     def key(self) -> CallKey:
         """The key of the next call."""
         return CallKey(self.index, len(self.turns) + 1, self.attempt)
 
-    @property
-    def request(self) -> dict[str, Any]:
-        """The body of the next request."""
-        body = {"messages": self.messages, **self.parameters}
-        return changed(body, {**self.asked, **self.changes}) if self.asked or self.changes else body
+    def request(self, changes: Changes) -> Mapping[str, Any]:
+        """The body of the next request.
+
+        Args:
+            changes: What it changes because the endpoint rejects it, besides `asked`; kept in `changes`.
+        """
+        self.changes, self.body = changes, {"messages": self.messages, **self.parameters}
+        if self.asked or changes:
+            self.body = changed(self.body, {**self.asked, **changes})
+        return self.body
 
     def stop(self, status: Literal["errored", "budget_stop"], error: str) -> None:
         """End the flight because a call has no answer."""

@@ -84,18 +84,18 @@ def _flown_again(
     try:
         run = config.episode_run(result.flight, prompt)
         while run.messages:
-            call = calls.get(run.key)
+            key = run.key
+            call = calls.get(key)
             if call is not None and call.answer is not None:
-                used.add(run.key)
-                run.changes = call.changes
-                run.answer(call.answer_to(run.request))
+                used.add(key)
+                run.answer(call.answer_to(run.request(call.changes)))
             # After its last answer the flight ended with the status of its result, which is compared below.
             elif result.status == "budget_stop" or (result.status == "errored" and call is not None):
                 run.stop(result.status, result.error or "")
             else:
                 # An errored flight does not count, so the transcript must contain its failed call.
                 missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
-                raise InvalidValueError(f"call {run.key} {missing}, but the status of the flight is {result.status}")
+                raise InvalidValueError(f"call {key} {missing}, but the status of the flight is {result.status}")
         if record_of(run.episode, config.model) != record:
             replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
         elif FlightResult.of(run) == result:
