@@ -152,7 +152,7 @@ def infer(
         limiter = RateLimiter(options)
         progress = Progress(config, limiter.budget, path, min(config.flights, options.concurrency) == 1, store)
         try:
-            result = asyncio.run(runner.run(config, path, sender, limiter, progress))
+            result = asyncio.run(runner.run_flights(config, path, sender, limiter, progress))
             if run.report and result.verdict != "stopped":
                 verified = reports.verified_run(path)
                 reports.write_report(verified, reports.report(verified, options, run.moves))

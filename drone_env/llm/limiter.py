@@ -9,9 +9,8 @@ import asyncio
 import heapq
 import itertools
 import math
-import time
 from collections import Counter
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
@@ -173,6 +172,11 @@ class Sent:
     round: Round
 
 
+def now() -> float:
+    """The seconds of the running event loop, which only grow."""
+    return asyncio.get_running_loop().time()
+
+
 class RateLimiter:
     """Decides when a request of a run is sent.
 
@@ -181,22 +185,14 @@ class RateLimiter:
 
     Args:
         options: Limits, rate, prices and maximum concurrency.
-        now: Returns monotonic seconds.
-        sleep: Waits for seconds.
 
     Attributes:
         budget: The requests and tokens so far.
         active: Number of open requests.
     """
 
-    def __init__(
-        self,
-        options: Options,
-        now: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-    ) -> None:
+    def __init__(self, options: Options) -> None:
         self.options = options
-        self.now, self.sleep = now, sleep
         self.budget = Budget(options)
         self.active = 0
         self._next_request = self._paused_until = 0.0
@@ -249,7 +245,7 @@ class RateLimiter:
                 self._close(admitted.result())
             raise
         try:
-            sent.at = self.now()
+            sent.at = now()
             yield sent
         finally:
             self._close(sent)
@@ -260,27 +256,27 @@ class RateLimiter:
             flight, _, is_new, admitted = self._waiting[0]
             error = self.budget.spent() if self.budget.limited else None
             if error is None and not admitted.done():
-                now = self.now()
+                at = now()
                 if not self._affordable(flight):
                     return
-                if (wait := max(self._paused_until, self._next_request) - now) > 0:
+                if (wait := max(self._paused_until, self._next_request) - at) > 0:
                     if self._timer is None:
                         self._timer = asyncio.ensure_future(self._admit_after(wait))
                     return
                 # After an idle time, one request may follow without a gap.
                 gap = 60 / (self.options.requests_per_minute or math.inf)
-                self._next_request = max(self._next_request, now - gap) + gap
+                self._next_request = max(self._next_request, at - gap) + gap
                 self.active += 1
                 self.budget.requests += 1
                 self._turns += is_new
                 self._flying.add(flight)
-                admitted.set_result(Sent(now, self._search.sent(self.active)))
+                admitted.set_result(Sent(at, self._search.sent(self.active)))
             elif not admitted.done():
                 admitted.set_exception(LimitReachedError(error))
             heapq.heappop(self._waiting)
 
     async def _admit_after(self, seconds: float) -> None:
-        await self.sleep(seconds)
+        await asyncio.sleep(seconds)
         self._timer = None
         self._admit()
 
@@ -307,7 +303,7 @@ class RateLimiter:
 
     def answered(self, sent: Sent, answer: Answer) -> float:
         """Measure the seconds of an answer, and return them."""
-        seconds = self.now() - sent.at
+        seconds = now() - sent.at
         self._slowest = max(seconds, self._slowest or 0.0)
         sent.round.seconds += seconds
         # About 4 letters are a token. Not every endpoint counts them, or those of the reasoning.
@@ -323,12 +319,12 @@ class RateLimiter:
             pause: Seconds.
             overload: Whether it failed because the endpoint has too many.
         """
-        self._paused_until = max(self._paused_until, self.now() + pause)
+        self._paused_until = max(self._paused_until, now() + pause)
         if sent.at > self._halved_at:
             before = self.limit
             self._search.failed(overload)
             if self.limit < before:
-                self._halved_at = self.now()
+                self._halved_at = now()
 
     async def abandoned(self) -> None:
         """Wait as long as a server may still work on a request that timed out.
@@ -336,4 +332,4 @@ class RateLimiter:
         That is as long as its slowest answer took, or once more the time limit if there was none.
         """
         timeout = self.options.timeout
-        await self.sleep(timeout if self._slowest is None else min(timeout, self._slowest))
+        await asyncio.sleep(timeout if self._slowest is None else min(timeout, self._slowest))

@@ -15,7 +15,7 @@ from drone_env.llm.budget import LimitReachedError
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.follow import following
-from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter
+from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter, now
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described, missing_text
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
@@ -183,9 +183,9 @@ class Calls:
             has_system = request["messages"][0]["role"] == "system"
             if failed.status == 500 and has_system and not self.transcript.answered:
                 failed.reason += "; if the model has no system role, try --system merge"
-            since = limiter.now() if since is None else since
+            since = now() if since is None else since
             patience = LOADING_SECONDS if self.reached else UNKNOWN_SECONDS
-            patient = failed.starting and options.tries > 1 and limiter.now() - since < patience
+            patient = failed.starting and options.tries > 1 and now() - since < patience
             again = failed.retried and (patient or len(failures) + 1 < options.tries) and retry_after <= MAX_WAIT
             wait = random.uniform(0, min(MAX_BACKOFF, options.backoff * 2 ** min(len(failures), 30)))
             wait = max(wait, 1.0 if patient else 0.0) if failed.retry_after is None else retry_after
@@ -198,10 +198,10 @@ class Calls:
             elif failed.status not in self.told:
                 self.told.add(failed.status)
                 self.progress.notice(f"the endpoint may still be starting: waiting up to {patience:g} s: {failed}")
-            await limiter.sleep(wait)
+            await asyncio.sleep(wait)
 
 
-async def run(
+async def run_flights(
     config: RunConfig, folder: Path, endpoint: Endpoint, limiter: RateLimiter, progress: Progress
 ) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
