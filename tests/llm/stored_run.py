@@ -64,22 +64,27 @@ class Scripted:
     """Answers as a pilot of `scripted_server` without a server; to the very first prompt it says "Hm." instead.
 
     Args:
-        pilot: The pilot.
-        fails: Returns the failure of a request by its number from 0; None to answer it.
+        pilot: The pilot, or a function that returns it for a request by its number from 0.
+        fails: Returns the failure of a request by its number; None to answer it.
 
     Attributes:
         requests: Number of requests.
     """
 
-    def __init__(self, pilot: str = "greedy", fails: Callable[[int], TryFailedError | None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        pilot: str | Callable[[int], str] = "greedy",
+        fails: Callable[[int], TryFailedError | None] = lambda _: None,
+    ) -> None:
         self._pilot, self._fails = pilot, fails
         self.requests = 0
 
     async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
-        self.requests += 1
-        if (failure := self._fails(self.requests - 1)) is not None:
+        number, self.requests = self.requests, self.requests + 1
+        if (failure := self._fails(number)) is not None:
             raise failure
-        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, request["messages"][1]["content"])
+        pilot = self._pilot if isinstance(self._pilot, str) else self._pilot(number)
+        said = "Hm." if call_id == "0-1-1" else reply(pilot, request["messages"][1]["content"])
         return Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
 
     async def close(self) -> None: ...
