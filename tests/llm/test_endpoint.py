@@ -19,7 +19,7 @@ from drone_env.llm import endpoint
 from drone_env.llm.answers import Answer
 from drone_env.llm.endpoint import Endpoint, TryFailedError, without_secret
 
-from .conftest import TOKEN
+from .conftest import ENDPOINTS, TOKEN
 
 Send = Callable[..., Answer | TryFailedError]
 
@@ -53,62 +53,8 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
     return sent
 
 
-def completion(message: Any, finish_reason: Any = "stop", **more: Any) -> dict[str, Any]:
-    return {"choices": [{"message": message, "finish_reason": finish_reason}], **more}
-
-
-UP, THOUGHT = {"direction": "UP"}, {"text": "UP", "reasoning": "Up?"}
-IN_JSON = '{"direction": "UP"}'
-
-
-@pytest.mark.parametrize(
-    ("message", "answer"),
-    [
-        ({"content": "UP"}, {"text": "UP"}),
-        ({"content": [{"type": "reasoning", "text": "Up?"}, {"text": "U"}, "P"]}, THOUGHT),
-        ({"content": [{"type": "thinking", "thinking": [{"type": "text", "text": "Up?"}]}, "UP"]}, THOUGHT),
-        ({"content": [{"type": "image_url", "image_url": {"url": "data:"}}]}, {"text": ""}),
-        ({"content": [{"type": "refusal", "refusal": "no"}]}, {"text": "", "refusal": "no"}),
-        # Two tool calls are no action.
-        (
-            {"content": "", "tool_calls": [{"function": {"arguments": text}} for text in ("{1}", "{2}")]},
-            {"text": "", "tool_arguments": "{1}{2}"},
-        ),
-        # The arguments of one in each form.
-        *(
-            (message, {"text": "", "tool_arguments": read})
-            for arguments, read in (
-                *((IN_JSON, IN_JSON), (UP, IN_JSON), (json.dumps(IN_JSON), IN_JSON), (["UP"], '["UP"]')),
-                *(('"UP', '"UP'), ({}, None), (None, None)),
-            )
-            for call in [{"name": "fly", "arguments": arguments}]
-            for message in ({"content": None, "function_call": call}, {"tool_calls": [{"function": call}]})
-        ),
-    ],
-)
-def test_the_parts_of_an_answer(send: Send, message: Any, answer: dict[str, Any]) -> None:
-    assert send(completion(message)) == Answer(**answer, finish_reason="stop")
-
-
-@pytest.mark.parametrize(
-    ("usage", "counted"),
-    [
-        ({"prompt_tokens": 10, "completion_tokens": 0}, (10, 0)),
-        ({"prompt_tokens": 10.0, "completion_tokens": 2.0}, (10, 2)),
-        ({"prompt_tokens": 10}, (10, None)),
-        ({"prompt_tokens": 0, "completion_tokens": 2}, (None, 2)),
-        ({"prompt_tokens": 0, "completion_tokens": 0}, (None, None)),
-        ({"prompt_tokens": 10**400, "completion_tokens": -1}, (None, None)),
-        ({"prompt_tokens": True, "completion_tokens": 2.5}, (None, None)),
-        ({"prompt_tokens": None, "completion_tokens": "2"}, (None, None)),
-        ({}, (None, None)),
-        (None, (None, None)),
-    ],
-)
-def test_tokens_that_are_not_counted_are_unknown(send: Send, usage: Any, counted: object) -> None:
-    answer = send(completion({"content": "UP"}, usage=usage))
-    assert isinstance(answer, Answer)
-    assert (answer.prompt_tokens, answer.completion_tokens) == counted
+def completion(message: Any, **more: Any) -> dict[str, Any]:
+    return {"choices": [{"message": message, "finish_reason": "stop"}], **more}
 
 
 def failed(response: Answer | TryFailedError) -> TryFailedError:
@@ -116,36 +62,36 @@ def failed(response: Answer | TryFailedError) -> TryFailedError:
     return response
 
 
-@pytest.mark.parametrize(
-    ("content", "status"),
-    [
-        *(("", status) for status in (408, 409, 429, 500, 200)),
-        ({"error": {"code": 503}}, 200),
-        ({"error": "overloaded"}, 200),
-        ({"object": "error", "message": "busy", "code": 500}, 200),
-        ({"choices": []}, 200),
-        (completion(None), 200),
-        (completion({"content": None}, None), 200),
-        *((completion({"content": "UP"}, why), 200) for why in ("error", "abort")),
-        (completion({"content": ""}, "abort"), 200),
-    ],
-)
+@pytest.mark.parametrize(("message", "answer"), ENDPOINTS["answers"])
+def test_the_parts_of_an_answer(send: Send, message: Any, answer: dict[str, Any]) -> None:
+    assert send(completion(message)) == Answer(**answer, finish_reason="stop")
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize(("arguments", "read"), ENDPOINTS["tool arguments"])
+def test_the_arguments_of_a_tool_call_in_each_form(send: Send, arguments: Any, read: str | None, legacy: bool) -> None:
+    call = {"name": "fly", "arguments": arguments}
+    message = {"content": None, "function_call": call} if legacy else {"tool_calls": [{"function": call}]}
+    assert send(completion(message)) == Answer(text="", tool_arguments=read, finish_reason="stop")
+
+
+@pytest.mark.parametrize(("usage", "counted"), ENDPOINTS["usage"])
+def test_tokens_that_are_not_counted_are_unknown(send: Send, usage: Any, counted: object) -> None:
+    answer = send(completion({"content": "UP"}, usage=usage))
+    assert isinstance(answer, Answer)
+    assert [answer.prompt_tokens, answer.completion_tokens] == counted
+
+
+@pytest.mark.parametrize(("content", "status"), ENDPOINTS["retried"])
 def test_failures_that_pass_are_retried(send: Send, content: Any, status: int) -> None:
     failure = failed(send(content, status))
     assert (failure.retried, failure.fatal) == (True, False)
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        *([], "UP", None, {"choices": "UP"}, {"choices": ["UP"]}, {"choices": [None]}, {"choices": {"0": 1}}),
-        *(completion(message) for message in ("UP", {"content": 5}, {"tool_calls": ["UP"]})),
-        completion({"content": "UP"}, 5),
-        "\x00\xff not json",
-        '{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}",
-    ],
-    ids=lambda value: str(value)[:20],
-)
+DEEP = '{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}"
+
+
+@pytest.mark.parametrize("value", [*ENDPOINTS["no answers"], DEEP], ids=lambda value: str(value)[:20])
 def test_what_has_not_the_form_of_an_answer_is_a_failure(send: Send, value: Any) -> None:
     failed(send(value if isinstance(value, str) and len(value) > 2 else json.dumps(value)))
 
@@ -174,57 +120,25 @@ def test_the_endpoint_may_ask_to_wait(send: Send, status: int, headers: dict[str
 
 
 NOT_JSON = "200: not an answer: JSON was expected (check API_BASE_URL), got "
+LONG = [
+    (500, "y" * 1000, f"500: {'y' * 300}", False),
+    (200, "x" * 195 + TOKEN, f"{NOT_JSON}{'x' * 195}***", False),
+    (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
+]
 
 
-@pytest.mark.parametrize(
-    ("status", "content", "told", "fatal"),
-    [
-        (401, {"error": {"message": f"bad key {TOKEN}"}}, "401: the token is missing or wrong: check HF_TOKEN", True),
-        (403, {}, "403: the token may not use this model or endpoint", True),
-        (404, {}, "404: there is no such model or address", True),
-        (200, {"error": {"code": 401}}, "401: the token is missing or wrong: ", True),
-        (500, "", "500: Internal Server Error", False),
-        (500, "y" * 1000, f"500: {'y' * 300}", False),
-        (500, "\x1b[2Jgone", "500: \ufffd[2Jgone", False),
-        *(
-            (status, {"error": error}, f"{402 if status == 200 else status}: the account has no credit left: ", True)
-            for status, error in (
-                (402, "Insufficient Balance"),
-                (429, {"message": "see your plan", "type": "insufficient_quota"}),
-                (403, {"message": "see your plan", "code": "insufficient_user_quota"}),
-                (400, {"message": "Your credit balance is too low to access the API."}),
-                (200, {"message": "quota exceeded", "code": 402}),
-            )
-        ),
-        (400, {"message": "failed", "metadata": {"raw": "too hot"}}, "400: failed: too hot", False),
-        (400, "max_tokens is too large", "400: max_tokens is too large (see --max-answer-tokens)", False),
-        (400, "top_k: 0; user: no", "400: top_k: 0; user: no (see --extra)", False),
-        (200, "x" * 195 + TOKEN, f"{NOT_JSON}{'x' * 195}***", False),
-        (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
-        # It is not followed.
-        *((status, "", f"{status}: it redirects to http://127.0.0.1:9/login?key=***", False) for status in (301, 307)),
-    ],
-)
+@pytest.mark.parametrize(("status", "content", "told", "fatal"), [*ENDPOINTS["refusals"], *LONG])
 def test_the_reason_is_one_short_line_without_the_token(
     send: Send, status: int, content: Any, told: str, fatal: bool
 ) -> None:
+    content = json.loads(json.dumps(content).replace("TOKEN", TOKEN))
     failure = failed(send(content, status, {"Location": f"http://127.0.0.1:9/login?key={TOKEN}"}))
     assert (str(failure).startswith(told), failure.fatal) == (True, fatal), failure
     assert len(failure.reason) < 500
     assert "sk-test" not in failure.reason
 
 
-@pytest.mark.parametrize(
-    ("status", "message", "starting"),
-    [
-        (503, "Loading model", True),
-        (503, "Model org/name is currently loading", True),
-        (503, "Model with name m is not ready", True),
-        (503, "The model is overloaded", False),
-        (503, "No healthy upstream", False),
-        (500, "error loading model", False),
-    ],
-)
+@pytest.mark.parametrize(("status", "message", "starting"), ENDPOINTS["starting"])
 def test_which_failures_are_those_of_an_endpoint_that_starts(
     send: Send, status: int, message: str, starting: bool
 ) -> None:

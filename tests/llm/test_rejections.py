@@ -12,7 +12,7 @@ from drone_env.llm.rejections import changed, changes_for, missing_text
 from drone_env.llm.report import report, write_report
 from drone_env.llm.verify import verified_run
 
-from .conftest import Start, verified
+from .conftest import ENDPOINTS, Start, verified
 
 SENT: dict[str, Any] = {
     "messages": [{"role": "system", "content": "Fly."}, {"role": "user", "content": "Where?"}],
@@ -24,47 +24,10 @@ SENT: dict[str, Any] = {
 }
 USE_OTHER = "Unsupported parameter: 'max_tokens' is not supported with this model. Use 'max_completion_tokens' instead."
 NO_SYSTEM = "System role not supported"
-ONE_ONLY = (
-    "Unsupported value: 'temperature' does not support 0.0 with this model. Only the default (1) value is supported."
-)
-FORBIDDEN = '{"detail":[{"type":"extra_forbidden","loc":["body","seed"],"msg":"Extra inputs are not permitted"}]}'
-TOO_LARGE = "'max_tokens' or 'max_completion_tokens' is too large: 1024. This model supports at most 512 tokens."
+ONE_ONLY = "Unsupported value: 'temperature' does not support 0.0 with this model. Only the default is supported."
 
 
-@pytest.mark.parametrize(
-    ("reason", "changes"),
-    [
-        (USE_OTHER, {"max_tokens": "max_completion_tokens"}),
-        ("Unknown field: max_tokens", {"max_tokens": None}),
-        (TOO_LARGE, {}),
-        ("max_tokens must be at most 512", {}),
-        (ONE_ONLY, {"temperature": None}),
-        ("Input validation error: `temperature` must be strictly positive", {"temperature": None}),
-        ("`temperature` (=0.0) has to be a strictly positive float", {"temperature": None}),
-        ("temperature and top_p cannot both be specified for this model.", {"temperature": None}),
-        ("does not support parameters: ['seed'], for model=m", {"seed": None}),
-        (FORBIDDEN, {"seed": None}),
-        (r'{"raw":"{\"type\":\"extra_forbidden\",\"loc\":[\"body\",\"top_p\"]}"}', {"top_p": None}),
-        ("seed must be below 4294967296", {}),
-        ("deepseek-reasoner does not support this tool_choice", {"tool_choice": None}),
-        ("Unrecognized request argument supplied: reasoning_effort", {}),
-        ("This model's maximum context length is 4096 tokens", {}),
-        *(
-            (text, {"system": "merge"})
-            for text in (
-                NO_SYSTEM,
-                "system messages are not supported by this model",
-                "Unsupported value: 'messages[0].role' does not support 'system' with this model.",
-                "Template error: Conversation roles must alternate user/assistant/user/assistant/...",
-                "Only user and assistant roles are supported!",
-                "Developer instruction is not enabled for models/gemma-3-27b-it",
-                'messages: Unexpected role "system".',
-                '{"loc":["body","messages",0,"role"],"msg":"Input should be \'user\' or \'assistant\'"}',
-            )
-        ),
-        ("The system is overloaded: this operation is not supported", {}),
-    ],
-)
+@pytest.mark.parametrize(("reason", "changes"), ENDPOINTS["rejections"])
 def test_what_a_reason_changes(reason: str, changes: dict[str, str | None]) -> None:
     assert changes_for(reason, SENT) == changes
     # A part that is not sent is not why the request was refused.
