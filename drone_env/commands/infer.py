@@ -16,7 +16,7 @@ from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
-from drone_env.llm.budget import Number, Options, Whole
+from drone_env.llm.budget import Budget, Number, Options, Whole
 
 if TYPE_CHECKING:
     from drone_env.llm.config import InferenceSettings, RunConfig
@@ -130,7 +130,6 @@ def infer(
         from drone_env.llm.config import load_settings
         from drone_env.llm.docker_server import running_image
         from drone_env.llm.endpoint import Endpoint
-        from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import Progress
 
     settings = load_settings(run.base_url)
@@ -149,10 +148,9 @@ def infer(
         store = None if options.server is not None else stack.enter_context(Store(data))
         stack.enter_context(run_folder.locked_run(path, config, run.resume))
         sender = Endpoint(config.base_url, token, options.timeout)
-        limiter = RateLimiter(options)
-        progress = Progress(config, limiter.budget, path, min(config.flights, options.concurrency) == 1, store)
+        progress = Progress(config, Budget(options), path, store)
         try:
-            result = asyncio.run(runner.run_flights(config, path, sender, limiter, progress))
+            result = asyncio.run(runner.run_flights(config, path, sender, progress))
             if run.report and result.verdict != "stopped":
                 verified = reports.verified_run(path)
                 reports.write_report(verified, reports.report(verified, options, run.moves))

@@ -15,10 +15,8 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 from drone_env.llm.answers import Answer
-from drone_env.llm.budget import Budget, LimitReachedError, Options
+from drone_env.llm.budget import Budget, LimitReachedError
 
-FIRST_CONCURRENCY = 8
-"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
 SMALL, LARGE = 4, 16
 """Fewest and most requests that measure a number of requests at once."""
 LATE = 0.25
@@ -184,17 +182,20 @@ class RateLimiter:
     until the budget suffices for all flights before it, so that a budget ends as many flights as it can.
 
     Args:
-        options: Limits, rate, prices and maximum concurrency.
+        budget: The requests and tokens so far, and the options.
+        first: Number of requests at once before the first answer.
+        most: Maximum number of requests at once.
+        longest: Turns of the longest flight.
+        turns: Turns that earlier parts of the run asked for.
 
     Attributes:
-        budget: The requests and tokens so far.
         active: Number of open requests.
     """
 
-    def __init__(self, options: Options) -> None:
-        self.options = options
-        self.budget = Budget(options)
-        self.active = 0
+    def __init__(self, budget: Budget, first: int, most: int, longest: int = 1, turns: int = 0) -> None:
+        self.budget, self.options, self.active = budget, budget.options, 0
+        self._search = ConcurrencySearch(first, most)
+        self._longest, self._turns = longest, turns
         self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
         self._slowest: float | None = None
@@ -203,23 +204,7 @@ class RateLimiter:
         self._timer: asyncio.Future[None] | None = None
         self._turn: dict[int, int] = {}
         """The turn that each flight asks for."""
-        self._turns = 0
-        """Turns with a request."""
         self._flying: set[int] = set()
-        self.begin(FIRST_CONCURRENCY, options.concurrency, 1)
-
-    def begin(self, first: int, flights: int, longest: int, turns: int = 0) -> None:
-        """Set what is known about a run.
-
-        Args:
-            first: Number of requests at once before the first answer.
-            flights: Number of flights.
-            longest: Turns of the longest flight.
-            turns: Turns that earlier parts asked for.
-        """
-        self._search = ConcurrencySearch(first, min(self.options.concurrency, flights))
-        self._longest = longest
-        self._turns = turns
 
     @property
     def limit(self) -> int:

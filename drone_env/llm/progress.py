@@ -33,7 +33,6 @@ class Progress:
         config: The run.
         budget: Its requests and tokens.
         folder: Its folder.
-        one_at_a_time: Whether a flight begins only after the end of the one before.
         store: Gets each finished episode, once however often the run is resumed; None to store none.
         not_stored: The errors of flights that are not in the store.
     """
@@ -41,7 +40,6 @@ class Progress:
     config: RunConfig
     budget: Budget
     folder: Path
-    one_at_a_time: bool = False
     store: Store | None = None
     not_stored: list[str] = field(default_factory=list[str])
     _flights: int = 0
@@ -53,7 +51,7 @@ class Progress:
 
     def on_steps(self, run: EpisodeRun) -> None:
         """Print the new log lines of a flight, and a line of progress if the last one is old."""
-        if self.one_at_a_time:
+        if min(self.config.flights, self.budget.options.concurrency) == 1:
             self._print(run)
         now, budget = time.monotonic(), self.budget
         if now - self._line_shown >= LINE_SECONDS:

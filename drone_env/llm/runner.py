@@ -15,7 +15,7 @@ from drone_env.llm.budget import LimitReachedError
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.follow import following
-from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter, now
+from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described, missing_text
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
@@ -25,6 +25,8 @@ from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
+FIRST_CONCURRENCY = 8
+"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
 OVERLOADED = {429, 503, 529}
 LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
@@ -201,31 +203,30 @@ class Calls:
             await asyncio.sleep(wait)
 
 
-async def run_flights(
-    config: RunConfig, folder: Path, endpoint: Endpoint, limiter: RateLimiter, progress: Progress
-) -> RunResult:
+async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progress: Progress) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
     Args:
         config: The run.
         folder: Its folder, which is locked.
         endpoint: Sends the requests; it is closed.
-        limiter: Decides when a request is sent; it must be new.
-        progress: Shows the progress.
+        progress: Shows the progress, and contains the options.
     """
-    flights, fatal = list[EpisodeRun](), None
-    prompt, numbers = config.load_prompt(), iter(range(config.flights))
+    flights, fatal, budget = list[EpisodeRun](), None, progress.budget
+    prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
-        limiter.budget.resume(transcript.calls, len(transcript.sent))
+        budget.resume(transcript.calls, len(transcript.sent))
         first = 1 if is_loopback(host_of(config.base_url)) else FIRST_CONCURRENCY
+        most = min(options.concurrency, config.flights)
         longest = 1 if prompt.plan else config.task_config.max_steps
-        limiter.begin(first, config.flights, longest, len({(key.flight, key.turn) for key in transcript.sent}))
+        turns = len({(key.flight, key.turn) for key in transcript.sent})
+        limiter = RateLimiter(budget, first, most, longest, turns)
         calls = Calls(config, endpoint, transcript, limiter, progress)
 
         async def worker() -> None:
             for number in numbers:
                 run = config.episode_run(number, prompt)
-                server = limiter.options.server
+                server = options.server
                 with following(server, config.model) if server else contextlib.nullcontext() as follow:
                     while run.messages:
                         if follow is not None:
@@ -241,7 +242,7 @@ async def run_flights(
                 if calls.fatal is not None:
                     raise EndpointError(calls.fatal)
 
-        workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, limiter.options.concurrency))]
+        workers = [asyncio.ensure_future(worker()) for _ in range(most)]
         try:
             await asyncio.gather(*workers)
         except EndpointError as error:

@@ -11,10 +11,9 @@ from typing import Any, TypeVar
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer
-from drone_env.llm.budget import Options
+from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import locked_run
@@ -135,10 +134,10 @@ class Flown:
 
 def fly(sender: Any, folder: Path, options: Options | None = None, store: Store | None = None, **change: Any) -> Flown:
     """Fly a run, by default one request at a time; a run in the folder goes on."""
-    config, limiter = run_config(**change), RateLimiter(options or Options(concurrency=1))
+    config, budget = run_config(**change), Budget(options or Options(concurrency=1))
     with locked_run(folder, config, resume=folder.exists()):
-        progress = Progress(config, limiter.budget, folder, store=store)
-        result, seconds = in_virtual_time(run_flights(config, folder, sender, limiter, progress))
+        progress = Progress(config, budget, folder, store)
+        result, seconds = in_virtual_time(run_flights(config, folder, sender, progress))
     return Flown(result, list(read_calls(folder / "calls.jsonl")), seconds)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.budget import Options
+from drone_env.llm.budget import Budget, Options
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
@@ -93,11 +93,13 @@ class Server(Scripted):
         return (await super().send(request, call_id)).model_copy(update={"completion_tokens": tokens})
 
 
-def with_limiter(work: Callable[[RateLimiter], Awaitable[Any]], **options: Any) -> tuple[Any, float]:
+def with_limiter(
+    work: Callable[[RateLimiter], Awaitable[Any]], first: int = 8, most: int = 64, longest: int = 1, **options: Any
+) -> tuple[Any, float]:
     """The result of a function that gets a limiter, and the virtual seconds that it took."""
 
     async def run() -> Any:
-        return await work(RateLimiter(Options(**options)))
+        return await work(RateLimiter(Budget(Options(**options)), first, most, longest))
 
     return in_virtual_time(run())
 
@@ -169,12 +171,7 @@ def test_a_server_gets_as_many_requests_at_once_as_it_can_use(
 ) -> None:
     # Its answers take 0.2 to 5 s.
     simulated = Server(**server, varying=True)
-
-    async def work(limiter: RateLimiter) -> None:
-        limiter.begin(first, 100, 1)
-        await answers_of(limiter, simulated)
-
-    _, seconds = with_limiter(work, concurrency=most)
+    _, seconds = with_limiter(lambda limiter: answers_of(limiter, simulated), first, most)
     assert simulated.worked / seconds >= throughput
     assert simulated.open_seconds / seconds <= most_open
     assert simulated.most_open <= most
@@ -194,8 +191,6 @@ def test_a_request_that_timed_out_keeps_its_slot_while_its_server_may_work_on_it
 
 def test_an_overload_halves_and_other_failures_only_if_they_are_many() -> None:
     async def work(limiter: RateLimiter) -> None:
-        limiter.begin(16, 64, 1)
-
         async def failed(overload: bool) -> int:
             await asyncio.sleep(1)
             async with limiter.slot() as sent:
@@ -209,7 +204,7 @@ def test_an_overload_halves_and_other_failures_only_if_they_are_many() -> None:
             assert limiter.limit == 2
         assert [await failed(overload=True) for _ in range(2)] == [1, 1]
 
-    with_limiter(work)
+    with_limiter(work, first=16)
 
 
 def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> None:
@@ -241,7 +236,7 @@ def test_waiting_requests_go_by_flight_and_a_cancelled_one_leaves_its_place() ->
             await asyncio.wait(waiting)
         assert (order, limiter.active) == ([0, 1, 1, 3, 5], 0)
 
-    with_limiter(work, concurrency=1)
+    with_limiter(work, most=1)
 
 
 @pytest.mark.parametrize("concurrency", [1, 64])
@@ -255,7 +250,6 @@ def test_a_budget_ends_as_many_flights_as_it_can(tmp_path: Path, concurrency: in
 
 def test_a_rejected_request_is_no_progress_of_its_flight() -> None:
     async def work(limiter: RateLimiter) -> None:
-        limiter.begin(4, flights=2, longest=5)
         for _ in range(2):
             await answered(limiter)
         waiting = asyncio.ensure_future(answered(limiter, 1))
@@ -265,7 +259,7 @@ def test_a_rejected_request_is_no_progress_of_its_flight() -> None:
         limiter.ended(0)
         await waiting
 
-    with_limiter(work, max_calls=10)
+    with_limiter(work, longest=5, max_calls=10)
 
 
 def test_a_budget_that_suffices_for_all_holds_no_flight_back(tmp_path: Path) -> None:
