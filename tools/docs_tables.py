@@ -14,7 +14,7 @@ from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS
-from drone_env.llm.config import InferenceSettings, models_table
+from drone_env.llm.config import InferenceSettings
 from drone_env.results.tables import markdown_table
 from drone_env.server.settings import Settings
 
@@ -110,7 +110,6 @@ def tables() -> dict[tuple[str, str], str]:
         ("gymnasium.md", "environments"): environments(),
         ("configuration.md", "settings of the server"): settings_table(Settings),
         ("configuration.md", "settings of language models"): settings_table(InferenceSettings),
-        ("llm.md", "models"): models_table(),
     }
 
 

@@ -16,7 +16,7 @@ from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
-from drone_env.llm.limiter import Number, Options, Whole
+from drone_env.llm.budget import Budget, Number, Options, Whole
 
 if TYPE_CHECKING:
     from drone_env.llm.config import InferenceSettings, RunConfig
@@ -91,7 +91,7 @@ class SamplingOptions:
         extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
     """
 
-    temperature: Number = 0.0
+    temperature: float = 0.0
     no_temperature: Flag = False
     top_p: Number = None
     max_answer_tokens: int = 1024
@@ -128,9 +128,8 @@ def infer(
         from drone_env.llm import report as reports
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import load_settings
+        from drone_env.llm.docker_server import running_image
         from drone_env.llm.endpoint import Endpoint
-        from drone_env.llm.image import running_image
-        from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import Progress
 
     settings = load_settings(run.base_url)
@@ -149,10 +148,9 @@ def infer(
         store = None if options.server is not None else stack.enter_context(Store(data))
         stack.enter_context(run_folder.locked_run(path, config, run.resume))
         sender = Endpoint(config.base_url, token, options.timeout)
-        limiter = RateLimiter(options)
-        progress = Progress(config, limiter.budget, path, min(config.flights, options.concurrency) == 1, store)
+        progress = Progress(config, Budget(options), path, store)
         try:
-            result = asyncio.run(runner.run(config, path, sender, limiter, progress))
+            result = asyncio.run(runner.run_flights(config, path, sender, progress))
             if run.report and result.verdict != "stopped":
                 verified = reports.verified_run(path)
                 reports.write_report(verified, reports.report(verified, options, run.moves))

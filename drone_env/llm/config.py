@@ -15,9 +15,8 @@ from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, custom_task_rules, get_task
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
-from drone_env.llm.text_episode import Flight
+from drone_env.llm.text_episode import EpisodeRun
 from drone_env.models import DIRECTIONS, Count, Message
-from drone_env.results.tables import markdown_table
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"
@@ -31,14 +30,6 @@ RESERVED = {
     *("tools", "tool_choice", "response_format"),
 }
 """Fields of a request that `extra` cannot set."""
-
-SUPPORTED_MODELS = (
-    ("Qwen/Qwen2.5-7B-Instruct", "HF Router", "Free", "Fast, good baseline"),
-    ("Qwen/Qwen2.5-72B-Instruct", "HF Router", "Credits", "High capability"),
-    ("Qwen/QwQ-32B-Preview", "HF Router", "Credits", "Reasoning-optimized"),
-    (OPENAI_MODEL, "OpenAI", "Paid", "Reference performance"),
-)
-"""Model, provider, tier, notes. Any other model of an OpenAI-compatible endpoint works too."""
 
 
 class InferenceSettings(BaseSettings):
@@ -172,12 +163,6 @@ def is_private(host: str) -> bool:
         return "." not in host or host.endswith(PRIVATE_NAMES)
 
 
-def models_table() -> str:
-    """The supported models as a table in Markdown."""
-    rows = [(f"`{model}`", *rest) for model, *rest in SUPPORTED_MODELS]
-    return markdown_table(("model", "provider", "tier", "notes"), rows)
-
-
 class Sampling(Message):
     """Parameters of every request. Null values are not sent."""
 
@@ -263,13 +248,13 @@ class RunConfig(Message):
         """Number of flights."""
         return (self.seeds[1] - self.seeds[0]) * self.repeats
 
-    def flight(self, index: int, prompt: Prompt) -> Flight:
+    def episode_run(self, index: int, prompt: Prompt) -> EpisodeRun:
         """A flight at its start, by its number: all maps once, then all again."""
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
-        flight = Flight(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history)
-        flight.index, flight.repeat, flight.parameters = index, repeat, self._parameters(repeat)
-        flight.asked = {"system": "merge"} if self.system == "merge" else {}
-        return flight
+        run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history)
+        run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat)
+        run.asked = {"system": "merge"} if self.system == "merge" else {}
+        return run
 
     def load_prompt(self) -> Prompt:
         """The prompt.

@@ -16,11 +16,11 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer, ChatMessage, Unusable
-from drone_env.llm.progress import log_text
+from drone_env.llm.progress import last_line, log_lines
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import FlightResult
 from drone_env.llm.runner import MAX_ERRORED
-from drone_env.llm.text_episode import Flight, LimitReachedError, TextEpisode
+from drone_env.llm.text_episode import EpisodeRun, TextEpisode
 from drone_env.results.record import record_of
 
 with needs("inspect"):
@@ -104,7 +104,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
         model = get_model()
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
         seed = state.metadata["seed"]
-        flight = Flight(config, seed, chosen, reward_profile, history)
+        flight = EpisodeRun(config, seed, chosen, reward_profile, history)
         flight.repeat = state.epoch - 1
         while flight.messages:
             messages = _inspect_messages(flight.messages)
@@ -112,7 +112,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
                 output = await model.generate(messages, config=sampling)
             except (LimitExceededError, anyio.get_cancelled_exc_class()) as error:
                 # Inspect records the limit and scores the steps so far.
-                flight.stop(LimitReachedError(str(error) or "stopped by Inspect"))
+                flight.stop("budget_stop", str(error) or "stopped by Inspect")
                 state.store.set("flight", _stored(flight, str(state.model)))
                 raise
             state.messages, state.output = [*messages, output.message], output
@@ -148,14 +148,14 @@ def graded() -> Scorer:
     return score
 
 
-def _stored(flight: Flight, agent: str) -> dict[str, Any]:
+def _stored(flight: EpisodeRun, agent: str) -> dict[str, Any]:
     """A flight as JSON values, which a sample can store."""
     return {
         "regret": flight.regret,
         "result": FlightResult.of(flight).model_dump(mode="json"),
         "record": record_of(flight.episode, agent).to_json(),
         "actions": [step.action.name for step in flight.episode.path],
-        "log": log_text(flight, agent),
+        "log": "\n".join([*log_lines(flight, agent), last_line(flight)]),
     }
 
 

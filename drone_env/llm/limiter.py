@@ -1,152 +1,160 @@
-"""The rate limiter: requests at once and per minute, within the budget of a run, the first flights first."""
+"""The rate limiter of a run: how many requests at once and per minute, the first flights first.
+
+`ConcurrencySearch` finds the number of requests at once that an endpoint can use. A limit on latency alone would not
+do: answers differ in length by a factor of ten, and the first answer of a local server waits for its model to load. So
+the search compares neighbours, per token, again and again.
+"""
 
 import asyncio
 import heapq
 import itertools
 import math
-import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
+from collections import Counter
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Budget, LimitReachedError
 
-from drone_env.errors import InvalidValueError
-from drone_env.llm.concurrency import PROMPT_TOKENS, ConcurrencySearch, Round
-from drone_env.llm.text_episode import LimitReachedError
-
-if TYPE_CHECKING:
-    from drone_env.llm.answers import Answer
-    from drone_env.llm.transcript import Call
-
-MAX_CONCURRENCY = 10_000
-FIRST_CONCURRENCY = 8
-"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
-OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
-Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
-Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
+SMALL, LARGE = 4, 16
+"""Fewest and most requests that measure a number of requests at once."""
+LATE = 0.25
+"""Share of them that need not have an answer: a few answers take many times longer than the others."""
+MAX_FAILED = 0.1
+"""Share of failed requests that counts as an overload."""
+MIN_GAIN = 1.2
+"""Throughput that twice as many requests at once must bring."""
+MAX_REST = 16
+"""Most rounds until a number that was no better is tried again."""
+PROMPT_TOKENS = 32
+"""Tokens of an answer that take about as long as its request and its prompt."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """Speed and budget of a run, which do not change its results. Limits include the earlier parts of a resumed run.
-
-    Tokens and cost are known only after an answer: requests that are open when a limit is reached are still paid.
-
-    Args:
-        concurrency: Maximum number of requests at once; fewer if more bring no more answers.
-        timeout: Maximum duration of a request in seconds.
-        tries: Maximum number of tries of a call that fails with 408, 409, 429, 5xx or a network error.
-        backoff: Upper bound of the first random wait in seconds; it doubles with each try, up to 30 s.
-        requests_per_minute: Maximum number of requests per minute, including retries, evenly spaced.
-        max_calls: Stop after this many requests, including retries.
-        max_tokens: Stop after this many tokens.
-        max_cost: Stop after this many US dollars.
-        price_prompt: US dollars per million prompt tokens.
-        price_completion: US dollars per million completion tokens.
-        server: Also fly every step on the server at this address.
-    """
-
-    concurrency: int = 64
-    timeout: float = 120.0
-    tries: int = 6
-    backoff: float = 1.0
-    requests_per_minute: Number = None
-    max_calls: Whole = None
-    max_tokens: Whole = None
-    max_cost: Number = None
-    price_prompt: Number = None
-    price_completion: Number = None
-    server: Annotated[str | None, OPTIONAL] = None
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            may_be_0 = name in ("backoff", "price_prompt", "price_completion")
-            if isinstance(value, int | float) and not (0 <= value < math.inf and (value or may_be_0)):
-                least = "0 or more" if may_be_0 else "above 0"
-                raise InvalidValueError(f"--{name.replace('_', '-')} must be {least}, got {value}")
-        if self.concurrency > MAX_CONCURRENCY:
-            raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}")
-        if (self.price_prompt is None) != (self.price_completion is None):
-            raise InvalidValueError("give --price-prompt and --price-completion together")
-        if self.price_prompt is None and self.max_cost is not None:
-            raise InvalidValueError("--max-cost needs --price-prompt and --price-completion")
-
-
-class Budget:
-    """Counts the requests and tokens of a run.
-
-    Args:
-        options: The limits and prices.
+@dataclass(eq=False)
+class Round:
+    """Requests that were all sent under one limit, and the time that their answers took.
 
     Attributes:
-        requests: Number of requests sent.
-        answers: Number of answers.
-        prompt_tokens, completion_tokens: Number of tokens that the answers report; None if none of them does.
-        unmetered: Number of answers without a count of their tokens.
+        early: Number of requests to leave out, until the endpoint has as many as the limit allows.
+        unsent: Number of requests still to send.
+        late: Number of its requests that may be open at its end.
+        open: Number of its open requests.
+        failed: Number of failed requests under its limit, in this round or not.
+        peak: Largest number of requests at once.
+        seconds: Seconds of its answers.
+        tokens: Tokens of its answers.
     """
 
-    def __init__(self, options: Options) -> None:
-        self.requests = self.answers = self.unmetered = 0
-        self.prompt_tokens: int | None = None
-        self.completion_tokens: int | None = None
-        self._options = options
+    early: int
+    unsent: int
+    late: int
+    open: int = 0
+    failed: int = 0
+    peak: int = 0
+    seconds: float = 0.0
+    tokens: float = 0.0
 
-    @property
-    def tokens(self) -> int | None:
-        """Number of all tokens that the answers report; None if none of them does."""
-        return added(self.prompt_tokens, self.completion_tokens)
 
-    @property
-    def cost(self) -> float | None:
-        """US dollars for these tokens; None if they or their prices are unknown."""
-        prompt, completion = self._options.price_prompt, self._options.price_completion
-        if prompt is None or completion is None or self.prompt_tokens is None or self.completion_tokens is None:
-            return None
-        return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
+class ConcurrencySearch:
+    """Searches the smallest number of requests at once that brings the most answers.
 
-    def resume(self, calls: Iterable["Call"], requests: int) -> None:
-        """Count the requests and the tokens of earlier calls."""
-        self.requests += requests
-        for call in calls:
-            self.count(call)
+    A server that answers one request at a time takes twice as long for two; a server that batches does not. A round
+    measures the seconds per token under one limit. Twice as many requests must raise the throughput by `MIN_GAIN`, else
+    half as many are enough. An overload is no gain. A limit that was no better is tried again after 4, 8 and then every
+    16 rounds, since one round can mislead, and endpoints change.
 
-    def count(self, call: "Call") -> None:
-        """Count the tokens of a call."""
-        if (answer := call.answer) is not None:
-            self.answers += 1
-            self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
-            self.prompt_tokens = added(self.prompt_tokens, answer.prompt_tokens)
-            self.completion_tokens = added(self.completion_tokens, answer.completion_tokens)
+    Args:
+        first: The first limit.
+        most: The highest one.
 
-    def spent(self) -> str | None:
-        """Why no further request is within the limits; None if one is."""
-        limits = self._options
-        if self.unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
-            return "the endpoint does not report its tokens, so they cannot be limited"
-        for most, used, unit in (
-            (limits.max_calls, self.requests, "calls"),
-            (limits.max_tokens, self.tokens, "tokens"),
-            (limits.max_cost, self.cost, "US dollars"),
-        ):
-            # Tokens and cost are unknown before the first answer.
-            if most is not None and used is not None and used >= most:
-                return f"{round(used, 4)} of {most} {unit} have been used"
-        return None
+    Attributes:
+        limit: Maximum number of open requests.
+    """
 
-    def calls_left(self, active: int) -> float:
-        """The number of requests that the limits still allow; of tokens and cost, by their mean so far.
+    def __init__(self, first: int, most: int) -> None:
+        self._most = most
+        self._seconds: dict[int, float] = {}
+        """Seconds per token by limit; infinite if it overloads the endpoint."""
+        self._expiry: dict[int, int] = {}
+        """The round from which the seconds of a limit are out of date."""
+        self._rejected: Counter[int] = Counter()
+        self._rounds = 0
+        self._begin(min(first, most), early=min(first, most))
 
-        Args:
-            active: Number of open requests, whose tokens are not counted yet.
-        """
-        limits = self._options
-        left = math.inf if limits.max_calls is None else limits.max_calls - self.requests
-        for most, used in ((limits.max_tokens, self.tokens), (limits.max_cost, self.cost)):
-            if most is not None:  # one flight goes ahead until an answer shows what answers use
-                left = min(left, (most - used) * self.answers / used - active if used else 0)
-        return left
+    def _begin(self, limit: int, early: int = 0) -> None:
+        self.limit = limit
+        size = min(max(limit, SMALL), LARGE)
+        self._round = Round(early, size, late=int(LATE * size))
+
+    def sent(self, active: int) -> Round:
+        """The round of a request, the last of `active` open requests; one of its own if it is not measured."""
+        now = self._round
+        now.peak = max(now.peak, active)
+        if now.early or not now.unsent:
+            now.early -= now.early > 0
+            return Round(0, 0, 0)
+        now.unsent -= 1
+        now.open += 1
+        return now
+
+    def closed(self, of: Round) -> None:
+        """Count a request that is no longer open; decide after the last one of a round."""
+        of.open -= 1
+        if of is not self._round or of.open > of.late or of.unsent:
+            return
+        if of.peak < self.limit or not of.tokens:
+            # Too few flights or answers to judge this limit.
+            self._begin(self.limit)
+            return
+        self._rounds += 1
+        self._choose(of.seconds / of.tokens)
+
+    def _choose(self, seconds: float) -> None:
+        """Choose the next limit, after a round with these seconds per token."""
+        lower, limit, upper = self._lower(), self.limit, min(2 * self.limit, self._most)
+        last = self._seconds.get(limit, math.inf)
+        self._seconds[limit] = seconds if last == math.inf else (seconds + last) / 2
+        for other in {lower, upper} - {limit}:
+            if self._expiry.get(other, 0) <= self._rounds:
+                self._seconds.pop(other, None)
+        known = self._seconds
+        if lower in known and not self._pays(lower, limit):
+            self._move(lower)
+        elif upper != limit and (upper not in known or self._pays(limit, upper)):
+            self._move(upper)
+        elif lower not in known:
+            self._move(lower)
+        else:
+            self._rejected[limit] = 0
+            self._begin(limit)
+
+    def failed(self, overload: bool) -> None:
+        """Halve the limit if a request failed by an overload, or too many failed."""
+        self._round.failed += 1
+        if not overload and self._round.failed <= MAX_FAILED * self.limit:
+            return
+        if self.limit == 1:
+            self._begin(1)
+            return
+        self._seconds[self.limit] = math.inf
+        self._move(self._lower())
+
+    def _lower(self) -> int:
+        """The power of two below the limit; 1 if it is 1."""
+        return 1 << max(0, (self.limit - 1).bit_length() - 1)
+
+    def _pays(self, few: int, many: int) -> bool:
+        gain = MIN_GAIN ** math.log2(many / few)
+        return many * self._seconds[few] >= few * self._seconds[many] * gain
+
+    def _move(self, limit: int) -> None:
+        left, rest = self.limit, MAX_REST
+        if limit < left:
+            self._rejected[left] += 1
+            rest = min(MAX_REST, 2 << self._rejected[left])
+        self._expiry[left] = self._rounds + rest
+        self._begin(limit, early=max(0, limit - left))
 
 
 @dataclass(eq=False)
@@ -162,10 +170,9 @@ class Sent:
     round: Round
 
 
-def added(*counts: int | None) -> int | None:
-    """The sum of the known counts; None if none is known."""
-    known = [count for count in counts if count is not None]
-    return sum(known) if known else None
+def now() -> float:
+    """The seconds of the running event loop, which only grow."""
+    return asyncio.get_running_loop().time()
 
 
 class RateLimiter:
@@ -175,25 +182,20 @@ class RateLimiter:
     until the budget suffices for all flights before it, so that a budget ends as many flights as it can.
 
     Args:
-        options: Limits, rate, prices and maximum concurrency.
-        now: Returns monotonic seconds.
-        sleep: Waits for seconds.
+        budget: The requests and tokens so far, and the options.
+        first: Number of requests at once before the first answer.
+        most: Maximum number of requests at once.
+        longest: Turns of the longest flight.
+        turns: Turns that earlier parts of the run asked for.
 
     Attributes:
-        budget: The requests and tokens so far.
         active: Number of open requests.
     """
 
-    def __init__(
-        self,
-        options: Options,
-        now: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
-    ) -> None:
-        self.options = options
-        self.now, self.sleep = now, sleep
-        self.budget = Budget(options)
-        self.active = 0
+    def __init__(self, budget: Budget, first: int, most: int, longest: int = 1, turns: int = 0) -> None:
+        self.budget, self.options, self.active = budget, budget.options, 0
+        self._search = ConcurrencySearch(first, most)
+        self._longest, self._turns = longest, turns
         self._next_request = self._paused_until = 0.0
         self._halved_at = -1.0
         self._slowest: float | None = None
@@ -202,23 +204,7 @@ class RateLimiter:
         self._timer: asyncio.Future[None] | None = None
         self._turn: dict[int, int] = {}
         """The turn that each flight asks for."""
-        self._turns = 0
-        """Turns with a request."""
         self._flying: set[int] = set()
-        self.begin(FIRST_CONCURRENCY, options.concurrency, 1)
-
-    def begin(self, first: int, flights: int, longest: int, turns: int = 0) -> None:
-        """Set what is known about a run.
-
-        Args:
-            first: Number of requests at once before the first answer.
-            flights: Number of flights.
-            longest: Turns of the longest flight.
-            turns: Turns that earlier parts asked for.
-        """
-        self._search = ConcurrencySearch(first, min(self.options.concurrency, flights))
-        self._longest = longest
-        self._turns = turns
 
     @property
     def limit(self) -> int:
@@ -244,7 +230,7 @@ class RateLimiter:
                 self._close(admitted.result())
             raise
         try:
-            sent.at = self.now()
+            sent.at = now()
             yield sent
         finally:
             self._close(sent)
@@ -253,29 +239,29 @@ class RateLimiter:
         """Admit the waiting requests that may be sent now."""
         while self._waiting and self.active < self.limit:
             flight, _, is_new, admitted = self._waiting[0]
-            error = self.budget.spent()
+            error = self.budget.spent() if self.budget.limited else None
             if error is None and not admitted.done():
-                now = self.now()
+                at = now()
                 if not self._affordable(flight):
                     return
-                if (wait := max(self._paused_until, self._next_request) - now) > 0:
+                if (wait := max(self._paused_until, self._next_request) - at) > 0:
                     if self._timer is None:
                         self._timer = asyncio.ensure_future(self._admit_after(wait))
                     return
                 # After an idle time, one request may follow without a gap.
                 gap = 60 / (self.options.requests_per_minute or math.inf)
-                self._next_request = max(self._next_request, now - gap) + gap
+                self._next_request = max(self._next_request, at - gap) + gap
                 self.active += 1
                 self.budget.requests += 1
                 self._turns += is_new
                 self._flying.add(flight)
-                admitted.set_result(Sent(now, self._search.sent(self.active)))
+                admitted.set_result(Sent(at, self._search.sent(self.active)))
             elif not admitted.done():
                 admitted.set_exception(LimitReachedError(error))
             heapq.heappop(self._waiting)
 
     async def _admit_after(self, seconds: float) -> None:
-        await self.sleep(seconds)
+        await asyncio.sleep(seconds)
         self._timer = None
         self._admit()
 
@@ -284,9 +270,9 @@ class RateLimiter:
 
         A turn takes as many requests as the turns so far, with retries and repairs.
         """
-        left = self.budget.calls_left(self.active)
-        if left == math.inf:
+        if not self.budget.limited:
             return True
+        left = self.budget.calls_left(self.active)
         turns = sum(self._longest - self._turn[number] + 1 for number in self._flying if number < flight)
         return turns == 0 or left > turns * max(1.0, self.budget.requests / max(1, self._turns))
 
@@ -300,9 +286,9 @@ class RateLimiter:
         self._flying.discard(flight)
         self._admit()
 
-    def answered(self, sent: Sent, answer: "Answer") -> float:
+    def answered(self, sent: Sent, answer: Answer) -> float:
         """Measure the seconds of an answer, and return them."""
-        seconds = self.now() - sent.at
+        seconds = now() - sent.at
         self._slowest = max(seconds, self._slowest or 0.0)
         sent.round.seconds += seconds
         # About 4 letters are a token. Not every endpoint counts them, or those of the reasoning.
@@ -318,12 +304,12 @@ class RateLimiter:
             pause: Seconds.
             overload: Whether it failed because the endpoint has too many.
         """
-        self._paused_until = max(self._paused_until, self.now() + pause)
+        self._paused_until = max(self._paused_until, now() + pause)
         if sent.at > self._halved_at:
             before = self.limit
             self._search.failed(overload)
             if self.limit < before:
-                self._halved_at = self.now()
+                self._halved_at = now()
 
     async def abandoned(self) -> None:
         """Wait as long as a server may still work on a request that timed out.
@@ -331,4 +317,4 @@ class RateLimiter:
         That is as long as its slowest answer took, or once more the time limit if there was none.
         """
         timeout = self.options.timeout
-        await self.sleep(timeout if self._slowest is None else min(timeout, self._slowest))
+        await asyncio.sleep(timeout if self._slowest is None else min(timeout, self._slowest))

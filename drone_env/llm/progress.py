@@ -12,7 +12,7 @@ from drone_env.llm.answers import Reading, in_common
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import EpisodeIds
-from drone_env.llm.text_episode import Flight
+from drone_env.llm.text_episode import EpisodeRun
 from drone_env.results.store import Store
 from drone_env.results.tables import known_sum
 
@@ -33,7 +33,6 @@ class Progress:
         config: The run.
         budget: Its requests and tokens.
         folder: Its folder.
-        one_at_a_time: Whether a flight begins only after the end of the one before.
         store: Gets each finished episode, once however often the run is resumed; None to store none.
         not_stored: The errors of flights that are not in the store.
     """
@@ -41,27 +40,19 @@ class Progress:
     config: RunConfig
     budget: Budget
     folder: Path
-    one_at_a_time: bool = False
     store: Store | None = None
     not_stored: list[str] = field(default_factory=list[str])
     _flights: int = 0
-    _printed: int = 0  # letters of the flight
+    _printed: int = 0  # lines of the flight
     _retries: int = 0
     _line_shown: float = field(default_factory=time.monotonic)
     _wait_shown: float = 0.0
     _early: list[Reading] | None = field(default_factory=list[Reading])
 
-    def on_request(self, flight: Flight) -> None:
-        """Print the new log lines of the flight that a request belongs to."""
-        if self.one_at_a_time:
-            self._print(log_text(flight, self.config.model, whole=False))
-
-    def _print(self, text: str) -> None:
-        print(text[self._printed :], end="", flush=True)
-        self._printed = len(text)
-
-    def on_call(self) -> None:
-        """Print a line of progress if the last one is old."""
+    def on_steps(self, run: EpisodeRun) -> None:
+        """Print the new log lines of a flight, and a line of progress if the last one is old."""
+        if min(self.config.flights, self.budget.options.concurrency) == 1:
+            self._print(run)
         now, budget = time.monotonic(), self.budget
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
@@ -69,6 +60,11 @@ class Progress:
             cost = "" if budget.cost is None else f", {known_sum(budget.cost, budget.unmetered, '.4f')} US dollars"
             tokens = "" if budget.tokens is None else f", {known_sum(budget.tokens, budget.unmetered, 'd')} tokens"
             print(f"{flights}, {budget.requests} requests{tokens}{cost}", file=sys.stderr)
+
+    def _print(self, run: EpisodeRun) -> None:
+        lines = log_lines(run, self.config.model, self._printed)
+        print(*lines, sep="\n", end="\n" if lines else "", flush=True)
+        self._printed += len(lines)
 
     def on_reading(self, reading: Reading) -> None:
         """If none of the first answers is usable, print once what they have in common."""
@@ -92,37 +88,43 @@ class Progress:
         """Print what happens once in a run."""
         print(text, file=sys.stderr)
 
-    def on_flight(self, flight: Flight) -> None:
+    def on_flight(self, run: EpisodeRun) -> None:
         """Store the flight and print its log lines."""
         try:
-            if self.store is not None and flight.episode.ended:
-                self.store.add_episode(flight.episode, self.config.model, EpisodeIds(self.folder).of(flight.index))
+            if self.store is not None and run.episode.ended:
+                self.store.add_episode(run.episode, self.config.model, EpisodeIds(self.folder).of(run.index))
         except StoreError as error:
             # The flight is paid for: the run continues without the store.
             self.not_stored.append(str(error))
-        self._print(log_text(flight, self.config.model))
+        self._print(run)
+        print(last_line(run), flush=True)
         self._printed = 0
         self._flights += 1
-        if flight.status != "finished":
-            print(f"map {flight.episode.seed}: {flight.status}: {flight.error}", file=sys.stderr)
+        if run.status != "finished":
+            print(f"map {run.seed}: {run.status}: {run.error}", file=sys.stderr)
 
 
-def log_text(flight: Flight, model: str, whole: bool = True) -> str:
-    """The log lines of a flight, each with its newline.
+def log_lines(run: EpisodeRun, model: str, printed: int = 0) -> list[str]:
+    """The log lines of a flight so far.
 
-    A step with an unusable answer shows the outcome of that answer as its error. A flight that a limit stopped has
-    fewer steps, and its score is that of waiting to the end; an errored flight has no score.
+    A step with an unusable answer shows the outcome of that answer as its error.
 
     Args:
-        flight: The flight.
+        run: The flight.
         model: Name of the pilot.
-        whole: Whether to add the line of the end.
+        printed: Number of lines to leave out.
     """
-    episode = flight.episode
-    lines = [start_line(episode.task, model)]
-    for number, (step, error) in enumerate(zip(episode.path, flight.step_errors, strict=True), 1):
-        done = episode.ended and number == episode.steps
-        lines.append(step_line(number, Action(step.action), step.reward, done, error))
-    if whole:
-        lines.append(end_line(flight.success, None if flight.status == "errored" else flight.score, flight.rewards))
-    return "".join(f"{line}\n" for line in lines)
+    episode, first = run.episode, max(printed - 1, 0)
+    steps, ended = list(zip(episode.actions, episode.rewards, run.step_errors, strict=True)), episode.ended
+    return ([] if printed else [start_line(episode.task, model)]) + [
+        step_line(number, Action(action), reward, ended and number == len(steps), error)
+        for number, (action, reward, error) in enumerate(steps[first:], first + 1)
+    ]
+
+
+def last_line(run: EpisodeRun) -> str:
+    """The line of the end of a flight.
+
+    The score of a flight that a limit stopped is that of waiting to the end; an errored flight has no score.
+    """
+    return end_line(run.success, None if run.status == "errored" else run.score, run.rewards)

@@ -1,4 +1,4 @@
-"""Prompts: versioned TOML files whose Jinja2 templates show a task and an observation.
+"""Prompts: versioned TOML files whose Jinja2 templates show a task and the state of an episode.
 
 A published prompt never changes: an improved one is a new file with the next number. Templates may include the files
 in `prompts/parts`.
@@ -6,12 +6,13 @@ in `prompts/parts`.
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field, ValidationError
 
 from drone_env.core.actions import ACTION_OFFSETS, Action
@@ -21,7 +22,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
 from drone_env.llm.answers import MARK, Answer, ChatMessage, Reading, read_answer
-from drone_env.models import NAMES, DroneObservation, Message
+from drone_env.models import Message
 from drone_env.toml_text import parse_toml
 
 FOLDER = Path(__file__).with_name("prompts")
@@ -35,29 +36,15 @@ LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel"
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
 COMPASS_PADS = 5
 """The largest number of charging pads that the compass shows."""
+CELL_LETTERS = [LETTERS[kind.name] for kind in CELL_KINDS.values()]
 LEGEND = (
     "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
 )
-CELL_LISTS = {"parcels": "delivery", "buildings": "building", "trees": "tree", "obstacles": "obstacle", "pads": "pad"}
-"""The kind of cell whose coordinates each value lists."""
-OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
-    "x": lambda obs: obs.drone_x,
-    "y": lambda obs: obs.drone_y,
-    "battery_percent": lambda obs: round(100 * obs.battery),
-    "battery_steps": lambda obs: obs.battery_steps_remaining,
-    "target": lambda obs: (
-        "none" if obs.current_target is None else f"({obs.current_target[0]}, {obs.current_target[1]})"
-    ),
-    "distance": lambda obs: round(obs.distance_to_target or 0),
-    "deliveries_done": lambda obs: obs.deliveries_done,
-    "deliveries_total": lambda obs: obs.deliveries_total,
-    "step": lambda obs: obs.step_count,
-    "steps_left": lambda obs: obs.max_steps - obs.step_count,
-    "max_steps": lambda obs: obs.max_steps,
-    "width": lambda obs: obs.grid_width,
-    "height": lambda obs: obs.grid_height,
+VALUES = {
+    *("x", "y", "battery_percent", "battery_steps", "target", "distance", "step", "steps_left", "max_steps"),
+    *("deliveries_done", "deliveries_total", "parcels", "buildings", "trees", "obstacles", "pads", "terrain"),
+    *("width", "height", "compass", "grid", "legend", "history", "task", "drains", "impassable"),
 }
-VALUES = {*OBSERVED, *CELL_LISTS, "compass", "grid", "legend", "history", "task", "drains", "impassable", "terrain"}
 """All names that a template can use."""
 
 
@@ -96,11 +83,10 @@ class Prompt(PromptFile):
         Raises:
             InvalidValueError: if the template of your own prompt cannot be rendered.
         """
-        task, obs = episode.task, DroneObservation.of(episode)
-        values = _values(task, obs, last_steps)
+        values = _values(episode, last_steps)
         if "compass" in self.names:
-            values["compass"] = _compass(task, obs)
-        user = [self._render(self.user, values), below_text(task, obs.cell_below)]
+            values["compass"] = _compass(episode)
+        user = [self._render(self.user, values), below_text(episode)]
         texts = {"system": self._render(self.system, values), "user": "\n".join(filter(None, user))}
         return [{"role": role, "content": text} for role, text in texts.items() if text or role == "user"]
 
@@ -255,52 +241,67 @@ def _template(text: str) -> Any:
     return _environment().from_string(text)
 
 
-def _values(task: TaskConfig, obs: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
+def _values(episode: Episode, last_steps: Sequence[str]) -> dict[str, object]:
     """The values that a template can use."""
-    deciding = set(_deciding(task))
-    cells: dict[str, list[str]] = {kind.name: [] for kind in CELL_KINDS.values()}
-    for y, row in enumerate(obs.cell_types):
-        for x, name in enumerate(row):
-            if name != "road":  # a city has thousands
-                cells[name].append(f"({x}, {y})")
-    lists = {name: " ".join(listed) or "none" for name, listed in cells.items()}
+    task, cells, steps, target = episode.task, episode.grid(), episode.steps, episode.target
+    (x, y), battery, distance = episode.position, episode.battery, episode.distance_to_target or 0
+    units, done = episode.battery_units, episode.deliveries_done
+    places = {kind: _places(cells == kind) for kind in (Cell.DELIVERY, *TITLES)}
+    deciding = _deciding(task)
     return {
-        **{name: get(obs) for name, get in OBSERVED.items()},
-        **{name: lists[kind] for name, kind in CELL_LISTS.items()},
-        "grid": "\n".join(" ".join(LETTERS[name] for name in row) for row in obs.cell_types),
+        "x": x,
+        "y": y,
+        "battery_percent": round(100 * battery),
+        "battery_steps": units,
+        "target": "none" if target is None else str(target),
+        "distance": distance,
+        "deliveries_done": done,
+        "deliveries_total": task.deliveries,
+        "step": steps,
+        "steps_left": task.max_steps - steps,
+        "max_steps": task.max_steps,
+        "width": task.width,
+        "height": task.height,
+        "parcels": places[Cell.DELIVERY],
+        "buildings": places[Cell.BUILDING],
+        "trees": places[Cell.TREE],
+        "obstacles": places[Cell.OBSTACLE],
+        "pads": places[Cell.PAD],
+        "grid": "\n".join(" ".join(map(CELL_LETTERS.__getitem__, row)) for row in cells.tolist()),
         "legend": LEGEND,
         "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
         "task": task,
         "drains": [(_label(kind), units) for kind, units in task.drain if units != 1],
         "impassable": sorted(map(_label, task.impassable)),
-        "terrain": [(title, lists[CELL_KINDS[kind].name], kind in deciding) for kind, title in TITLES.items()],
+        "terrain": [(title, places[kind], kind in deciding) for kind, title in TITLES.items()],
     }
 
 
-def _compass(task: TaskConfig, obs: DroneObservation) -> str:
+def _places(among: npt.NDArray[np.bool_]) -> str:
+    """The coordinates of cells, row by row."""
+    return " ".join(f"({x}, {y})" for y, x in np.argwhere(among).tolist()) or "none"
+
+
+def _compass(episode: Episode) -> str:
     """One line for each neighbouring cell, and for the cheapest way to each parcel and to the nearest pads."""
     from drone_env.planning.paths import cheapest_ways  # compiles
 
-    names = [name for row in obs.cell_types for name in row]
-    here, width = obs.drone_y * obs.grid_width + obs.drone_x, obs.grid_width
-    grid = np.array([NAMES.index(name) for name in names], np.uint8)
-    units, first = cheapest_ways(task, grid, here)
-    names[here] = obs.cell_below
+    task, grid = episode.task, episode.grid()
+    (x, y), here = episode.position, episode.cell
+    units, first = cheapest_ways(task, grid.reshape(-1), here)
+    grid[y, x] = episode.under
     lines: list[str] = []
     for action, (dx, dy) in ACTION_OFFSETS.items():
-        if action is Action.WAIT:
-            continue
-        x, y = obs.drone_x + dx, obs.drone_y + dy
-        inside = 0 <= x < width and 0 <= y < obs.grid_height
-        lines.append(f"{action.name} {names[y * width + x] if inside else 'edge'}")
-    for label, kind, most in (("pad", "pad", COMPASS_PADS), ("parcel", "delivery", len(names))):
-        cells = sorted((cell for cell, name in enumerate(names) if name == kind), key=lambda cell: units[cell])
-        for cell in [cell for cell in cells if units[cell] >= 0][:most]:
-            dx, dy = cell % width - obs.drone_x, cell // width - obs.drone_y
+        if action is not Action.WAIT:
+            inside = 0 <= x + dx < task.width and 0 <= y + dy < task.height
+            lines.append(f"{action.name} {CELL_KINDS[grid[y + dy, x + dx]].name if inside else 'edge'}")
+    for label, kind, most in (("pad", Cell.PAD, COMPASS_PADS), ("parcel", Cell.DELIVERY, None)):
+        cells = [cell for cell in np.flatnonzero(grid == kind).tolist() if units[cell] >= 0]
+        for cell in sorted(cells, key=units.__getitem__)[:most]:
+            dx, dy = cell % task.width - x, cell // task.width - y
             where = f"{'left' if dx < 0 else 'right'} {abs(dx)} {'up' if dy < 0 else 'down'} {abs(dy)}"
-            lines.append(
-                f"{label} {where} cost {units[cell]} via {Action(first[cell]).name if cell != here else 'WAIT'}"
-            )
+            way = Action(first[cell]).name if cell != here else "WAIT"
+            lines.append(f"{label} {where} cost {units[cell]} via {way}")
     return "\n".join(lines)
 
 
@@ -308,16 +309,22 @@ def _label(kind: Cell) -> str:
     return LABELS.get(kind, CELL_KINDS[kind].name)
 
 
-def _deciding(task: TaskConfig) -> Iterator[Cell]:
+@lru_cache(maxsize=64)
+def _deciding(task: TaskConfig) -> frozenset[Cell]:
     """The kinds of terrain that affect the best flight over maps of a task."""
-    for kind, count in task.cell_counts().items():
-        charges = kind is Cell.PAD and task.charge_rate > 0
-        if count and (charges or kind in task.impassable or dict(task.drain).get(kind, 1) != 1):
-            yield kind
+    return frozenset(
+        kind
+        for kind, count in task.cell_counts().items()
+        if count
+        and (
+            (kind is Cell.PAD and task.charge_rate > 0) or kind in task.impassable or dict(task.drain).get(kind, 1) != 1
+        )
+    )
 
 
-def below_text(task: TaskConfig, kind: str) -> str:
+def below_text(episode: Episode) -> str:
     """The line about the cell below the drone, which no map shows; empty if it does not matter for the task."""
-    if not task.pads and not any(_deciding(task)):
+    if not episode.task.pads and not _deciding(episode.task):
         return ""
-    return f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
+    kind = Cell(episode.under)
+    return f"Below the drone: {'charging pad' if kind is Cell.PAD else CELL_KINDS[kind].name}"

@@ -14,7 +14,7 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json, write_text
 from drone_env.llm.answers import Unusable
-from drone_env.llm.limiter import Budget, Options
+from drone_env.llm.budget import Budget, Options
 from drone_env.llm.rejections import described
 from drone_env.llm.run_folder import RESULTS, load_config, results_of, turns_of
 from drone_env.llm.runner import verdict_of

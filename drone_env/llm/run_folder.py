@@ -12,7 +12,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import differences, is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.text_episode import Flight, Status
+from drone_env.llm.text_episode import EpisodeRun, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 from drone_env.results.record import record_of
@@ -39,21 +39,20 @@ class FlightResult(Message):
     waits: Count = Field(description="Steps that are a WAIT because the answer was unusable.")
 
     @classmethod
-    def of(cls, flight: Flight) -> Self:
+    def of(cls, run: EpisodeRun) -> Self:
         """The result of a flight."""
-        episode = flight.episode
         return cls(
-            flight=flight.index,
-            seed=episode.seed,
-            repeat=flight.repeat,
-            status=flight.status,
-            error=flight.error,
-            steps=episode.steps,
-            ended=episode.ended,
-            success=flight.success,
-            score=flight.score,
-            turns={name: flight.turns.count(name) for name in TURN_KINDS},
-            waits=sum(error is not None for error in flight.step_errors),
+            flight=run.index,
+            seed=run.seed,
+            repeat=run.repeat,
+            status=run.status,
+            error=run.error,
+            steps=len(run.step_errors),
+            ended=run.episode.ended,
+            success=run.success,
+            score=run.score,
+            turns={name: run.turns.count(name) for name in TURN_KINDS},
+            waits=sum(error is not None for error in run.step_errors),
         )
 
 
@@ -115,10 +114,10 @@ def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, N
         yield
 
 
-def write_flights(path: Path, config: RunConfig, flights: Sequence[Flight]) -> None:
+def write_flights(path: Path, config: RunConfig, flights: Sequence[EpisodeRun]) -> None:
     """Write the records and the results of ordered flights; each file is written whole or not at all."""
-    records = [record_of(flight.episode, config.model).to_json() for flight in flights]
-    results = [FlightResult.of(flight).model_dump_json() for flight in flights]
+    records = [record_of(run.episode, config.model).to_json() for run in flights]
+    results = [FlightResult.of(run).model_dump_json() for run in flights]
     for name, lines in ((EPISODES, records), (RESULTS, results)):
         write_text(path / name, "".join(f"{line}\n" for line in lines))
 

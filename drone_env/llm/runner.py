@@ -10,20 +10,23 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Unusable, in_common
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common
+from drone_env.llm.budget import LimitReachedError
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import Endpoint, TryFailedError
-from drone_env.llm.image import following
-from drone_env.llm.limiter import FIRST_CONCURRENCY, RateLimiter
+from drone_env.llm.follow import following
+from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described, missing_text
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
-from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
-from drone_env.llm.transcript import Call, Failure, Transcript, digest
+from drone_env.llm.text_episode import EpisodeRun
+from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, digest
 from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
+FIRST_CONCURRENCY = 8
+"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
 OVERLOADED = {429, 503, 529}
 LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
@@ -48,7 +51,7 @@ class RunResult:
     config: RunConfig
     verdict: Verdict
     reason: str
-    flights: list[Flight]
+    flights: list[EpisodeRun]
 
 
 def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> tuple[Verdict, str]:
@@ -99,70 +102,68 @@ class Calls:
     def __post_init__(self) -> None:
         self.changes = {name: new for call in self.transcript.calls for name, new in call.changes.items()}
 
-    async def ask(self, flight: Flight) -> Answer:
-        """The answer to the next call of a flight."""
-        key = flight.key
+    async def fly_turn(self, run: EpisodeRun) -> None:
+        """Make the next call of a flight and fly its answer; stop the flight if there is none."""
+        key = run.key
         stored = self.transcript.answered.get(key)
-        if stored is not None or flight.turns:
-            self.progress.on_request(flight)
         if stored is not None:
-            flight.changes = stored.changes
-            return stored.answer_to(flight.request)
-        failures: list[Failure] = []
-        latency = 0.0
+            run.answer(stored.answer_to(run.request(stored.changes)))
+        elif (reading := await self._reading(run, key)) is not None:
+            run.take(reading)
+            self.progress.on_reading(reading)
+        self.progress.on_steps(run)
 
-        def record(answer: Answer | None, outcome: str) -> None:
-            request = flight.request
-            call = Call(
-                **key._asdict(),
-                seed=flight.episode.seed,
-                repeat=flight.repeat,
-                messages=request["messages"],
-                request_digest=digest(request),
-                sampling_seed=request.get("seed"),
-                changes=dict(flight.changes),
-                answer=answer,
-                outcome=outcome,
-                failures=failures,
-                latency=latency,
-                at=time.time(),
-            )
-            self.limiter.budget.count(call)
-            self.transcript.append(call)
-            self.progress.on_call()
-
+    async def _reading(self, run: EpisodeRun, key: CallKey) -> Reading | None:
+        """The answer to a new call, which is in the transcript; None if there is none, and the flight stops."""
+        failures, answer, reading, latency = list[Failure](), None, None, 0.0
         try:
-            answer, latency = await self._send(flight, failures)
-        except LimitReachedError:
-            if failures:
-                record(None, "budget_stop")
-            raise
+            answer, latency = await self._send(run, key, failures)
+            if not self.transcript.answered and (warning := missing_text(run.body, answer)):
+                self.progress.notice(warning)
+            reading = run.prompt.read_answer(answer)
+            outcome = reading.kind
+        except LimitReachedError as error:
+            run.stop(outcome := "budget_stop", str(error))
+            if not failures:
+                return None
         except TryFailedError as failed:
-            record(None, "api_error")
             # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be.
             first = not self.transcript.answered and 300 <= failed.status < 500 and not failed.retried
             if failed.fatal or failed.starting or first:
                 verb = "returned" if failed.status else "gives"
                 self.fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
-            raise CallFailedError(str(failed)) from None
-        if not self.transcript.answered and (warning := missing_text(flight.request, answer)):
-            self.progress.notice(warning)
-        reading = flight.prompt.read_answer(answer)
-        self.progress.on_reading(reading)
-        record(answer, reading.kind)
-        return answer
+            run.stop("errored", str(failed))
+            outcome = "api_error"
+        call = Call(
+            **key._asdict(),
+            seed=run.seed,
+            repeat=run.repeat,
+            messages=run.body["messages"],
+            request_digest=digest(run.body),
+            sampling_seed=run.body.get("seed"),
+            changes=dict(run.changes),
+            answer=answer,
+            outcome=outcome,
+            failures=failures,
+            latency=latency,
+            at=time.time(),
+        )
+        self.transcript.append(call)
+        self.limiter.budget.count(call)
+        return reading
 
-    async def _send(self, flight: Flight, failures: list[Failure]) -> tuple[Answer, float]:
+    async def _send(self, run: EpisodeRun, key: CallKey, failures: list[Failure]) -> tuple[Answer, float]:
         """The answer, and its seconds without any wait for a slot; appends each failed try to `failures`."""
-        limiter, options, key = self.limiter, self.limiter.options, flight.key
+        limiter, options, call_id = self.limiter, self.limiter.options, str(key)
         since: float | None = None
         while True:
             async with limiter.slot(key.flight, key.turn) as sent:
-                flight.changes = self.changes
-                self.progress.on_request(flight)
-                self.transcript.sending(key)
+                request = run.request(self.changes)
+                if not run.turns:
+                    self.progress.on_steps(run)
+                self.transcript.sending(call_id)
                 try:
-                    answer = await self.endpoint.send(flight.request, str(key))
+                    answer = await self.endpoint.send(request, call_id)
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after or 0.0
                     self.reached |= failed.status > 0 or not failed.starting
@@ -181,12 +182,12 @@ class Calls:
                     self.progress.notice(f"{'; '.join(described(failed.changes))}: the endpoint returned {failed}")
                 failures.append(Failure(status=failed.status, reason=failed.reason, waited=0.0))
                 continue
-            has_system = flight.request["messages"][0]["role"] == "system"
+            has_system = request["messages"][0]["role"] == "system"
             if failed.status == 500 and has_system and not self.transcript.answered:
                 failed.reason += "; if the model has no system role, try --system merge"
-            since = limiter.now() if since is None else since
+            since = now() if since is None else since
             patience = LOADING_SECONDS if self.reached else UNKNOWN_SECONDS
-            patient = failed.starting and options.tries > 1 and limiter.now() - since < patience
+            patient = failed.starting and options.tries > 1 and now() - since < patience
             again = failed.retried and (patient or len(failures) + 1 < options.tries) and retry_after <= MAX_WAIT
             wait = random.uniform(0, min(MAX_BACKOFF, options.backoff * 2 ** min(len(failures), 30)))
             wait = max(wait, 1.0 if patient else 0.0) if failed.retry_after is None else retry_after
@@ -195,48 +196,53 @@ class Calls:
                 raise failed
             if not failed.starting:
                 attempt = f"attempt {len(failures)} of {options.tries} failed"
-                self.progress.on_wait(wait, f"map {flight.episode.seed}, turn {key.turn}: {attempt}: {failed}")
+                self.progress.on_wait(wait, f"map {run.seed}, turn {key.turn}: {attempt}: {failed}")
             elif failed.status not in self.told:
                 self.told.add(failed.status)
                 self.progress.notice(f"the endpoint may still be starting: waiting up to {patience:g} s: {failed}")
-            await limiter.sleep(wait)
+            await asyncio.sleep(wait)
 
 
-async def run(
-    config: RunConfig, folder: Path, endpoint: Endpoint, limiter: RateLimiter, progress: Progress
-) -> RunResult:
+async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progress: Progress) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
     Args:
         config: The run.
         folder: Its folder, which is locked.
         endpoint: Sends the requests; it is closed.
-        limiter: Decides when a request is sent; it must be new.
-        progress: Shows the progress.
+        progress: Shows the progress, and contains the options.
     """
-    flights, fatal = list[Flight](), None
-    prompt, numbers = config.load_prompt(), iter(range(config.flights))
+    flights, fatal, budget = list[EpisodeRun](), None, progress.budget
+    prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
-        limiter.budget.resume(transcript.calls, len(transcript.sent))
+        budget.resume(transcript.calls, len(transcript.sent))
         first = 1 if is_loopback(host_of(config.base_url)) else FIRST_CONCURRENCY
+        most = min(options.concurrency, config.flights)
         longest = 1 if prompt.plan else config.task_config.max_steps
-        limiter.begin(first, config.flights, longest, len({(key.flight, key.turn) for key in transcript.sent}))
+        turns = len({(key.flight, key.turn) for key in transcript.sent})
+        limiter = RateLimiter(budget, first, most, longest, turns)
         calls = Calls(config, endpoint, transcript, limiter, progress)
 
         async def worker() -> None:
             for number in numbers:
-                flight = config.flight(number, prompt)
-                with following(limiter.options.server, config.model) as follow:
-                    await fly(flight, calls.ask, follow)
+                run = config.episode_run(number, prompt)
+                server = options.server
+                with following(server, config.model) if server else contextlib.nullcontext() as follow:
+                    while run.messages:
+                        if follow is not None:
+                            await follow(run.episode)
+                        await calls.fly_turn(run)
+                    if follow is not None:
+                        await follow(run.episode)
                 limiter.ended(number)
                 # A flight that reached a limit before its first answer has not begun.
-                if flight.status != "budget_stop" or flight.attempt == 2 or flight.step_errors:
-                    flights.append(flight)
-                    progress.on_flight(flight)
+                if run.status != "budget_stop" or run.attempt == 2 or run.step_errors:
+                    flights.append(run)
+                    progress.on_flight(run)
                 if calls.fatal is not None:
                     raise EndpointError(calls.fatal)
 
-        workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, limiter.options.concurrency))]
+        workers = [asyncio.ensure_future(worker()) for _ in range(most)]
         try:
             await asyncio.gather(*workers)
         except EndpointError as error:
@@ -247,14 +253,14 @@ async def run(
             await asyncio.gather(*workers, return_exceptions=True)
             await endpoint.close()
             # Also after an interruption.
-            flights.sort(key=lambda flight: flight.index)
+            flights.sort(key=lambda run: run.index)
             write_flights(folder, config, flights)
-    return RunResult(config, *verdict_of(config.flights, [flight.status for flight in flights], fatal), flights)
+    return RunResult(config, *verdict_of(config.flights, [run.status for run in flights], fatal), flights)
 
 
 def summary_lines(result: RunResult) -> list[str]:
     """The result of a run as text: the score of the flights that count, and the verdict."""
-    results = [FlightResult.of(flight) for flight in result.flights]
+    results = list(map(FlightResult.of, result.flights))
     unusable, lines = Unusable.among(turns_of(results)), list[str]()
     mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
@@ -264,5 +270,5 @@ def summary_lines(result: RunResult) -> list[str]:
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))
     if unusable.marked:
-        lines.append(in_common([fault for flight in result.flights for fault in flight.faults]))
+        lines.append(in_common([fault for run in result.flights for fault in run.faults]))
     return [*lines, "; ".join(filter(None, (f"verdict: {verdict}", unusable.mark)))]

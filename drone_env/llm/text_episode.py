@@ -1,28 +1,19 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
+from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.rejections import NO_CHANGES, Changes, changed
 from drone_env.llm.transcript import CallKey
-from drone_env.models import NAMES
 
 Status = Literal["finished", "errored", "budget_stop"]
-
-
-class LimitReachedError(DroneEnvError):
-    """The budget of a run is spent."""
-
-
-class CallFailedError(DroneEnvError):
-    """A call brought no answer, after all retries."""
 
 
 class TextEpisode:
@@ -43,6 +34,7 @@ class TextEpisode:
 
     Attributes:
         episode: The episode in its current state.
+        seed: The map.
         messages: The next request; empty at the end of the flight.
         turns: The outcome of each request for actions, in order.
         attempt: 1, or 2 if `messages` ask for a repaired answer.
@@ -64,6 +56,7 @@ class TextEpisode:
     ) -> None:
         self.prompt = get_prompt(prompt) if isinstance(prompt, str) else prompt
         self.episode = Episode(task, reward_profile, seed)
+        self.seed = self.episode.seed
         self.turns: list[TurnKind] = []
         self.faults: list[Reading] = []
         self.step_errors: list[str | None] = []
@@ -79,32 +72,32 @@ class TextEpisode:
             EpisodeError: if the flight is over.
             EndpointError: if the server did not finish the answer; ask for another one.
         """
+        return self.take(self.prompt.read_answer(Answer(text=answer) if isinstance(answer, str) else answer))
+
+    def take(self, reading: Reading) -> list[ChatMessage]:
+        """Fly an answer that has been parsed: the rest of `answer`."""
         if not self.messages:
             raise EpisodeError("the flight is over: start another TextEpisode")
-        reading = self.prompt.read_answer(Answer(text=answer) if isinstance(answer, str) else answer)
-        outcome: TurnKind = reading.kind
-        if self.attempt == 1 and outcome != "ok":
+        if self.attempt == 1 and not reading.actions:
             self.attempt = 2
             self.messages = [*self.messages, *self.prompt.repair_messages(reading.text, reading.reason)]
             return self.messages
-        if self.attempt == 2 and outcome == "ok":
-            outcome = "repaired"
+        outcome: TurnKind = "repaired" if self.attempt == 2 and reading.actions else reading.kind
         self.attempt = 1
         self.turns.append(outcome)
         if not reading.actions:
             self.faults.append(reading)
         episode = self.episode
         for action in reading.actions or (Action.WAIT,):
+            episode.step(action)
+            self.step_errors.append(None if reading.actions else outcome)
+            if self._history:
+                x, y = episode.position
+                self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
             if episode.ended:
                 break
-            episode.step(action)
-            x, y = episode.position
-            self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
-            self.step_errors.append(None if reading.actions else outcome)
-        if episode.ended or self.prompt.plan:
-            self.messages = []
-        else:
-            self.messages = self.prompt.messages(episode, self._steps[-self._history :] if self._history else ())
+        done = episode.ended or self.prompt.plan
+        self.messages = [] if done else self.prompt.messages(episode, self._steps[-self._history :])
         return self.messages
 
     def fly(self, directions: object) -> str:
@@ -147,7 +140,7 @@ class TextEpisode:
         """The optimum of the map minus `score`; None if the map is too large to be solved."""
         from drone_env.planning.optimal import best_of  # Imported lazily: only finished flights need it.
 
-        optimum = best_of(self.episode.task, self.episode.seed)
+        optimum = best_of(self.episode.task, self.seed)
         return None if optimum is None else optimum.score - self.score
 
     @property
@@ -158,14 +151,14 @@ class TextEpisode:
 
 def status_text(episode: Episode) -> str:
     """The position, battery, target and deliveries in words, as the answer to a tool call."""
-    below = below_text(episode.task, NAMES[episode.under])
+    below = below_text(episode)
     return (
         f"Position: {episode.position}. Battery: {episode.battery_units} units. "
         f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
     ) + (f" {below}." if below else "")
 
 
-class Flight(TextEpisode):
+class EpisodeRun(TextEpisode):
     """A flight of a run. Its calls can fail.
 
     Attributes:
@@ -173,7 +166,8 @@ class Flight(TextEpisode):
         repeat: The number of earlier flights of the run over the same map.
         parameters: The fields of its requests besides the messages.
         asked: What the run's configuration changes in its requests.
-        changes: What else the next request changes, because the endpoint rejects it.
+        changes: What else the last request changed, because the endpoint rejects it.
+        body: The body of the last request.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
     """
@@ -182,6 +176,7 @@ class Flight(TextEpisode):
     parameters: Mapping[str, Any]
     asked: Changes = NO_CHANGES
     changes: Changes = NO_CHANGES
+    body: Mapping[str, Any]
     status: Status = "finished"
     error: str | None = None
 
@@ -190,37 +185,18 @@ class Flight(TextEpisode):
         """The key of the next call."""
         return CallKey(self.index, len(self.turns) + 1, self.attempt)
 
-    @property
-    def request(self) -> dict[str, Any]:
-        """The body of the next request."""
-        return changed({"messages": self.messages, **self.parameters}, {**self.asked, **self.changes})
+    def request(self, changes: Changes) -> Mapping[str, Any]:
+        """The body of the next request.
 
-    def stop(self, error: CallFailedError | LimitReachedError) -> None:
+        Args:
+            changes: What it changes because the endpoint rejects it, besides `asked`; kept in `changes`.
+        """
+        self.changes, self.body = changes, {"messages": self.messages, **self.parameters}
+        if self.asked or changes:
+            self.body = changed(self.body, {**self.asked, **changes})
+        return self.body
+
+    def stop(self, status: Literal["errored", "budget_stop"], error: str) -> None:
         """End the flight because a call has no answer."""
-        failed = isinstance(error, CallFailedError)
-        self.turns.append("api_error" if failed else "budget_stop")
-        self.status, self.error, self.messages = "errored" if failed else "budget_stop", str(error), []
-
-
-async def fly(
-    flight: Flight,
-    ask: Callable[[Flight], Awaitable[Answer]],
-    follow: Callable[[Episode], Awaitable[None]] | None = None,
-) -> Flight:
-    """Fly a flight to its end and return it. Equal answers give equal flights.
-
-    Args:
-        flight: The flight.
-        ask: Returns the answer to the next call; raises `CallFailedError` or `LimitReachedError` if there is none.
-        follow: Called at the start and after each answer.
-    """
-    while True:
-        if follow is not None:
-            await follow(flight.episode)
-        if not flight.messages:
-            return flight
-        try:
-            flight.answer(await ask(flight))
-        except (CallFailedError, LimitReachedError) as error:
-            flight.stop(error)
-            return flight
+        self.turns.append("api_error" if status == "errored" else status)
+        self.status, self.error, self.messages = status, error, []

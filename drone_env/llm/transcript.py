@@ -106,9 +106,9 @@ class Transcript:
             file.truncate(sum(len(line) for _, line in lines))
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
-    def sending(self, key: CallKey) -> None:
-        """Write that a request is about to be sent."""
-        append_line(self._sent, str(key))
+    def sending(self, call_id: str) -> None:
+        """Write that a request of the call with this key, as text, is about to be sent."""
+        append_line(self._sent, call_id)
 
     def append(self, call: Call) -> None:
         """Write a call; it is in the file when this returns."""
@@ -144,6 +144,6 @@ def read_calls(path: Path) -> Iterator[Call]:
         yield call
 
 
-def _whole_lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    lines = enumerate(read_lines(path, LONGEST_CALL), 1)
-    return ((number, line) for number, line in lines if line.endswith(b"\n"))
+def _whole_lines(path: Path) -> list[tuple[int, bytes]]:
+    lines = enumerate(list(read_lines(path, LONGEST_CALL)), 1)
+    return [(number, line) for number, line in lines if line.endswith(b"\n")]

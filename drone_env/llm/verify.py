@@ -1,17 +1,17 @@
 """Verify a run folder: fly every flight again from the model's own answers."""
 
-import asyncio
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
+from drone_env.llm.prompt import Prompt
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
-from drone_env.llm.text_episode import CallFailedError, Flight, LimitReachedError, fly
+from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent
-from drone_env.results.record import read_records, record_of, replay
+from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
 @dataclass(frozen=True)
@@ -30,64 +30,76 @@ class VerifiedRun:
     path: Path
     config: RunConfig
     results: list[FlightResult]
-    flights: list[Flight]
+    flights: list[EpisodeRun]
     calls: list[Call]
     requests: int
 
 
 def verified_run(path: Path) -> VerifiedRun:
-    """Verify a run: its records and results follow from the answers in its transcript."""
-    config = load_config(path)
-    results, records = load_results(path), list(read_records(path / EPISODES))
-    calls = list(read_calls(path / TRANSCRIPT))
+    """Verify a run: its records and results follow from the answers in its transcript.
+
+    Raises:
+        OSError: if a file cannot be read.
+        InvalidValueError: if they do not, or a file is damaged.
+    """
+    config, results, records = load_config(path), load_results(path), list(read_records(path / EPISODES))
+    calls, sent = list(read_calls(path / TRANSCRIPT)), list(read_sent(path / SENT))
     answers = {call.key: call for call in calls if call.answer is not None}
-    failed = {call.key for call in calls if call.answer is None}
-    if len(results) != len(records):
-        raise InvalidValueError(f"{path} contains {len(records)} records for {len(results)} flights")
-    numbers = [result.flight for result in results]
-    if numbers != sorted(set(numbers)) or (numbers and numbers[-1] >= config.flights):
-        raise InvalidValueError(f"{path}: the numbers of the flights are not those of {config.flights} flights")
-    lost = sorted({key.flight for key in answers} - set(numbers))
-    if lost:
-        # A run without its worst flights would look better than it is.
-        raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
-    used: set[CallKey] = set()
-    prompt = config.load_prompt()
-
-    def replayed(result: FlightResult) -> Flight:
-        async def ask(flight: Flight) -> Answer:
-            key = flight.key
-            if key in answers:
-                used.add(key)
-                flight.changes = answers[key].changes
-                return answers[key].answer_to(flight.request)
-            # After its last answer the flight ended with the status of its result, which is compared below.
-            if result.status == "errored" and key in failed:
-                raise CallFailedError(result.error or "")
-            if result.status == "budget_stop":
-                raise LimitReachedError(result.error or "")
-            # An errored flight does not count, so the transcript must contain its failed call.
-            missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
-            raise InvalidValueError(f"call {key} {missing}, but the status of the flight is {result.status}")
-
-        return asyncio.run(fly(config.flight(result.flight, prompt), ask))
-
-    flights = list[Flight]()
-    for result, record in zip(results, records, strict=True):
-        try:
-            flight = replayed(result)
-            flights.append(flight)
-            fits = record_of(flight.episode, config.model) == record
-            if not fits:
-                replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
-        except DroneEnvError as error:
-            raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
-        if not fits or FlightResult.of(flight) != result:
-            raise InvalidValueError(f"{path}: flight {result.flight} does not follow from the model's answers")
-    if used != answers.keys():
-        raise InvalidValueError(f"{path}: {len(answers.keys() - used)} answers belong to no flight")
-    sent = list(read_sent(path / SENT))
-    made = Counter(call.key for call in calls for _ in range(len(call.failures) + (call.answer is not None)))
-    if missing := made - Counter(sent):
-        raise InvalidValueError(f"{path}: {SENT} lacks a request of call {min(missing)}")
+    prompt, known, used = config.load_prompt(), {call.key: call for call in calls} | answers, set[CallKey]()
+    try:
+        _check_numbers(config, results, records, answers)
+        flights = [_flown_again(config, prompt, *flown, known, used) for flown in zip(results, records, strict=True)]
+        if used != answers.keys():
+            raise InvalidValueError(f"{len(answers.keys() - used)} answers belong to no flight")
+        made = Counter(call.key for call in calls for _ in range(len(call.failures) + (call.answer is not None)))
+        if missing := made - Counter(sent):
+            raise InvalidValueError(f"{SENT} lacks a request of call {min(missing)}")
+    except DroneEnvError as error:
+        raise InvalidValueError(f"{path}: {error}") from None
     return VerifiedRun(path, config, results, flights, calls, len(sent))
+
+
+def _check_numbers(
+    config: RunConfig, results: Sequence[FlightResult], records: Sequence[EpisodeRecord], answers: Iterable[CallKey]
+) -> None:
+    numbers = [result.flight for result in results]
+    if len(results) != len(records):
+        raise InvalidValueError(f"it contains {len(records)} records for {len(results)} flights")
+    if numbers != sorted(set(numbers)) or (numbers and numbers[-1] >= config.flights):
+        raise InvalidValueError(f"the numbers of the flights are not those of {config.flights} flights")
+    if lost := {key.flight for key in answers} - set(numbers):
+        # A run without its worst flights would look better than it is.
+        raise InvalidValueError(f"flight {min(lost)} was begun but is not among the results: resume the run")
+
+
+def _flown_again(
+    config: RunConfig,
+    prompt: Prompt,
+    result: FlightResult,
+    record: EpisodeRecord,
+    calls: Mapping[CallKey, Call],
+    used: set[CallKey],
+) -> EpisodeRun:
+    """A flight from its answers, which must give its result and record; adds the calls with an answer to `used`."""
+    try:
+        run = config.episode_run(result.flight, prompt)
+        while run.messages:
+            key = run.key
+            call = calls.get(key)
+            if call is not None and call.answer is not None:
+                used.add(key)
+                run.answer(call.answer_to(run.request(call.changes)))
+            # After its last answer the flight ended with the status of its result, which is compared below.
+            elif result.status == "budget_stop" or (result.status == "errored" and call is not None):
+                run.stop(result.status, result.error or "")
+            else:
+                # An errored flight does not count, so the transcript must contain its failed call.
+                missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
+                raise InvalidValueError(f"call {key} {missing}, but the status of the flight is {result.status}")
+        if record_of(run.episode, config.model) != record:
+            replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
+        elif FlightResult.of(run) == result:
+            return run
+    except DroneEnvError as error:
+        raise InvalidValueError(f"flight {result.flight}: {error}") from None
+    raise InvalidValueError(f"flight {result.flight} does not follow from the model's answers")

@@ -15,7 +15,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.llm.limiter import Options
+from drone_env.llm.budget import Options
 from drone_env.llm.report import report, write_report
 from drone_env.llm.verify import verified_run
 from drone_env.results.store import Store

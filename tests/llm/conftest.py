@@ -20,6 +20,8 @@ from .scripted_server import Handler, Server, script
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "sk-test-0123456789"
+ENDPOINTS: dict[str, Any] = json.loads(Path(__file__).with_name("endpoints.json").read_text(encoding="utf-8"))
+"""What endpoints respond, and what it comes to."""
 LINE = re.compile(
     r"\[START\] task=\S+ env=drone_env_v1 model=scripted"
     r"|\[STEP\] step=\d+ action=(?:UP|DOWN|LEFT|RIGHT|WAIT) reward=\d\.\d\d done=(?:true|false) error=\w+"

@@ -1,56 +1,89 @@
-"""Runs of a language model made in this process: with a clock that only waiting moves, or a scripted model."""
+"""Runs of a language model in this process and in virtual time: their waits take none."""
 
 import asyncio
 import dataclasses
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig, Sampling
-from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.limiter import Options, RateLimiter
+from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import locked_run
-from drone_env.llm.runner import RunResult, run
+from drone_env.llm.runner import RunResult, run_flights
 from drone_env.llm.transcript import Call, read_calls
 from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
 
+T = TypeVar("T")
+BEGAN = 1000.0
+"""The virtual time at which runs begin."""
 
-class VirtualClock:
-    """Stands still but for waits, which are over at once and noted."""
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """Sets its clock forward instead of waiting for the next timer."""
 
     def __init__(self) -> None:
-        self.began = self.time = 1000.0
-        self.slept: list[float] = []
+        self._now = BEGAN
+        super().__init__()
+        selector: Any = self.__dict__["_selector"]
+        select = selector.select
 
-    @property
-    def passed(self) -> float:
-        """Seconds since it was made."""
-        return self.time - self.began
+        def skip(timeout: float | None) -> Any:
+            assert timeout is not None, "everything waits for something that will not happen"
+            self._now += timeout
+            return select(0)
 
-    def now(self) -> float:
-        return self.time
+        selector.select = skip
 
-    async def sleep(self, seconds: float) -> None:
-        self.slept.append(seconds)
-        self.time += seconds
-        await asyncio.sleep(0)
+    def time(self) -> float:
+        return self._now
+
+
+def in_virtual_time(work: Coroutine[Any, Any, T]) -> tuple[T, float]:
+    """The result of a coroutine, and the seconds that it took; what it leaves running is cancelled."""
+    loop = VirtualLoop()
+    try:
+        return loop.run_until_complete(work), loop.time() - BEGAN
+    finally:
+        for task in asyncio.all_tasks(loop):
+            task.cancel()
+            loop.run_until_complete(asyncio.wait([task]))
+        loop.close()
 
 
 class Scripted:
-    """Answers as a pilot of `scripted_server` without a server; to the very first prompt it says "Hm." instead."""
+    """Answers as a pilot of `scripted_server` without a server; to the very first prompt it says "Hm." instead.
 
-    def __init__(self, pilot: str) -> None:
-        self._pilot = pilot
+    Args:
+        pilot: The pilot, or a function that returns it for a request by its number from 0.
+        fails: Returns the failure of a request by its number; None to answer it.
+
+    Attributes:
+        requests: Number of requests.
+    """
+
+    def __init__(
+        self,
+        pilot: str | Callable[[int], str] = "greedy",
+        fails: Callable[[int], TryFailedError | None] = lambda _: None,
+    ) -> None:
+        self._pilot, self._fails = pilot, fails
+        self.requests = 0
 
     async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
-        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, request["messages"][1]["content"])
+        number, self.requests = self.requests, self.requests + 1
+        if (failure := self._fails(number)) is not None:
+            raise failure
+        pilot = self._pilot if isinstance(self._pilot, str) else self._pilot(number)
+        said = "Hm." if call_id == "0-1-1" else reply(pilot, request["messages"][1]["content"])
         return Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
 
     async def close(self) -> None: ...
@@ -82,31 +115,30 @@ def run_config(
 
 @dataclasses.dataclass
 class Flown:
-    """The result of a run in virtual time."""
+    """The result of a run, its calls, and its virtual seconds."""
 
     result: RunResult
-    clock: VirtualClock
     calls: list[Call]
+    seconds: float
 
     @property
     def turns(self) -> list[str]:
         """The outcomes of all requests for actions."""
-        return [turn for flight in self.result.flights for turn in flight.turns]
+        return list(itertools.chain.from_iterable(flight.turns for flight in self.result.flights))
+
+    @property
+    def waits(self) -> list[float]:
+        """The seconds waited after each failed try."""
+        return [failure.waited for call in self.calls for failure in call.failures]
 
 
-def fly(
-    at: str | Scripted, folder: Path, options: Options | None = None, store: Store | None = None, **change: Any
-) -> Flown:
-    """Fly a run whose waits take no time: against an endpoint or a scripted model, one request at a time by default."""
-    options = options or Options(concurrency=1)
-    config = run_config(**change, **({"base_url": at} if isinstance(at, str) else {}))
-    clock = VirtualClock()
-    sender = Endpoint(at, None, options.timeout) if isinstance(at, str) else at
-    limiter = RateLimiter(options, clock.now, clock.sleep)
-    progress = Progress(config, limiter.budget, folder, store=store)
-    with locked_run(folder, config, resume=False):
-        result = asyncio.run(run(config, folder, sender, limiter, progress))
-    return Flown(result, clock, list(read_calls(folder / "calls.jsonl")))
+def fly(sender: Any, folder: Path, options: Options | None = None, store: Store | None = None, **change: Any) -> Flown:
+    """Fly a run, by default one request at a time; a run in the folder goes on."""
+    config, budget = run_config(**change), Budget(options or Options(concurrency=1))
+    with locked_run(folder, config, resume=folder.exists()):
+        progress = Progress(config, budget, folder, store)
+        result, seconds = in_virtual_time(run_flights(config, folder, sender, progress))
+    return Flown(result, list(read_calls(folder / "calls.jsonl")), seconds)
 
 
 def put_run(data: Path, name: str, pilot: str, seeds: range, **change: Any) -> Path:

@@ -61,11 +61,9 @@ def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
 
 @pytest.mark.parametrize("profile", ["tiered", "aligned"])
 def test_the_reward_is_what_the_profile_pays_to_the_end(profile: str) -> None:
-    drone = DroneEnvironment()
+    drone, actions = DroneEnvironment(), solve("hard", 3).actions[:5]
     drone.reset(task="hard", seed=3, reward_profile=profile)
-    actions = solve("hard", 3).actions[:5]
-    for action in actions:
-        drone.fly(action.name)
+    drone.fly_route([action.name for action in actions])
     episode = Episode("hard", profile_for_discount(get_reward_profile(profile), 1), 3).fly(actions)
     assert paid(drone, object()) == [episode.waited_out().reward_total, None]
 

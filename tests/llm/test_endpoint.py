@@ -5,18 +5,21 @@ import functools
 import itertools
 import json
 from collections.abc import AsyncIterator, Callable
+from contextlib import nullcontext
 from email.utils import formatdate
 from time import time
 from typing import Any
+from urllib.parse import quote
 
 import httpx
 import pytest
 
+from drone_env.errors import InvalidValueError
 from drone_env.llm import endpoint
 from drone_env.llm.answers import Answer
-from drone_env.llm.endpoint import Endpoint, TryFailedError
+from drone_env.llm.endpoint import Endpoint, TryFailedError, without_secret
 
-from .conftest import TOKEN
+from .conftest import ENDPOINTS, TOKEN
 
 Send = Callable[..., Answer | TryFailedError]
 
@@ -50,114 +53,54 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
     return sent
 
 
-@pytest.mark.parametrize(
-    ("message", "answer"),
-    [
-        ({"content": "UP"}, {"text": "UP"}),
-        ({"content": [{"type": "reasoning", "text": "Up?"}, {"text": "U"}, "P"]}, {"text": "UP", "reasoning": "Up?"}),
-        (
-            {"content": [{"type": "thinking", "thinking": [{"type": "text", "text": "Up?"}]}, "UP"]},
-            {"text": "UP", "reasoning": "Up?"},
-        ),
-        ({"content": [{"type": "image_url", "image_url": {"url": "data:"}}]}, {"text": ""}),
-        ({"content": [{"type": "refusal", "refusal": "no"}]}, {"text": "", "refusal": "no"}),
-        # Two tool calls are no action.
-        (
-            {"content": "", "tool_calls": [{"function": {"arguments": text}} for text in ("{1}", "{2}")]},
-            {"text": "", "tool_arguments": "{1}{2}"},
-        ),
-    ],
-)
+def completion(message: Any, **more: Any) -> dict[str, Any]:
+    return {"choices": [{"message": message, "finish_reason": "stop"}], **more}
+
+
+def failed(response: Answer | TryFailedError) -> TryFailedError:
+    assert isinstance(response, TryFailedError)
+    return response
+
+
+@pytest.mark.parametrize(("message", "answer"), ENDPOINTS["answers"])
 def test_the_parts_of_an_answer(send: Send, message: Any, answer: dict[str, Any]) -> None:
-    whole = {"choices": [{"message": message, "finish_reason": "stop"}]}
-    assert send(whole) == Answer(**answer, finish_reason="stop")
+    assert send(completion(message)) == Answer(**answer, finish_reason="stop")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "read"),
-    [
-        ('{"direction": "UP"}', '{"direction": "UP"}'),
-        ({"direction": "UP"}, '{"direction": "UP"}'),
-        (json.dumps('{"direction": "UP"}'), '{"direction": "UP"}'),
-        (["UP"], '["UP"]'),
-        ('"UP', '"UP'),
-        ({}, None),
-        (None, None),
-    ],
-)
 @pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize(("arguments", "read"), ENDPOINTS["tool arguments"])
 def test_the_arguments_of_a_tool_call_in_each_form(send: Send, arguments: Any, read: str | None, legacy: bool) -> None:
     call = {"name": "fly", "arguments": arguments}
     message = {"content": None, "function_call": call} if legacy else {"tool_calls": [{"function": call}]}
-    answer = send({"choices": [{"message": message, "finish_reason": "stop"}]})
-    assert answer == Answer(text="", tool_arguments=read, finish_reason="stop")
+    assert send(completion(message)) == Answer(text="", tool_arguments=read, finish_reason="stop")
 
 
-@pytest.mark.parametrize(
-    ("usage", "counted"),
-    [
-        ({"prompt_tokens": 10, "completion_tokens": 0}, (10, 0)),
-        ({"prompt_tokens": 10.0, "completion_tokens": 2.0}, (10, 2)),
-        ({"prompt_tokens": 10}, (10, None)),
-        ({"prompt_tokens": 0, "completion_tokens": 2}, (None, 2)),
-        ({"prompt_tokens": 0, "completion_tokens": 0}, (None, None)),
-        ({"prompt_tokens": 10**400, "completion_tokens": -1}, (None, None)),
-        ({"prompt_tokens": True, "completion_tokens": 2.5}, (None, None)),
-        ({"prompt_tokens": None, "completion_tokens": "2"}, (None, None)),
-        ({}, (None, None)),
-        (None, (None, None)),
-    ],
-)
-def test_tokens_that_are_not_counted_are_unknown(
-    send: Send, usage: Any, counted: tuple[int | None, int | None]
-) -> None:
-    answer = send({"choices": [{"message": {"content": "UP"}}], "usage": usage})
+@pytest.mark.parametrize(("usage", "counted"), ENDPOINTS["usage"])
+def test_tokens_that_are_not_counted_are_unknown(send: Send, usage: Any, counted: object) -> None:
+    answer = send(completion({"content": "UP"}, usage=usage))
     assert isinstance(answer, Answer)
-    assert (answer.prompt_tokens, answer.completion_tokens) == counted
+    assert [answer.prompt_tokens, answer.completion_tokens] == counted
 
 
-@pytest.mark.parametrize(
-    ("content", "status"),
-    [
-        *(("", status) for status in (408, 409, 429, 500, 200)),
-        ({"error": {"code": 503}}, 200),
-        ({"error": "overloaded"}, 200),
-        ({"object": "error", "message": "busy", "code": 500}, 200),
-        ({"choices": []}, 200),
-        ({"choices": [{"message": None, "finish_reason": "stop"}]}, 200),
-        ({"choices": [{"message": {"content": None}, "finish_reason": None}]}, 200),
-        *(({"choices": [{"message": {"content": "UP"}, "finish_reason": why}]}, 200) for why in ("error", "abort")),
-        ({"choices": [{"message": {"content": ""}, "finish_reason": "abort"}]}, 200),
-    ],
-)
+@pytest.mark.parametrize(("content", "status"), ENDPOINTS["retried"])
 def test_failures_that_pass_are_retried(send: Send, content: Any, status: int) -> None:
-    failed = send(content, status)
-    assert isinstance(failed, TryFailedError)
-    assert (failed.retried, failed.fatal) == (True, False)
+    failure = failed(send(content, status))
+    assert (failure.retried, failure.fatal) == (True, False)
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        *([], "UP", None, {"choices": "UP"}, {"choices": ["UP"]}, {"choices": [None]}, {"choices": {"0": 1}}),
-        *({"choices": [{"message": message}]} for message in ("UP", {"content": 5}, {"tool_calls": ["UP"]})),
-        {"choices": [{"message": {"content": "UP"}, "finish_reason": 5}]},
-        "\x00\xff not json",
-        '{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}",
-    ],
-    ids=lambda value: str(value)[:20],
-)
+DEEP = '{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}"
+
+
+@pytest.mark.parametrize("value", [*ENDPOINTS["no answers"], DEEP], ids=lambda value: str(value)[:20])
 def test_what_has_not_the_form_of_an_answer_is_a_failure(send: Send, value: Any) -> None:
-    text = value if isinstance(value, str) and len(value) > 2 else json.dumps(value)
-    assert isinstance(send(text), TryFailedError)
+    failed(send(value if isinstance(value, str) and len(value) > 2 else json.dumps(value)))
 
 
 def test_an_endless_answer_is_not_read_on(send: Send) -> None:
     pieces = itertools.repeat(b" " * 65536, 100)
-    failed = send("", pieces=pieces)
-    assert str(failed) == "200: not an answer: it is longer than 4,194,304 bytes"
-    assert isinstance(failed, TryFailedError)
-    assert (failed.retried, next(pieces, None) is None) == (False, False)
+    failure = failed(send("", pieces=pieces))
+    assert str(failure) == "200: not an answer: it is longer than 4,194,304 bytes"
+    assert (failure.retried, next(pieces, None) is None) == (False, False)
 
 
 @pytest.mark.parametrize(
@@ -173,81 +116,54 @@ def test_an_endless_answer_is_not_read_on(send: Send) -> None:
     ],
 )
 def test_the_endpoint_may_ask_to_wait(send: Send, status: int, headers: dict[str, str], seconds: float | None) -> None:
-    failed = send({}, status, headers)
-    assert isinstance(failed, TryFailedError)
-    assert failed.retry_after == (seconds and pytest.approx(seconds, rel=0.1))
+    assert failed(send({}, status, headers)).retry_after == (seconds and pytest.approx(seconds, rel=0.1))
 
 
-@pytest.mark.parametrize(
-    ("status", "content", "told", "fatal"),
-    [
-        (401, {"error": {"message": f"bad key {TOKEN}"}}, "401: the token is missing or wrong: check HF_TOKEN", True),
-        (403, {}, "403: the token may not use this model or endpoint", True),
-        (404, {}, "404: there is no such model or address", True),
-        (200, {"error": {"code": 401}}, "401: the token is missing or wrong: ", True),
-        (500, "", "500: Internal Server Error", False),
-        (500, "y" * 1000, f"500: {'y' * 300}", False),
-        (500, "\x1b[2Jgone", "500: \ufffd[2Jgone", False),
-        *(
-            (status, {"error": error}, f"{402 if status == 200 else status}: the account has no credit left: ", True)
-            for status, error in (
-                (402, "Insufficient Balance"),
-                (429, {"message": "see your plan", "type": "insufficient_quota"}),
-                (403, {"message": "see your plan", "code": "insufficient_user_quota"}),
-                (400, {"message": "Your credit balance is too low to access the API."}),
-                (200, {"message": "quota exceeded", "code": 402}),
-            )
-        ),
-        (400, {"message": "failed", "metadata": {"raw": "too hot"}}, "400: failed: too hot", False),
-        (400, "max_tokens is too large", "400: max_tokens is too large (see --max-answer-tokens)", False),
-        (400, "top_k: 0; user: no", "400: top_k: 0; user: no (see --extra)", False),
-        (
-            200,
-            "x" * 195 + TOKEN,
-            f"200: not an answer: JSON was expected (check API_BASE_URL), got {'x' * 195}***",
-            False,
-        ),
-        (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
-    ],
-)
+NOT_JSON = "200: not an answer: JSON was expected (check API_BASE_URL), got "
+LONG = [
+    (500, "y" * 1000, f"500: {'y' * 300}", False),
+    (200, "x" * 195 + TOKEN, f"{NOT_JSON}{'x' * 195}***", False),
+    (418, "x" * 295 + TOKEN, f"418: {'x' * 295}***", False),
+]
+
+
+@pytest.mark.parametrize(("status", "content", "told", "fatal"), [*ENDPOINTS["refusals"], *LONG])
 def test_the_reason_is_one_short_line_without_the_token(
     send: Send, status: int, content: Any, told: str, fatal: bool
 ) -> None:
-    failed = send(content, status)
-    assert isinstance(failed, TryFailedError)
-    assert (str(failed).startswith(told), failed.fatal) == (True, fatal), failed
-    assert len(failed.reason) < 500
-    assert "sk-test" not in failed.reason
+    content = json.loads(json.dumps(content).replace("TOKEN", TOKEN))
+    failure = failed(send(content, status, {"Location": f"http://127.0.0.1:9/login?key={TOKEN}"}))
+    assert (str(failure).startswith(told), failure.fatal) == (True, fatal), failure
+    assert len(failure.reason) < 500
+    assert "sk-test" not in failure.reason
 
 
-@pytest.mark.parametrize(
-    ("status", "message", "starting"),
-    [
-        (503, "Loading model", True),
-        (503, "Model org/name is currently loading", True),
-        (503, "Model with name m is not ready", True),
-        (503, "The model is overloaded", False),
-        (503, "No healthy upstream", False),
-        (500, "error loading model", False),
-    ],
-)
+@pytest.mark.parametrize(("status", "message", "starting"), ENDPOINTS["starting"])
 def test_which_failures_are_those_of_an_endpoint_that_starts(
     send: Send, status: int, message: str, starting: bool
 ) -> None:
-    failed = send({"error": {"message": message}}, status)
-    assert isinstance(failed, TryFailedError)
-    assert failed.starting == starting
+    assert failed(send({"error": {"message": message}}, status)).starting == starting
 
 
 def test_a_stream_that_was_not_requested_is_named(send: Send) -> None:
-    failed = send("data: {}\n\ndata: [DONE]\n\n", headers={"Content-Type": "text/event-stream; charset=utf-8"})
-    assert isinstance(failed, TryFailedError)
-    assert (failed.reason.startswith("the response is a stream (text/event-stream)"), failed.fatal) == (True, True)
+    failure = failed(send("data: {}\n\ndata: [DONE]\n\n", headers={"Content-Type": "text/event-stream; charset=utf-8"}))
+    assert (failure.reason.startswith("the response is a stream (text/event-stream)"), failure.fatal) == (True, True)
 
 
-@pytest.mark.parametrize("status", [301, 302, 307])
-def test_a_redirect_is_not_followed(send: Send, status: int) -> None:
-    failed = send("", status, {"Location": f"http://127.0.0.1:9/login?key={TOKEN}"})
-    told = "http://127.0.0.1:9/login?key=***, which is not followed: API_BASE_URL must be the endpoint itself"
-    assert isinstance(failed, TryFailedError)
-    assert (str(failed), failed.retried, failed.fatal) == (f"{status}: it redirects to {told}", False, False)
+@pytest.mark.parametrize("token", [TOKEN, "aZ9._~+/=|^-(hf)[sk]"])
+def test_a_token_is_taken_out_however_it_is_written(token: str) -> None:
+    for written in (token, token.upper(), token.lower(), quote(token, safe="")):
+        assert without_secret(f"a {written} b", token) == "a *** b"
+    assert without_secret("xylophone", "x") == "xylophone", "short tokens are parts of words"
+
+
+@pytest.mark.parametrize(("url", "proxies"), [("http://192.168.1.20", 0), ("http://vllm", 0), ("https://x.org", 1)])
+def test_only_public_hosts_are_reached_by_a_proxy(url: str, proxies: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("http_proxy", "https_proxy", "all_proxy", "no_proxy"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
+    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
+    assert len(Endpoint(url, None, 1)._client._mounts) == proxies
+    monkeypatch.setenv("ALL_PROXY", "gopher://127.0.0.1:9")
+    with pytest.raises(InvalidValueError, match="ALL_PROXY cannot be used: ") if proxies else nullcontext():
+        Endpoint(url, None, 1)

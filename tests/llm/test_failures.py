@@ -1,16 +1,12 @@
-"""Endpoints that refuse, break off or send endless answers: what is tried again, and what becomes of flight and run."""
+"""Endpoints that refuse, break off or start: what is tried again, and what becomes of flight and run."""
 
-import itertools
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from drone_env.llm.answers import Answer
+from drone_env.llm.budget import Options
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.limiter import Options
 from tests.tools import reserved_port
 
 from .conftest import TOKEN, Start, blocks, verified
@@ -51,67 +47,49 @@ def test_a_run_without_credit_stops_at_once_and_goes_on_later(endpoint: Start) -
     verified(done)
 
 
-def test_a_429_is_told_and_tried_again(endpoint: Start) -> None:
-    faults = [[1, 1, {"status": 429, "headers": {"Retry-After": "0.1"}}]]
-    scripted = endpoint(pilot="greedy", faults=faults)
-    done = scripted.infer("--seeds", "14:15")
-    assert done.status == 0, done.err
-    assert [request["call"] for request in scripted.requests()] == ["0-1-1", "0-2-1", "0-2-1", "0-3-1"]
-    assert "map 14, turn 2: attempt 1 of 6 failed: 429: scripted 429; next attempt in 0.1 s " in done.err
-    assert done.calls[1]["failures"] == [{"status": 429, "reason": "scripted 429", "waited": 0.1}]
-    assert (done.turns, done.flights[0]["score"]) == ({"ok": 3}, 0.99)
-
-
-@pytest.mark.parametrize("fault", ["cut", "cut_body", "hang"])
-def test_broken_connections_and_time_outs_are_tried_again(endpoint: Start, fault: str) -> None:
+@pytest.mark.parametrize("fault", ["cut", "cut_body", "hang", {"status": 429, "headers": {"Retry-After": "0.1"}}])
+def test_what_passes_is_told_and_tried_again(endpoint: Start, fault: object) -> None:
     scripted = endpoint(pilot="greedy", faults=[[1, 1, fault]])
-    done = scripted.infer("--seeds", "14:15", "--timeout", "2" if fault == "hang" else "60")
-    assert (done.status, done.turns) == (0, {"ok": 3}), done.err
+    done = scripted.infer("--seeds", "14:15", "--timeout", "1" if fault == "hang" else "60")
+    assert (done.status, done.turns, done.flights[0]["score"]) == (0, {"ok": 3}, 0.99), done.err
+    assert [request["call"] for request in scripted.requests()] == ["0-1-1", "0-2-1", "0-2-1", "0-3-1"]
+    assert "map 14, turn 2: attempt 1 of 6 failed: " in done.err
     assert [len(call["failures"]) for call in done.calls] == [0, 1, 0]
-
-
-class Starting(Scripted):
-    """Answers the first requests, fails from then on as an endpoint that starts, and answers again."""
-
-    def __init__(self, answers: int, failures: int, status: int) -> None:
-        super().__init__("greedy")
-        self._fails = range(answers, answers + failures)
-        self._requests = itertools.count()
-        self._status = status
-
-    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
-        if next(self._requests) not in self._fails:
-            return await super().send(request, call_id)
-        raise TryFailedError(self._status, "starting", retried=True, starting=True)
+    if isinstance(fault, dict):
+        assert "failed: 429: scripted 429; next attempt in 0.1 s " in done.err
+        assert done.calls[1]["failures"] == [{"status": 429, "reason": "scripted 429", "waited": 0.1}]
 
 
 @pytest.mark.parametrize(("answers", "status", "seconds"), [(0, 503, 600), (0, 0, 60), (1, 0, 600)])
 def test_an_endpoint_that_starts_is_waited_for(
     answers: int, status: int, seconds: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    flown = fly(Starting(answers, 12, status), tmp_path / "run", Options(concurrency=1, tries=2, backoff=0))
-    assert (flown.result.verdict, flown.clock.slept) == ("valid", [1.0] * 12)
+    def starting(failures: int) -> Scripted:
+        failed = TryFailedError(status, "starting", retried=True, starting=True)
+        return Scripted(fails=lambda number: failed if answers <= number < answers + failures else None)
+
+    flown = fly(starting(12), tmp_path / "run", Options(concurrency=1, tries=2, backoff=0))
+    assert (flown.result.verdict, flown.waits) == ("valid", [1.0] * 12)
     told = f"the endpoint may still be starting: waiting up to {seconds} s: {status or 'no answer'}: starting\n"
     assert capfd.readouterr().err.count(told) == 1
-    flown = fly(Starting(answers, 10**9, status), tmp_path / "never", Options(concurrency=1, backoff=0))
-    assert (flown.result.verdict, flown.clock.passed) == ("stopped", seconds)
+    flown = fly(starting(ALWAYS), tmp_path / "never", Options(concurrency=1, backoff=0))
+    assert (flown.result.verdict, flown.seconds) == ("stopped", seconds)
     # One try is one try.
-    flown = fly(Starting(answers, 10**9, status), tmp_path / "once", Options(concurrency=1, tries=1))
-    assert (flown.result.verdict, flown.clock.passed) == ("stopped", 0)
+    flown = fly(starting(ALWAYS), tmp_path / "once", Options(concurrency=1, tries=1))
+    assert (flown.result.verdict, flown.seconds) == ("stopped", 0)
 
 
-def test_a_wrong_address_ends_the_run_after_a_minute(tmp_path: Path) -> None:
+def test_an_address_without_a_server_is_one_that_starts(endpoint: Start) -> None:
     address = f"127.0.0.1:{reserved_port()}"
-    flown = fly(f"http://{address}/v1", tmp_path / "run", seeds=(14, 24))
-    told = f"{address} gives no answer: {address} takes no connection ("
-    assert (flown.result.verdict, flown.result.reason[: len(told)]) == ("stopped", told)
-    assert 60 <= flown.clock.passed < 120
-    assert [flight.status for flight in flown.result.flights] == ["errored"]
+    done = endpoint().infer("--base-url", f"http://{address}/v1", "--tries", "1")
+    assert done.status == 2
+    assert f"stopped: {address} gives no answer: {address} takes no connection (" in done.err
 
 
-def test_a_first_call_that_fails_for_no_reason_names_the_system_role(endpoint: Start) -> None:
-    failing = {"pilot": "greedy", "faults": [[0, 0, {"status": 500}]]}
-    done = endpoint(**failing).infer("--seeds", "14:15")
-    assert "failed: 500: scripted 500; if the model has no system role, try --system merge" in done.err
-    merged = endpoint(**failing).infer("--seeds", "14:15", "--system", "merge")
-    assert (merged.status, "--system merge" in merged.err) == (0, False), merged.err
+def test_a_first_call_that_fails_for_no_reason_names_the_system_role(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for system in ("role", "merge"):
+        sender = Scripted("WAIT", lambda number: None if number else TryFailedError(500, "no", retried=True))
+        fly(sender, tmp_path / system, Options(max_calls=1), system=system)
+        assert ("if the model has no system role, try --system merge" in capfd.readouterr().err) == (system == "role")

@@ -1,8 +1,11 @@
 """Runs that end in their middle: nothing is paid twice, no flight is lost or doubled."""
 
+import contextlib
 import signal
 import subprocess
 import sys
+from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 
@@ -12,34 +15,16 @@ from drone_env.llm.transcript import Transcript
 from drone_env.llm.verify import verified_run
 from tests.tools import PATIENCE, eventually
 
-from .conftest import ROOT, TOKEN, Start, environment, json_lines, verified
+from .conftest import ROOT, TOKEN, Endpoint, Start, environment, json_lines, verified
 
 
-def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy")
-    first = scripted.infer("--seeds", "14:15")
-    before = (first.folder / "calls.jsonl").read_bytes()
-    again = scripted.infer("--seeds", "14:15", folder=first.folder)
-    assert (again.status, "--resume" in again.err) == (2, True)
-    none = scripted.infer("--seeds", "14:15", "--resume", folder=scripted.folder / "none")
-    assert (none.status, "there is no run in " in none.err) == (2, True)
-    other = scripted.infer("--seeds", "14:15", "--temperature", "1", "--resume", folder=first.folder)
-    assert other.status == 2
-    assert "another configuration: sampling" in other.err
-    assert (first.folder / "calls.jsonl").read_bytes() == before
-    same = scripted.infer("--seeds", "14:15", "--resume", folder=first.folder)
-    assert (same.status, same.out) == (0, first.out)
-    assert len(scripted.requests()) == 3
-
-
-def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
-    # The tenth request is not answered as long as the run lasts.
-    scripted = endpoint(pilot="greedy", faults=[[9, 9, "hang"]])
-    folder = scripted.folder / "run"
-    flights = ("--task", "hard", "--episodes", "1")
-    arguments = scripted.arguments(*flights, folder=folder)
+@contextlib.contextmanager
+def running(
+    scripted: Endpoint, requests: int, folder: Path, *arguments: str
+) -> Generator[subprocess.Popen[str], None, None]:
+    """A process of `python inference.py` that has sent a number of requests; it is killed at the end of the `with`."""
     process = subprocess.Popen(
-        [sys.executable, str(ROOT / "inference.py"), *arguments[1:], "--timeout", "3600"],
+        [sys.executable, str(ROOT / "inference.py"), *scripted.arguments(*arguments, folder=folder)[1:]],
         env=environment(OPENAI_API_KEY=TOKEN),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -48,7 +33,36 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
-        eventually(lambda: len(scripted.requests()) == 10 or process.poll() is not None)
+        eventually(lambda: len(scripted.requests()) == requests or process.poll() is not None)
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    first = scripted.infer("--seeds", "14:15")
+    before = (first.folder / "calls.jsonl").read_bytes()
+    nowhere = scripted.folder / "none"
+    for options, folder, told in (
+        ((), first.folder, "--resume"),
+        (("--resume",), nowhere, "there is no run in "),
+        (("--temperature", "1", "--resume"), first.folder, "another configuration: sampling"),
+    ):
+        refused = scripted.infer("--seeds", "14:15", *options, folder=folder)
+        assert (refused.status, told in refused.err) == (2, True)
+    assert (first.folder / "calls.jsonl").read_bytes() == before
+    same = scripted.infer("--seeds", "14:15", "--resume", folder=first.folder)
+    assert (same.status, same.out, len(scripted.requests())) == (0, first.out, 3)
+
+
+def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
+    # The tenth request is not answered as long as the run lasts.
+    scripted = endpoint(pilot="greedy", faults=[[9, 9, "hang"]])
+    folder = scripted.folder / "run"
+    flights = ("--task", "hard", "--episodes", "1")
+    with running(scripted, 10, folder, *flights, "--timeout", "3600") as process:
         second = scripted.infer(*flights, "--resume", folder=folder)
         assert (second.status, second.out) == (2, "")
         assert "another process is working on the run" in second.err
@@ -57,17 +71,13 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
         assert [(call["turn"], call["attempt"]) for call in paid] == [(turn, 1) for turn in range(1, 10)]
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE)
-    finally:
-        process.kill()
-        process.communicate()
     # One flight at a time prints each step as it happens.
     steps = [f"[STEP] step={number}" for number in range(1, 10)]
     assert (process.returncode, [line.partition(" action")[0] for line in out.splitlines()[1:]]) == (130, steps), err
     assert f"--out {folder} --resume" in err
     assert "Traceback" not in err
     done = scripted.infer(*flights, "--resume", folder=folder)
-    assert done.status == 0, done.err
-    assert done.calls[:9] == paid
+    assert (done.status, done.calls[:9]) == (0, paid), done.err
     asked = [request["call"] for request in scripted.requests()]
     assert [call for call in set(asked) if asked.count(call) > 1] == ["0-10-1"]
     verified(done)
@@ -96,30 +106,23 @@ def test_a_request_under_way_at_a_kill_counts_after_it(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", faults=[[2, 2, "hang"]])
     folder = scripted.folder / "run"
     arguments = ("--seeds", "14:16", "--max-calls", "5")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "drone_env.cli", *scripted.arguments(*arguments, folder=folder)],
-        env=environment(OPENAI_API_KEY=TOKEN),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        eventually(lambda: len(scripted.requests()) == 3 or process.poll() is not None)
-    finally:
-        process.kill()
-        process.communicate()
+    with running(scripted, 3, folder, *arguments):
+        pass
     assert len(json_lines(folder / "calls.jsonl")) == 2
-    assert (folder / "sent.txt").read_text() == "0-1-1\n0-2-1\n0-3-1\n"
+    sent = folder / "sent.txt"
+    assert sent.read_text() == "0-1-1\n0-2-1\n0-3-1\n"
     # The next one was being written: it was not sent.
-    (folder / "sent.txt").write_text("0-1-1\n0-2-1\n0-3-1\n0-3")
+    sent.write_text("0-1-1\n0-2-1\n0-3-1\n0-3")
     resumed = scripted.infer(*arguments, "--resume", folder=folder)
     assert (resumed.status, len(scripted.requests())) == (3, 5)
     assert [flight["status"] for flight in resumed.flights] == ["finished", "budget_stop"]
     verified(resumed)
     assert report(verified_run(folder), moves=False)["calls"] == {"answered": 4, "requests": 5, "without_usage": 0}
-    sent = (folder / "sent.txt").read_text()
-    (folder / "sent.txt").write_text(sent.replace("0-2-1\n", ""))
-    with pytest.raises(InvalidValueError, match=r"sent\.txt lacks a request of call 0-2-1"):
-        verified_run(folder)
-    (folder / "sent.txt").write_text(f"{sent}0-0-1\n")
-    with pytest.raises(InvalidValueError, match=r"line 6 of .* is not FLIGHT-TURN-ATTEMPT"):
-        verified_run(folder)
+    whole = sent.read_text()
+    for damaged, why in (
+        (whole.replace("0-2-1\n", ""), r"sent\.txt lacks a request of call 0-2-1"),
+        (f"{whole}0-0-1\n", r"line 6 of .* is not FLIGHT-TURN-ATTEMPT"),
+    ):
+        sent.write_text(damaged)
+        with pytest.raises(InvalidValueError, match=why):
+            verified_run(folder)

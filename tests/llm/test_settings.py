@@ -8,68 +8,59 @@ from pydantic import SecretStr
 
 from drone_env.errors import InvalidValueError
 from drone_env.files import differences
-from drone_env.llm.config import InferenceSettings, Sampling, load_settings, models_table
+from drone_env.llm.config import InferenceSettings, Sampling, load_settings
 from tests.environment import SETTINGS
 
-from .conftest import ROOT
+from .conftest import ENDPOINTS, ROOT
 from .stored_run import run_config
 
-HF, OTHER = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
+HF, OPENAI = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
+HF_SPACE, LOCAL = "https://x.hf.space/v1", "http://localhost:1/v1"
+QWEN = InferenceSettings.model_fields["model_name"].default
 
 
-def test_an_extra_that_cannot_be_sent_is_refused() -> None:
-    with pytest.raises(ValueError, match="surrogates not allowed"):
-        Sampling(extra={"stop": "\ud800"})
-    with pytest.raises(ValueError, match="extra cannot set 'seed'"):
-        Sampling(extra={"seed": 1})
-
-
-def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    both = InferenceSettings.model_validate({"hf_token": "hf_a", "openai_api_key": "sk-b"})
-    assert both.token_for(HF) == both.token_for("https://x.hf.space/v1") == "hf_a"
-    foreign = ("https://huggingface.co.evil.example/v1", "https://nothuggingface.co/v1", "http://localhost:1/v1")
-    assert {both.token_for(url) for url in (OTHER, *foreign)} == {"sk-b"}
-    with pytest.raises(InvalidValueError, match="needs HF_TOKEN"):
-        InferenceSettings.model_validate({"openai_api_key": "sk-b"}).token_for("https://router.huggingface.co./v1")
-    for wrong, why in (('hf_"quoted', "without spaces, quotes and backslashes"), ("hf_\u00e4", "printable ASCII")):
-        with pytest.raises(InvalidValueError, match=f"HF_TOKEN must be .*{why}|{why}"):
-            InferenceSettings.model_validate({"hf_token": wrong}).token_for(HF)
-    none = InferenceSettings()
-    assert none.token_for("http://127.0.0.1:8000/v1") is None
-    for url, name in ((HF, "HF_TOKEN"), (OTHER, "OPENAI_API_KEY")):
-        with pytest.raises(InvalidValueError, match=f"needs {name}"):
-            none.token_for(url)
-    for url in ("ftp://x", "https://user:pass@x/v1", "x", "https://x/v1?key=1"):
-        with pytest.raises(InvalidValueError, match="API_BASE_URL"):
-            both.token_for(url)
+
+
+def settings(**tokens: str) -> InferenceSettings:
+    return InferenceSettings.model_validate(tokens)
+
+
+def test_the_token_is_chosen_by_the_host() -> None:
+    both = settings(hf_token="hf_a", openai_api_key="sk-b")
+    assert {both.token_for(url) for url in (HF, HF_SPACE)} == {"hf_a"}
+    foreign = ("https://huggingface.co.evil.example/v1", "https://nothuggingface.co/v1")
+    assert {both.token_for(url) for url in (OPENAI, LOCAL, *foreign)} == {"sk-b"}
+    assert settings().token_for("http://127.0.0.1:8000/v1") is None
     assert "hf_a" not in repr(both)
 
 
-PRIVATE = (
-    *("localhost", "127.0.0.2", "[::1]", "0.0.0.0", "api.localhost", "192.168.1.20", "10.0.0.5", "172.16.3.4"),
-    *("169.254.1.1", "100.100.1.2", "[fd00::1]", "[fe80::1]", "[::ffff:192.168.1.20]", "vllm", "my_vllm", "VLLM."),
-    *(
-        "gpu.local",
-        "llm.corp.internal",
-        "box.lan",
-        "mylocal",
-        "nas.home.arpa",
-        "vllm.models.svc",
-        "host.docker.internal",
-    ),
+@pytest.mark.parametrize(
+    ("tokens", "url", "why"),
+    [
+        ({"openai_api_key": "sk-b"}, "https://router.huggingface.co./v1", "needs HF_TOKEN"),
+        ({}, HF, "needs HF_TOKEN"),
+        ({}, OPENAI, "needs OPENAI_API_KEY"),
+        ({"hf_token": 'hf_"quoted'}, HF, "HF_TOKEN must be .*without spaces, quotes and backslashes"),
+        ({"hf_token": "hf_\u00e4"}, HF, "HF_TOKEN must be printable ASCII"),
+        *(({}, url, "API_BASE_URL") for url in ("ftp://x", "https://user:pass@x/v1", "x", "https://x/v1?key=1")),
+    ],
 )
-PUBLIC = ("example.com", "8.8.8.8", "[2001:4860:4860::8888]", "172.32.0.1", "lan.example", "internal.example.com")
+def test_what_has_no_token_is_named(tokens: dict[str, str], url: str, why: str) -> None:
+    with pytest.raises(InvalidValueError, match=why):
+        settings(**tokens).token_for(url)
 
 
-@pytest.mark.parametrize("host", [*PRIVATE, *PUBLIC])
-def test_plain_http_reaches_every_host_without_a_token_and_private_ones_with_a_token(
-    host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    url, keyed = f"http://{host}:8000/v1", InferenceSettings.model_validate({"openai_api_key": "EMPTY-no-key"})
-    assert InferenceSettings().token_for(url) is None
-    assert InferenceSettings.model_validate({"hf_token": "hf_a"}).token_for(url) is None
+PUBLIC = ENDPOINTS["public hosts"]
+
+
+@pytest.mark.parametrize("host", [*ENDPOINTS["private hosts"], *PUBLIC])
+def test_plain_http_reaches_every_host_without_a_token_and_private_ones_with_a_token(host: str) -> None:
+    url, keyed = f"http://{host}:8000/v1", settings(openai_api_key="EMPTY-no-key")
+    assert settings().token_for(url) is None
+    assert settings(hf_token="hf_a").token_for(url) is None
     assert keyed.token_for(url, allow_plain_http=True) == keyed.token_for(f"https://{host}/v1") == "EMPTY-no-key"
     if host in PUBLIC:
         with pytest.raises(InvalidValueError, match="a public host: use https://, or add --allow-plain-http"):
@@ -79,46 +70,55 @@ def test_plain_http_reaches_every_host_without_a_token_and_private_ones_with_a_t
 
 
 @pytest.mark.parametrize("key", ["hf_abcdef", "sk-proj-abcT3BlbkFJdef"])
-def test_the_key_of_a_provider_goes_unencrypted_to_no_other_machine(
-    key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    settings = InferenceSettings.model_validate({"openai_api_key": key})
+def test_the_key_of_a_provider_goes_unencrypted_to_no_other_machine(key: str) -> None:
+    keyed = settings(openai_api_key=key)
     with pytest.raises(InvalidValueError, match="OpenAI and is not sent unencrypted to vllm"):
-        settings.token_for("http://vllm:8000/v1")
-    assert settings.token_for("http://127.0.0.1:4000/v1") == settings.token_for("https://gateway.example/v1") == key
-    assert settings.token_for("http://vllm:8000/v1", allow_plain_http=True) == key
+        keyed.token_for("http://vllm:8000/v1")
+    assert keyed.token_for("http://127.0.0.1:4000/v1") == keyed.token_for("https://gateway.example/v1") == key
+    assert keyed.token_for("http://vllm:8000/v1", allow_plain_http=True) == key
 
 
 @pytest.mark.feature("I1")
-def test_the_key_of_openai_alone_is_for_openai(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_the_key_of_openai_alone_is_for_openai() -> None:
+    def used(url: str | None = None, **written: str) -> tuple[str, str, str | None]:
+        Path(".env").write_text("".join(f"{name}={value}\n" for name, value in written.items()))
+        found = load_settings(url)
+        return found.api_base_url, found.model_name, found.token_for(found.api_base_url)
 
-    def asked(**written: str) -> tuple[str, str, str | None]:
-        (tmp_path / ".env").write_text("".join(f"{name}={value}\n" for name, value in written.items()))
-        settings = load_settings()
-        return settings.api_base_url, settings.model_name, settings.token_for(settings.api_base_url)
-
-    qwen = InferenceSettings.model_fields["model_name"].default
-    assert asked(OPENAI_API_KEY="sk-b") == asked(OPENAI_API_KEY="sk-b", HF_TOKEN="") == (OTHER, "gpt-4o", "sk-b")
-    assert asked(OPENAI_API_KEY="sk-b", API_BASE_URL="https://x/v1") == ("https://x/v1", qwen, "sk-b")
-    assert asked(HF_TOKEN="hf_a") == asked(HF_TOKEN="hf_a", OPENAI_API_KEY="sk-b") == (HF, qwen, "hf_a")
-    assert asked(HF_TOKEN="hf_a", OPENAI_API_KEY="sk-b", API_BASE_URL=f"{OTHER}/") == (f"{OTHER}/", "gpt-4o", "sk-b")
-    for wrong, why in (
-        ({"OPENAI_API_KEY": "sk-b", "API_BASE_URL": HF}, r"needs HF_TOKEN: set it in the environment or in \.env$"),
-        ({"HF_TOKEN": "hf_a", "API_BASE_URL": OTHER}, "api.openai.com needs OPENAI_API_KEY"),
-    ):
-        with pytest.raises(InvalidValueError, match=why):
-            asked(**wrong)
+    openai, both = {"OPENAI_API_KEY": "sk-b"}, {"OPENAI_API_KEY": "sk-b", "HF_TOKEN": "hf_a"}
+    assert used(**openai) == used(**openai, HF_TOKEN="") == (OPENAI, "gpt-4o", "sk-b")
+    assert used(**openai, API_BASE_URL=LOCAL) == (LOCAL, QWEN, "sk-b")
+    assert used(HF_TOKEN="hf_a") == used(**both) == (HF, QWEN, "hf_a")
+    assert used(**both, API_BASE_URL=f"{OPENAI}/") == (f"{OPENAI}/", "gpt-4o", "sk-b")
+    with pytest.raises(InvalidValueError, match=r"needs HF_TOKEN: set it in the environment or in \.env$"):
+        used(**openai, API_BASE_URL=HF)
+    with pytest.raises(InvalidValueError, match=r"api\.openai\.com needs OPENAI_API_KEY"):
+        used(HF_TOKEN="hf_a", API_BASE_URL=OPENAI)
     # An address on the command line goes before all.
-    (tmp_path / ".env").write_text("OPENAI_API_KEY=sk-b\nAPI_BASE_URL=https://x/v1\n")
-    assert load_settings(OTHER).model_name == "gpt-4o"
-    assert (load_settings(HF).api_base_url, load_settings(HF).model_name) == (HF, qwen)
+    assert used(OPENAI, **openai, API_BASE_URL=LOCAL) == (OPENAI, "gpt-4o", "sk-b")
+    assert used(HF, **both, API_BASE_URL=LOCAL) == (HF, QWEN, "hf_a")
 
 
-def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / ".env").write_bytes(b"DRONE_TASK=\xff\xfe")
+@pytest.mark.feature("I1")
+@pytest.mark.parametrize("name", SETTINGS)
+def test_settings_of_the_environment_or_env_file(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def value() -> object:
+        found = getattr(load_settings(), name.lower())
+        return found.get_secret_value() if isinstance(found, SecretStr) else found
+
+    # The example as it is shipped, with one line filled in.
+    example = (ROOT / ".env.example").read_text(encoding="utf-8")
+    filled, lines = re.subn(rf"(?m)^(# )?{name}=.*$", f"{name}=of-the-file", example)
+    assert lines == 1
+    Path(".env").write_text(filled)
+    assert value() == "of-the-file"
+    monkeypatch.setenv(name, "of-the-environment")
+    assert value() == "of-the-environment"
+    assert {name.upper() for name in InferenceSettings.model_fields} == set(SETTINGS)
+
+
+def test_an_env_file_that_is_no_text_is_named() -> None:
+    Path(".env").write_bytes(b"DRONE_TASK=\xff\xfe")
     with pytest.raises(InvalidValueError, match=r"\.env is not UTF-8 text"):
         load_settings()
 
@@ -130,6 +130,8 @@ def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.M
         ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
         ({"prompt": "plan", "history": 1}, "shows no last steps"),
         ({"seeds": (3, 3)}, "seeds must be"),
+        ({"sampling": {"extra": {"stop": "\ud800"}}}, "surrogates not allowed"),
+        ({"sampling": {"extra": {"seed": 1}}}, "extra cannot set 'seed'"),
     ],
 )
 def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:
@@ -145,25 +147,3 @@ def test_what_differs_between_runs_is_named() -> None:
         assert changed == [f"{name}: {getattr(config, name)!r} is now {value!r}"]
     with pytest.raises(ValueError, match=r"prompt minimal-2 is now .*; the run was made with 0000"):
         run_config(prompt_digest="0" * 16).load_prompt()
-
-
-@pytest.mark.feature("I1")
-def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    example = (ROOT / ".env.example").read_text(encoding="utf-8")
-
-    def value(name: str) -> object:
-        found = getattr(load_settings(), name.lower())
-        return found.get_secret_value() if isinstance(found, SecretStr) else found
-
-    for name in SETTINGS:
-        # The example as it is shipped, with one line filled in.
-        filled, lines = re.subn(rf"(?m)^(# )?{name}=.*$", f"{name}=of-the-file", example)
-        assert lines == 1
-        (tmp_path / ".env").write_text(filled)
-        assert value(name) == "of-the-file"
-        monkeypatch.setenv(name, "of-the-environment")
-        assert value(name) == "of-the-environment"
-        monkeypatch.delenv(name)
-    assert {name.upper() for name in InferenceSettings.model_fields} == set(SETTINGS)
-    assert models_table() in (ROOT / "docs" / "llm.md").read_text(encoding="utf-8")

@@ -1,0 +1,157 @@
+"""The budget of a run: its options of speed and cost, and what it has used."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from drone_env.errors import DroneEnvError, InvalidValueError
+
+if TYPE_CHECKING:
+    from drone_env.llm.transcript import Call
+
+MAX_CONCURRENCY = 10_000
+OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
+Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
+Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Speed and budget of a run, which do not change its results. Limits include the earlier parts of a resumed run.
+
+    Tokens and cost are known only after an answer: requests that are open when a limit is reached are still paid.
+
+    Args:
+        concurrency: Maximum number of requests at once; fewer if more bring no more answers.
+        timeout: Maximum duration of a request in seconds.
+        tries: Maximum number of tries of a call that fails with 408, 409, 429, 5xx or a network error.
+        backoff: Upper bound of the first random wait in seconds; it doubles with each try, up to 30 s.
+        requests_per_minute: Maximum number of requests per minute, including retries, evenly spaced.
+        max_calls: Stop after this many requests, including retries.
+        max_tokens: Stop after this many tokens.
+        max_cost: Stop after this many US dollars.
+        price_prompt: US dollars per million prompt tokens.
+        price_completion: US dollars per million completion tokens.
+        server: Also fly every step on the server at this address.
+    """
+
+    concurrency: int = 64
+    timeout: float = 120.0
+    tries: int = 6
+    backoff: float = 1.0
+    requests_per_minute: Number = None
+    max_calls: Whole = None
+    max_tokens: Whole = None
+    max_cost: Number = None
+    price_prompt: Number = None
+    price_completion: Number = None
+    server: Annotated[str | None, OPTIONAL] = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            may_be_0 = name in ("backoff", "price_prompt", "price_completion")
+            if isinstance(value, int | float) and not (0 <= value < math.inf and (value or may_be_0)):
+                least = "0 or more" if may_be_0 else "above 0"
+                raise InvalidValueError(f"--{name.replace('_', '-')} must be {least}, got {value}")
+        if self.concurrency > MAX_CONCURRENCY:
+            raise InvalidValueError(f"--concurrency must be at most {MAX_CONCURRENCY}")
+        if (self.price_prompt is None) != (self.price_completion is None):
+            raise InvalidValueError("give --price-prompt and --price-completion together")
+        if self.price_prompt is None and self.max_cost is not None:
+            raise InvalidValueError("--max-cost needs --price-prompt and --price-completion")
+
+
+class LimitReachedError(DroneEnvError):
+    """The budget of a run is spent."""
+
+
+@dataclass
+class Budget:
+    """Counts the requests and tokens of a run.
+
+    Attributes:
+        options: The limits and prices.
+        requests: Number of requests sent.
+        answers: Number of answers.
+        unmetered: Number of answers without a count of their tokens.
+        prompt_tokens, completion_tokens: Number of tokens that the answers report; None if none of them does.
+    """
+
+    options: Options
+    requests: int = 0
+    answers: int = 0
+    unmetered: int = 0
+    prompt_tokens: int | None = None
+    completion_tokens: int | None = None
+
+    @cached_property
+    def limited(self) -> bool:
+        """Whether there is a limit."""
+        return any(
+            most is not None for most in (self.options.max_calls, self.options.max_tokens, self.options.max_cost)
+        )
+
+    @property
+    def tokens(self) -> int | None:
+        """Number of all tokens that the answers report; None if none of them does."""
+        return added(self.prompt_tokens, self.completion_tokens)
+
+    @property
+    def cost(self) -> float | None:
+        """US dollars for these tokens; None if they or their prices are unknown."""
+        prompt, completion = self.options.price_prompt, self.options.price_completion
+        if prompt is None or completion is None or self.prompt_tokens is None or self.completion_tokens is None:
+            return None
+        return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
+
+    def resume(self, calls: Iterable["Call"], requests: int) -> None:
+        """Count the requests and the tokens of earlier calls."""
+        self.requests += requests
+        for call in calls:
+            self.count(call)
+
+    def count(self, call: "Call") -> None:
+        """Count the tokens of a call."""
+        if (answer := call.answer) is not None:
+            self.answers += 1
+            self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
+            self.prompt_tokens = added(self.prompt_tokens, answer.prompt_tokens)
+            self.completion_tokens = added(self.completion_tokens, answer.completion_tokens)
+
+    def spent(self) -> str | None:
+        """Why no further request is within the limits; None if one is."""
+        limits = self.options
+        if self.unmetered and (limits.max_tokens is not None or limits.max_cost is not None):
+            return "the endpoint does not report its tokens, so they cannot be limited"
+        for most, used, unit in (
+            (limits.max_calls, self.requests, "calls"),
+            (limits.max_tokens, self.tokens, "tokens"),
+            (limits.max_cost, self.cost, "US dollars"),
+        ):
+            # Tokens and cost are unknown before the first answer.
+            if most is not None and used is not None and used >= most:
+                return f"{round(used, 4)} of {most} {unit} have been used"
+        return None
+
+    def calls_left(self, active: int) -> float:
+        """The number of requests that the limits still allow; of tokens and cost, by their mean so far.
+
+        Args:
+            active: Number of open requests, whose tokens are not counted yet.
+        """
+        limits = self.options
+        left = math.inf if limits.max_calls is None else limits.max_calls - self.requests
+        for most, used in ((limits.max_tokens, self.tokens), (limits.max_cost, self.cost)):
+            if most is not None:  # one flight goes ahead until an answer shows what answers use
+                left = min(left, (most - used) * self.answers / used - active if used else 0)
+        return left
+
+
+def added(*counts: int | None) -> int | None:
+    """The sum of the known counts; None if none is known."""
+    known = [count for count in counts if count is not None]
+    return sum(known) if known else None
