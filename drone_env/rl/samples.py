@@ -13,6 +13,7 @@ import numpy.typing as npt
 from drone_env.agents.tour_features import (
     Distances,
     Features,
+    TourState,
     find_distances,
     first_states,
     make_distances,
@@ -178,7 +179,8 @@ def sample_kernel(
                 still = left if legs.search.counts else min(left, units)
                 done = mark_delivered(legs, delivered)
                 find_paths(search, cell, units, 0)
-                write_features(search, legs.stops, n, delivered, cell, units, left, distances, features, m)
+                tour = TourState(legs.stops, n, delivered, cell, units, left)
+                write_features(search, tour, distances, features, m)
                 first, behind = features.begins[m], features.begins[m + 1]
                 best, lost, alike = -1, 0, True
                 for option in range(first, behind):
