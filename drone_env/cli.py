@@ -8,7 +8,8 @@ from typing import Any
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
-from drone_env.commands.arguments import parsed, register_files, temporary_reward_profiles
+from drone_env.commands.arguments import parsed, register_files
+from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.standard_output import guarded, print_error
@@ -22,11 +23,6 @@ COMMANDS = (
 )
 
 
-def command_named(name: str) -> Callable[..., int | None]:
-    """Import one command only."""
-    return getattr(_module(name), name.replace("-", "_"))
-
-
 def _module(name: str) -> Any:
     return import_module(f"drone_env.commands.{name.replace('-', '_')}")
 
@@ -36,14 +32,15 @@ def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
     if arguments[:1] in (["-h"], ["--help"]):
         overview = SubcommandApp()
         for name in COMMANDS:
-            overview.command(command_named(name))
+            overview.command(getattr(_module(name), name.replace("-", "_")))
         overview.cli(prog="drone-env", description=DESCRIPTION, args=["--help"])
     if not arguments or arguments[0].startswith("-"):
         raise InvalidValueError("name a command, such as fly, evaluate or train; drone-env --help lists all")
-    name, *rest = register_files(arguments)
+    name, *rest = arguments
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
-    command = _module(name).train_command(rest) if name == "train" else command_named(name)
+    module, rest = _module(name), register_files(rest)
+    command = module.train_command(rest) if name == "train" else getattr(module, name.replace("-", "_"))
     return parsed(command, f"drone-env {name}", rest)
 
 
@@ -59,9 +56,12 @@ def _run(arguments: list[str]) -> int:
     try:
         if arguments[:1] != ["doctor"]:  # it reports broken plugins itself
             load_plugins()
-        with temporary_reward_profiles():
-            status = _call(arguments)()
-        return int(status or 0)
+        profiles = dict(REWARD_PROFILES)
+        try:
+            return int(_call(arguments)() or 0)
+        finally:  # forget the profiles of files that the command has registered
+            REWARD_PROFILES.clear()
+            REWARD_PROFILES.update(profiles)
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)

@@ -1,13 +1,14 @@
-"""Agents, which choose actions. `make_agent` makes one by its name."""
+"""Agents, which choose actions. A new one is a class and its line in `AGENTS`; `make_agent` makes it by its name."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from drone_env.agents.base import Agent, BatchAgent
-from drone_env.agents.named import agent_named
+from drone_env.agents.custom import as_agent
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
+from drone_env.agents.source import imported, is_address
 from drone_env.agents.tournet import TournetAgent
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
@@ -72,16 +73,13 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         CheckpointError: if it contains no network for that task.
     """
     task = get_task(task)
-    network = network_file(name)
-    if network is not None:
-        agent, file = network
-        return NETWORK_AGENTS[agent](task, file)
     if name in list(AGENTS):
         return AGENTS[name](task)
-    made = agent_named(name, task)
-    if made is None:
-        raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME"])
-    return made
+    if network := network_file(name):
+        return NETWORK_AGENTS[network[0]](task, network[1])
+    if is_address(name):
+        return as_agent(imported(name), task)
+    raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME"])
 
 
 __all__ = [

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from drone_env.agents.base import named_failures
 from drone_env.core.batch import Batch
 from drone_env.core.tasks import TaskConfig
 
@@ -24,7 +25,14 @@ class BatchResults(NamedTuple):
     """int32[n], parcels delivered."""
 
 
-def rollout_batch(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, stateless: bool) -> BatchResults:
+def rollout_batch(
+    task: TaskConfig,
+    seeds: npt.NDArray[np.int64],
+    act: ActBatch,
+    stateless: bool,
+    name: str = "network",
+    reset: Callable[[], None] = lambda: None,
+) -> BatchResults:
     """Fly each map once.
 
     Args:
@@ -32,20 +40,28 @@ def rollout_batch(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch,
         seeds: int64[n], the maps.
         act: Returns the actions.
         stateless: Whether `act` keeps no state per episode; it then gets only episodes that still fly.
+        name: The agent's name in errors.
+        reset: Called before the first step.
+
+    Raises:
+        AgentError, InvalidValueError: as `named_failures`.
     """
-    n = len(seeds)
+    n, step = len(seeds), 0
     results = BatchResults(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))
     flying, actions = np.ones(n, np.bool_), np.zeros(n, np.int64)
-    batch = Batch(task, n)
-    batch.reset(seeds)
-    while flying.any():
-        active = flying if stateless else slice(None)
-        actions[active] = act(batch.grids[active], batch.telemetry[active])
-        batch.step(actions)
-        # Ended episodes are reset to other maps: only the first end counts.
-        first = flying[batch.ended]
-        ended, finals = batch.ended[first], batch.finals()
-        for column, name in zip(results, ("score", "steps", "deliveries"), strict=True):
-            column[ended] = finals[name][first]
-        flying[ended] = False
+    with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {step}"):
+        reset()
+        batch = Batch(task, n)
+        batch.reset(seeds)
+        while flying.any():
+            step += 1
+            active = flying if stateless else slice(None)
+            actions[active] = act(batch.grids[active], batch.telemetry[active])
+            batch.step(actions)
+            # Ended episodes are reset to other maps: only the first end counts.
+            first = flying[batch.ended]
+            ended, finals = batch.ended[first], batch.finals()
+            for column, figure in zip(results, ("score", "steps", "deliveries"), strict=True):
+                column[ended] = finals[figure][first]
+            flying[ended] = False
     return results

@@ -1,6 +1,7 @@
 """Agents without a plan: random actions, and greedy flight to the nearest parcel."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -51,8 +52,4 @@ class GreedyAgent(StatelessAgent):
 
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}
-        self._task = task
-
-    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The next actions towards the nearest targets, int64[N]."""
-        return greedy_actions(self._task, grids, telemetry)
+        self.act_batch = partial(greedy_actions, task)

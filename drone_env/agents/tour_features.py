@@ -111,6 +111,23 @@ class Features(NamedTuple):
     """int32[options, 3]: units (below zero for a charge), steps, first action."""
 
 
+class TourState(NamedTuple):
+    """A state of an episode between its stops."""
+
+    stops: Any
+    """int64[N], the cells of the parcels and pads."""
+    parcels: int
+    """Number of parcels; they are the first stops."""
+    delivered: int
+    """Bit i for parcel i."""
+    cell: int
+    """The drone's cell."""
+    units: int
+    """Battery units left."""
+    left: int
+    """Steps left."""
+
+
 def make_distances(stops: int) -> Distances:
     """Allocate the distances between this many stops."""
     return Distances(*np.zeros((3, stops, stops), np.int32))
@@ -156,152 +173,181 @@ def find_distances(search: PathSearch, stops: Any, distances: Distances) -> None
 
 
 @jitable
-def write_features(
-    search: PathSearch,
-    stops: Any,
-    parcels: int,
-    delivered: int,
-    cell: int,
-    units: int,
-    left: int,
-    distances: Distances,
-    features: Features,
-    m: int,
-) -> None:
+def write_features(search: PathSearch, state: TourState, distances: Distances, features: Features, m: int) -> None:
     """Write the features of one state as number m.
 
     Args:
         search: The map, after `find_paths` from the drone.
-        stops: int64[N], the cells of the parcels and pads.
-        parcels: Number of parcels; they are the first stops.
-        delivered: Bit i for parcel i.
-        cell: The drone's cell.
-        units: Battery units left.
-        left: Steps left.
+        state: The state.
         distances: Between the stops.
         features: The output.
         m: The number of the state; those below it are written.
     """
-    tables, counts, paths = search.tables, search.counts, search.paths
-    capacity, max_steps = np.float32(tables.capacity), np.float32(tables.max_steps)
-    per_step = np.float32(STEP_SCALE) / max_steps
-    cheap_units, cheap_steps, fast_steps = distances
-    n = len(stops)
-    tokens, present, edges = features.tokens, features.present, features.edges
-    # A larger charge than the capacity only fills the battery.
-    charge = min(-tables.drain[PAD_CELL * N_ACTIONS + WAIT], tables.capacity)
+    n, parcels = len(state.stops), state.parcels
     waiting = 0
     for i in range(parcels):
-        waiting += 1 - (delivered >> i & 1)
-    option = features.begins[m]
-    tokens[m, : n + 1] = 0.0
-    edges[m, : n + 1, : n + 1] = 0.0
-    present[m, 0] = True
-    tokens[m, 0, IS_DRONE] = 1.0
+        waiting += 1 - (state.delivered >> i & 1)
+    features.tokens[m, : n + 1] = 0.0
+    features.edges[m, : n + 1, : n + 1] = 0.0
+    features.present[m, 0] = True
+    features.tokens[m, 0, IS_DRONE] = 1.0
+    features.begins[m + 1] = features.begins[m]
     home = UNREACHED
     for i in range(n):
-        t = i + 1
-        present[m, t] = i >= parcels or not (delivered >> i & 1)
-        if not present[m, t]:
-            continue
-        next_pad = next_parcel = UNREACHED
-        for j in range(n):
-            if j != i and (j >= parcels or not (delivered >> j & 1)):
-                if j >= parcels:
-                    next_pad = min(next_pad, cheap_units[i, j])
-                else:
-                    next_parcel = min(next_parcel, cheap_units[i, j])
-        to_pad = np.float32(next_pad) / capacity if next_pad < UNREACHED else np.float32(FAR)
-        safe = np.float32(0.0) if i >= parcels or waiting == 1 else to_pad
-        tokens[m, t, IS_PARCEL] = i < parcels
-        tokens[m, t, IS_PAD] = i >= parcels
-        tokens[m, t, TO_PAD] = to_pad
-        tokens[m, t, TO_PARCEL] = np.float32(next_parcel) / capacity if next_parcel < UNREACHED else np.float32(FAR)
-        here = stops[i] == cell
-        n_paths = paths.count[i]
-        if here:
-            tokens[m, t, HERE] = 1.0
-            home = 0
-            charged = units_left(tables, units, -charge)
-            tokens[m, t, ARRIVAL] = units / capacity
-            if charged > units and left > 0:
-                features.token[option] = t
-                features.numbers[option, 0], features.numbers[option, 1] = units - charged, 1
-                features.numbers[option, 2] = WAIT
-                features.options[option] = 0.0
-                features.options[option, DRAINED] = (units - charged) / capacity
-                features.options[option, TAKEN] = per_step
-                features.options[option, AFTER] = features.options[option, AFTER_SPARE] = charged / capacity
-                features.options[option, AFTER_SAFE] = features.options[option, CHARGES] = 1.0
-                features.options[option, LEFT_AFTER] = (left - 1) / max_steps
-                option += 1
-        elif n_paths == 0:
-            tokens[m, t, CHEAP_UNITS] = tokens[m, t, CHEAP_STEPS] = tokens[m, t, FAST_STEPS] = FAR
-        else:
-            last = n_paths - 1
-            cheapest = paths.units[i, last] if counts else paths.steps[i, last]
-            fastest = paths.steps[i, 0]
-            if i >= parcels:
-                home = min(home, cheapest)
-            tokens[m, t, CHEAP_UNITS] = cheapest / capacity
-            tokens[m, t, CHEAP_STEPS] = paths.steps[i, last] * per_step
-            tokens[m, t, FAST_STEPS] = fastest * per_step
-            tokens[m, t, REACHED] = 1.0
-            tokens[m, t, ARRIVAL] = (units - cheapest) / capacity
-            for k in range(n_paths):
-                steps = paths.steps[i, k]
-                # With the step to a parcel a drone may drain more than it has.
-                drained = (min(paths.units[i, k], units) if i < parcels else paths.units[i, k]) if counts else steps
-                if drained > units or (drained == units and i >= parcels) or steps > left:
-                    continue
-                features.token[option] = t
-                features.numbers[option, 0], features.numbers[option, 1] = drained, steps
-                features.numbers[option, 2] = paths.first[i, k]
-                features.options[option, DRAINED] = drained / capacity
-                features.options[option, TAKEN] = steps * per_step
-                features.options[option, AFTER] = (units - drained) / capacity
-                features.options[option, AFTER_SPARE] = (units - drained) / capacity - safe
-                features.options[option, AFTER_SAFE] = features.options[option, AFTER_SPARE] > 0.0
-                features.options[option, CHARGES] = 0.0
-                features.options[option, MORE_UNITS] = (drained - cheapest) / capacity
-                features.options[option, MORE_STEPS] = (steps - fastest) * per_step
-                features.options[option, LEFT_AFTER] = (left - steps) / max_steps
-                option += 1
-        tokens[m, t, SPARE] = tokens[m, t, ARRIVAL] - safe
-        tokens[m, t, SAFE] = tokens[m, t, SPARE] > 0.0
-    tokens[m, 0, TO_PAD] = np.float32(home) / capacity if home < UNREACHED else np.float32(FAR)
-    features.begins[m + 1] = option
-    for t in range(n + 1):
-        if present[m, t]:
-            tokens[m, t, UNITS] = units / capacity
-            tokens[m, t, LEFT] = left / max_steps
-            tokens[m, t, WAITING] = waiting / np.float32(5.0)
-            tokens[m, t, LAST_PARCEL] = waiting == 1
-            tokens[m, t, CHARGE] = charge / capacity
-            tokens[m, t, SMALL_BATTERY] = np.float32(10.0) / capacity
-            tokens[m, t, SHORT_TIME] = np.float32(40.0) / max_steps
-            tokens[m, t, TWO_PARCELS] = waiting == 2
-            tokens[m, t, PADS] = (n - parcels) / np.float32(5.0)
-    for s in range(n + 1):
-        arrival = tokens[m, s, ARRIVAL] if s > 0 else np.float32(units) / capacity
-        for t in range(n + 1):
-            if s == t or not present[m, s] or not present[m, t]:
-                continue
-            if s == 0 or t == 0:
-                out_units, out_steps = tokens[m, s + t, CHEAP_UNITS], tokens[m, s + t, CHEAP_STEPS]
-                fastest_steps = tokens[m, s + t, FAST_STEPS]
-            elif cheap_units[s - 1, t - 1] == UNREACHED:
-                out_units = out_steps = fastest_steps = np.float32(FAR)
+        features.present[m, i + 1] = i >= parcels or not (state.delivered >> i & 1)
+        if features.present[m, i + 1]:
+            token = features.tokens[m, i + 1]
+            safe = write_surroundings(search, state, waiting, distances, token, i)
+            if state.stops[i] == state.cell:
+                home = 0
+                write_charge(search, state, token, features, m, i)
             else:
-                out_units = np.float32(cheap_units[s - 1, t - 1]) / capacity
-                out_steps = np.float32(cheap_steps[s - 1, t - 1]) * per_step
-                fastest_steps = np.float32(fast_steps[s - 1, t - 1]) * per_step
-            edges[m, s, t, OUT_UNITS] = edges[m, t, s, BACK_UNITS] = out_units
-            edges[m, s, t, OUT_STEPS] = edges[m, t, s, BACK_STEPS] = out_steps
-            edges[m, s, t, OUT_FAST_STEPS] = fastest_steps
-            edges[m, s, t, OUT_ARRIVAL] = edges[m, t, s, BACK_ARRIVAL] = arrival - out_units
-            edges[m, s, t, OUT_REACHES] = edges[m, t, s, BACK_REACHES] = arrival - out_units > 0.0
-            edges[m, s, t, WITHIN_CAPACITY] = out_units < 1.0
+                cheapest = write_paths(search, state, safe, token, features, m, i)
+                if i >= parcels:
+                    home = min(home, cheapest)
+            token[SPARE] = token[ARRIVAL] - safe
+            token[SAFE] = token[SPARE] > 0.0
+    capacity = np.float32(search.tables.capacity)
+    features.tokens[m, 0, TO_PAD] = np.float32(home) / capacity if home < UNREACHED else np.float32(FAR)
+    for t in range(n + 1):
+        if features.present[m, t]:
+            write_mission(search, state, waiting, features.tokens[m, t])
+    for s in range(n + 1):
+        for t in range(n + 1):
+            if s != t and features.present[m, s] and features.present[m, t]:
+                write_edge(search, state.units, distances, features.tokens[m], features.edges[m], s, t)
+
+
+@jitable
+def write_surroundings(
+    search: PathSearch, state: TourState, waiting: int, distances: Distances, token: Any, i: int
+) -> Any:
+    """Write the kind of stop i and the distances to the nearest others, and return the units that are safe there."""
+    capacity = np.float32(search.tables.capacity)
+    next_pad = next_parcel = UNREACHED
+    for j in range(len(state.stops)):
+        if j != i and j >= state.parcels:
+            next_pad = min(next_pad, distances.cheap_units[i, j])
+        elif j != i and not (state.delivered >> j & 1):
+            next_parcel = min(next_parcel, distances.cheap_units[i, j])
+    to_pad = np.float32(next_pad) / capacity if next_pad < UNREACHED else np.float32(FAR)
+    token[IS_PARCEL] = i < state.parcels
+    token[IS_PAD] = i >= state.parcels
+    token[TO_PAD] = to_pad
+    token[TO_PARCEL] = np.float32(next_parcel) / capacity if next_parcel < UNREACHED else np.float32(FAR)
+    return np.float32(0.0) if i >= state.parcels or waiting == 1 else to_pad
+
+
+@jitable
+def charge_of(search: PathSearch) -> int:
+    """Units of one charge; a larger one than the capacity only fills the battery."""
+    return min(-search.tables.drain[PAD_CELL * N_ACTIONS + WAIT], search.tables.capacity)
+
+
+@jitable
+def write_charge(search: PathSearch, state: TourState, token: Any, features: Features, m: int, i: int) -> None:
+    """Write the token of the stop below the drone, and the option to charge there."""
+    capacity, max_steps = np.float32(search.tables.capacity), np.float32(search.tables.max_steps)
+    units, left = state.units, state.left
+    token[HERE] = 1.0
+    token[ARRIVAL] = units / capacity
+    charged = units_left(search.tables, units, -charge_of(search))
+    if charged <= units or left <= 0:
+        return
+    number = features.begins[m + 1]
+    features.begins[m + 1] = number + 1
+    features.token[number] = i + 1
+    features.numbers[number, 0], features.numbers[number, 1] = units - charged, 1
+    features.numbers[number, 2] = WAIT
+    option = features.options[number]
+    option[:] = 0.0
+    option[DRAINED] = (units - charged) / capacity
+    option[TAKEN] = np.float32(STEP_SCALE) / max_steps
+    option[AFTER] = option[AFTER_SPARE] = charged / capacity
+    option[AFTER_SAFE] = option[CHARGES] = 1.0
+    option[LEFT_AFTER] = (left - 1) / max_steps
+
+
+@jitable
+def write_paths(search: PathSearch, state: TourState, safe: Any, token: Any, features: Features, m: int, i: int) -> int:
+    """Write the token of a stop that is elsewhere and an option for each path, and return the units of the cheapest."""
+    capacity, max_steps = np.float32(search.tables.capacity), np.float32(search.tables.max_steps)
+    per_step = np.float32(STEP_SCALE) / max_steps
+    counts, paths, units, left = search.counts, search.paths, state.units, state.left
+    last = paths.count[i] - 1
+    if last < 0:
+        token[CHEAP_UNITS] = token[CHEAP_STEPS] = token[FAST_STEPS] = FAR
+        return UNREACHED
+    fastest = paths.steps[i, 0]
+    cheapest = paths.units[i, last] if counts else paths.steps[i, last]
+    token[CHEAP_UNITS] = cheapest / capacity
+    token[CHEAP_STEPS] = paths.steps[i, last] * per_step
+    token[FAST_STEPS] = fastest * per_step
+    token[REACHED] = 1.0
+    token[ARRIVAL] = (units - cheapest) / capacity
+    number = features.begins[m + 1]
+    for k in range(last + 1):
+        steps = paths.steps[i, k]
+        parcel = i < state.parcels
+        # With the step to a parcel a drone may drain more than it has.
+        drained = (min(paths.units[i, k], units) if parcel else paths.units[i, k]) if counts else steps
+        if drained > units or (drained == units and not parcel) or steps > left:
+            continue
+        features.token[number] = i + 1
+        features.numbers[number, 0], features.numbers[number, 1] = drained, steps
+        features.numbers[number, 2] = paths.first[i, k]
+        option = features.options[number]
+        option[DRAINED] = drained / capacity
+        option[TAKEN] = steps * per_step
+        option[AFTER] = (units - drained) / capacity
+        option[AFTER_SPARE] = (units - drained) / capacity - safe
+        option[AFTER_SAFE] = option[AFTER_SPARE] > 0.0
+        option[CHARGES] = 0.0
+        option[MORE_UNITS] = (drained - cheapest) / capacity
+        option[MORE_STEPS] = (steps - fastest) * per_step
+        option[LEFT_AFTER] = (left - steps) / max_steps
+        number += 1
+    features.begins[m + 1] = number
+    return cheapest
+
+
+@jitable
+def write_mission(search: PathSearch, state: TourState, waiting: int, token: Any) -> None:
+    """Write the features that are the same on each token."""
+    capacity, max_steps = np.float32(search.tables.capacity), np.float32(search.tables.max_steps)
+    token[UNITS] = state.units / capacity
+    token[LEFT] = state.left / max_steps
+    token[WAITING] = waiting / np.float32(5.0)
+    token[LAST_PARCEL] = waiting == 1
+    token[CHARGE] = charge_of(search) / capacity
+    token[SMALL_BATTERY] = np.float32(10.0) / capacity
+    token[SHORT_TIME] = np.float32(40.0) / max_steps
+    token[TWO_PARCELS] = waiting == 2
+    token[PADS] = (len(state.stops) - state.parcels) / np.float32(5.0)
+
+
+@jitable
+def write_edge(search: PathSearch, units: int, distances: Distances, tokens: Any, edges: Any, s: int, t: int) -> None:
+    """Write the edge from token s to token t, and the reverse features of the edge back."""
+    capacity, max_steps = np.float32(search.tables.capacity), np.float32(search.tables.max_steps)
+    per_step = np.float32(STEP_SCALE) / max_steps
+    arrival = tokens[s, ARRIVAL] if s > 0 else np.float32(units) / capacity
+    if s == 0 or t == 0:
+        out_units, out_steps = tokens[s + t, CHEAP_UNITS], tokens[s + t, CHEAP_STEPS]
+        fastest_steps = tokens[s + t, FAST_STEPS]
+    elif distances.cheap_units[s - 1, t - 1] == UNREACHED:
+        out_units = out_steps = fastest_steps = np.float32(FAR)
+    else:
+        out_units = np.float32(distances.cheap_units[s - 1, t - 1]) / capacity
+        out_steps = np.float32(distances.cheap_steps[s - 1, t - 1]) * per_step
+        fastest_steps = np.float32(distances.fast_steps[s - 1, t - 1]) * per_step
+    edge, back = edges[s, t], edges[t, s]
+    edge[OUT_UNITS] = back[BACK_UNITS] = out_units
+    edge[OUT_STEPS] = back[BACK_STEPS] = out_steps
+    edge[OUT_FAST_STEPS] = fastest_steps
+    edge[OUT_ARRIVAL] = back[BACK_ARRIVAL] = arrival - out_units
+    edge[OUT_REACHES] = back[BACK_REACHES] = arrival - out_units > 0.0
+    edge[WITHIN_CAPACITY] = out_units < 1.0
 
 
 @kernel
@@ -369,7 +415,7 @@ def encode_kernel(
             features.tokens[m, t] = 0.0
             features.edges[m, t] = 0.0
             features.edges[m, :, t] = 0.0
-        write_features(search, stops[:n], parcels, 0, cell, units, left, distances, features, m)
+        write_features(search, TourState(stops[:n], parcels, 0, cell, units, left), distances, features, m)
     return len(grounds)
 
 

@@ -2,8 +2,8 @@
 
 import io
 import re
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
 from functools import partial, wraps
 from itertools import dropwhile, takewhile
 from reprlib import repr as shortened
@@ -61,17 +61,6 @@ def register_files(arguments: Sequence[str]) -> list[str]:
             argument = argument.removesuffix(file) + REGISTERED[option](file).id
         names.append(argument)
     return names
-
-
-@contextmanager
-def temporary_reward_profiles() -> Generator[None, None, None]:
-    """Forget at the end of the block the reward profiles that a command has registered."""
-    before = dict(REWARD_PROFILES)
-    try:
-        yield
-    finally:
-        REWARD_PROFILES.clear()
-        REWARD_PROFILES.update(before)
 
 
 def parse_seeds(text: str) -> range:

@@ -1,7 +1,7 @@
 """`drone-env compare`: agents on the same maps, paired map by map."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import tyro
 
@@ -11,6 +11,7 @@ from drone_env.commands.evaluate import JsonFile, TaskNames, fly_grid, json_file
 from drone_env.commands.leaderboard import required_entries
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
+from drone_env.results.leaderboard import LeaderboardEntry
 from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import compared, with_interval
 from drone_env.results.tables import Table, percent, print_table
@@ -45,6 +46,53 @@ def compare(
         repeats: Flights per map of stochastic agents; their mean counts.
         json: Write the statistics to this file; - prints only JSON to standard output.
     """
+    contest = _chosen(agents, task, split, episodes, seeds)
+    json_file(json)
+    flown = fly_grid(contest.tasks, contest.names, contest.maps, contest.split, repeats) if contest.names else {}
+    rows: dict[TaskConfig, dict[str, Results]] = {}
+    for agent in agents:
+        for name, entry in contest.stored.get(agent, ()):
+            rows.setdefault(get_task(entry.results.key.task), {})[name] = entry.results
+        for t, row in flown.items():
+            if isinstance(cell := row.get(agent), Results):
+                rows.setdefault(t, {})[agent] = cell
+    report = {
+        "package": __version__,
+        "split": contest.split,
+        "seeds": [contest.maps.start, contest.maps.stop],
+        "repeats": repeats,
+        "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
+        "unusable": {
+            name: entry.report["unusable"]
+            for of_folder in contest.stored.values()
+            for name, entry in of_folder
+            if "unusable" in entry.report
+        },
+    }
+    if json is not None:
+        write_report(report, json)
+    if json != "-":
+        _print(report)
+        for t, row in flown.items():
+            for agent, cell in row.items():
+                if not isinstance(cell, Results):
+                    print(f"{t.short_name}, {agent}: {cell}")
+
+
+class Contest(NamedTuple):
+    """Who is compared: entries of folders by the argument, agents to fly, and over which maps."""
+
+    stored: dict[str, list[tuple[str, LeaderboardEntry]]]
+    names: list[str]
+    tasks: tuple[str, ...]
+    split: str
+    maps: range
+
+
+def _chosen(
+    agents: tuple[str, ...], task: tuple[str, ...], split: str | None, episodes: int | None, seeds: str | None
+) -> Contest:
+    """Read the folders and choose the maps."""
     stored = {
         agent: [(f"{entry.agent} ({Path(agent)})", entry) for entry in required_entries(Path(agent))]
         for agent in agents
@@ -54,37 +102,11 @@ def compare(
     names = [agent for agent in agents if agent not in stored]
     if len({*names, *(name for name, _ in entries)}) < 2 or len(set(agents)) < len(agents):
         raise InvalidValueError(f"compare takes two agents or more, each once; got {' '.join(agents) or 'none'}")
-    if stored:
-        if task != ("all",) or (split, episodes, seeds) != (None, None, None):
-            raise InvalidValueError("folders name task and maps themselves: leave --task, --split and so on out")
-        task, chosen_split, maps = _same_maps([(name, entry.results.key) for name, entry in entries])
-    else:
-        chosen_split, maps = select_maps(seeds, split, episodes, 200)
-    json_file(json)
-    flown = fly_grid(task, names, maps, chosen_split, repeats) if names else {}
-    rows: dict[TaskConfig, dict[str, Results]] = {}
-    missing: list[str] = []
-    for agent in agents:
-        for name, entry in stored.get(agent, ()):
-            rows.setdefault(get_task(entry.results.key.task), {})[name] = entry.results
-        for t, row in flown.items():
-            cell = row.get(agent)
-            if isinstance(cell, Results):
-                rows.setdefault(t, {})[agent] = cell
-            elif cell is not None:
-                missing.append(f"{t.short_name}, {agent}: {cell}")
-    report = {
-        "package": __version__,
-        "split": chosen_split,
-        "seeds": [maps.start, maps.stop],
-        "repeats": repeats,
-        "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
-        "unusable": {name: entry.report["unusable"] for name, entry in entries if "unusable" in entry.report},
-    }
-    if write_report(report, json):
-        _print(report)
-        for line in missing:
-            print(line)
+    if not stored:
+        return Contest(stored, names, task, *select_maps(seeds, split, episodes, 200))
+    if task != ("all",) or (split, episodes, seeds) != (None, None, None):
+        raise InvalidValueError("folders name task and maps themselves: leave --task, --split and so on out")
+    return Contest(stored, names, *_same_maps([(name, entry.results.key) for name, entry in entries]))
 
 
 def _same_maps(keys: list[tuple[str, EpisodesKey]]) -> tuple[tuple[str, ...], str, range]:

@@ -3,13 +3,14 @@
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS, file_of, make_agent
+from drone_env.agents import NETWORK_AGENTS, Agent, file_of, make_agent
 from drone_env.commands.arguments import (
     TASK,
     AgentNames,
@@ -23,9 +24,9 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json
 from drone_env.planning.optimal import require_solvable
-from drone_env.results.evaluate import FIGURES, episodes_key, evaluate_keys, local_engine, repeats_of, summarise
+from drone_env.results.evaluate import FIGURES, episodes_key, evaluate_keys, figures_of, local_engine, repeats_of
 from drone_env.results.result import EpisodesKey, Results, repeated
-from drone_env.results.statistics import with_interval
+from drone_env.results.statistics import Summary, with_interval
 from drone_env.results.tables import Table, number, percent, print_table
 
 CHOICE = "|".join(NETWORK_AGENTS)
@@ -35,7 +36,8 @@ JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 Cannot = CheckpointError | TooLargeError | UnsupportedTaskError
 """The reason why an agent cannot fly a task."""
 Grid = dict[TaskConfig, dict[str, Results | Cannot]]
-"""By task and agent: the results, or the reason why there are none."""
+Summaries = dict[TaskConfig, dict[str, Summary | Cannot]]
+"""By task and agent: the results or their statistics, or the reason why there are none."""
 
 
 def evaluate(
@@ -87,26 +89,62 @@ def evaluate(
         if out is not None:
             print(f"interrupted; the same command goes on from {out}", file=sys.stderr)
         raise
-    report = {
+    summaries: Summaries = {
+        t: {agent: Summary.of(cell) if isinstance(cell, Results) else cell for agent, cell in row.items()}
+        for t, row in flown.items()
+    }
+    if json is not None:
+        write_report(_report(summaries, maps, chosen_split, repeats), json)
+    if json != "-":
+        _print(summaries, maps, chosen_split, repeats)
+
+
+def _report(summaries: Summaries, maps: range, split: str, repeats: int) -> dict[str, Any]:
+    def figures(cell: Summary | Cannot) -> dict[str, Any]:
+        return figures_of(cell) if isinstance(cell, Summary) else {**dict.fromkeys(FIGURES), "unsupported": str(cell)}
+
+    return {
         "package": __version__,
         "tasks": {
-            t.id: {
-                "version": t.version,
-                "split": chosen_split,
+            task.id: {
+                "version": task.version,
+                "split": split,
                 "seeds": [maps.start, maps.stop],
                 "episodes": len(maps),
                 "repeats": repeats,
-                "agents": {agent: _figures(cell) for agent, cell in row.items()},
+                "agents": {agent: figures(cell) for agent, cell in row.items()},
             }
-            for t, row in flown.items()
+            for task, row in summaries.items()
         },
     }
-    if write_report(report, json):
-        _print(report)
 
 
-def _figures(cell: Results | Cannot) -> dict[str, Any]:
-    return summarise(cell) if isinstance(cell, Results) else {**dict.fromkeys(FIGURES), "unsupported": str(cell)}
+def _print(summaries: Summaries, maps: range, split: str, repeats: int) -> None:
+    head = ("task", "agent", "score (95 %)", "optimum", "ratio", "regret", "success", "steps", "excess")
+    cells = [(task, agent, cell) for task, row in summaries.items() for agent, cell in row.items()]
+    rows = [(f"{task.short_name} v{task.version}", agent, *_columns(cell)) for task, agent, cell in cells]
+    caption = f"{len(maps):,} maps a task, split {split}, seeds {maps.start} to {maps.stop - 1}"
+    if repeats > 1:
+        caption += f", {repeats} flights of each stochastic agent per map"
+    table = Table("Graded score beside the exact optimum of the same maps", head, rows)
+    print_table(table, names=2, caption=caption, sections=True)
+    for task, agent, cell in cells:
+        if not isinstance(cell, Summary):
+            print(f"{task.short_name}, {agent}: {cell}")
+
+
+def _columns(cell: Summary | Cannot) -> tuple[str, ...]:
+    if not isinstance(cell, Summary):
+        return ("-",) * 7
+    return (
+        with_interval(cell.score, cell.score_ci95),
+        number(cell.optimum),
+        number(cell.ratio),
+        number(cell.regret if cell.regret_maps == cell.maps else None),
+        percent(cell.success_rate),
+        number(cell.steps, ".1f"),
+        number(cell.excess_steps, ".2f"),
+    )
 
 
 def fly_grid(
@@ -142,37 +180,40 @@ def fly_grid(
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
     chosen = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
-    grid = {t: {a: _cell(t, a, maps, split, repeats) for a in agents} for t in dict.fromkeys(chosen)}
-    # At least one agent must support a task, and so must every agent of a file.
-    for required in (agents, *([agent] for agent in agents if file_of(agent))):
-        cells = [row[agent] for row in grid.values() for agent in required]
-        if not any(isinstance(cell, tuple) for cell in cells):
-            raise cast(Cannot, cells[0])
+    made: dict[tuple[str, str], Agent] = {}
+
+    def keys_of(task: TaskConfig, name: str) -> tuple[EpisodesKey, ...] | Cannot:
+        try:
+            if name == "optimal":
+                require_solvable(task)
+            agent = made[task.id, name] = make_agent(name, task)
+            return repeats_of(episodes_key(task, name, maps, split, made=agent), repeats, agent)
+        except (TooLargeError, UnsupportedTaskError) as error:
+            return error
+        except CheckpointError as error:
+            if file_of(name) is None:
+                raise  # a shipped file is damaged
+            return error
+
+    grid = {t: {a: keys_of(t, a) for a in agents} for t in dict.fromkeys(chosen)}
     keys = [key for row in grid.values() for cell in row.values() if isinstance(cell, tuple) for key in cell]
-    flown = _fly(keys, engine, address, out)
+    flying = {key.agent for key in keys}
+    for agent in agents:  # at least one must support a task, and so must every agent of a file
+        if not flying or (agent not in flying and file_of(agent)):
+            raise next(cast(Cannot, row[agent]) for row in grid.values())
+    flown = _fly(keys, made, engine, address, out)
     return {
         t: {a: repeated([flown[key] for key in cell]) if isinstance(cell, tuple) else cell for a, cell in row.items()}
         for t, row in grid.items()
     }
 
 
-def _cell(task: TaskConfig, name: str, maps: range, split: str, repeats: int) -> tuple[EpisodesKey, ...] | Cannot:
-    """Return the keys of an agent on a task, or why it cannot fly it."""
-    try:
-        if name == "optimal":
-            require_solvable(task)
-        agent = make_agent(name, task)
-        return repeats_of(episodes_key(task, name, maps, split, made=agent), repeats, agent)
-    except (TooLargeError, UnsupportedTaskError) as error:
-        return error
-    except CheckpointError as error:
-        if file_of(name) is None:
-            raise  # a shipped file is damaged
-        return error
-
-
 def _fly(
-    keys: Sequence[EpisodesKey], engine: EngineName, address: str | None, out: Path | None
+    keys: Sequence[EpisodesKey],
+    agents: dict[tuple[str, str], Agent],
+    engine: EngineName,
+    address: str | None,
+    out: Path | None,
 ) -> dict[EpisodesKey, Results]:
     folder = None
     if out is not None:
@@ -185,10 +226,10 @@ def _fly(
         def arrived(chunk: Results) -> None:
             if interrupts:
                 raise KeyboardInterrupt
-            advance(len(chunk.seeds), f"{get_task(chunk.key.task).short_name} {chunk.key.agent}")
+            advance(len(chunk.seeds), f"{chunk.key.task} {chunk.key.agent}")
 
         if engine == "local":
-            return evaluate_keys(keys, local_engine, folder, arrived)
+            return evaluate_keys(keys, partial(local_engine, agents=agents), folder, arrived)
         from drone_env.cluster.connect import connect
 
         with connect(address):
@@ -220,45 +261,14 @@ def json_file(json: str | None) -> Path | None:
     return target
 
 
-def write_report(report: dict[str, Any], json: str | None) -> bool:
-    """Write a report as `--json` requests, and return whether to print tables too.
+def write_report(report: dict[str, Any], json: str) -> None:
+    """Write a report to the file of `--json`, or to standard output.
 
     Raises:
         InvalidValueError, OSError: if it cannot be written.
     """
     target = json_file(json)
-    if json == "-":
+    if target is None:
         print_json(report)
-    elif target is not None:
+    else:
         write_json(target, report)
-    return json != "-"
-
-
-def _print(report: dict[str, Any]) -> None:
-    head = ("task", "agent", "score (95 %)", "optimum", "ratio", "regret", "success", "steps", "excess")
-    rows = [
-        (
-            f"{get_task(task_id).short_name} v{of_task['version']}",
-            agent,
-            with_interval(figures["mean_score"], figures["score_ci95"]),
-            number(figures["mean_optimal_score"]),
-            number(figures["score_ratio"]),
-            number(figures["mean_regret"]),
-            percent(figures["success_rate"]),
-            number(figures["mean_steps"], ".1f"),
-            number(figures["mean_excess_steps"], ".2f"),
-        )
-        for task_id, of_task in report["tasks"].items()
-        for agent, figures in of_task["agents"].items()
-    ]
-    flown = next(iter(report["tasks"].values()))
-    start, stop = flown["seeds"]
-    caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
-    if flown["repeats"] > 1:
-        caption += f", {flown['repeats']} flights of each stochastic agent per map"
-    table = Table("Graded score beside the exact optimum of the same maps", head, rows)
-    print_table(table, names=2, caption=caption, sections=True)
-    for task_id, of_task in report["tasks"].items():
-        for agent, figures in of_task["agents"].items():
-            if "unsupported" in figures:
-                print(f"{get_task(task_id).short_name}, {agent}: {figures['unsupported']}")

@@ -3,19 +3,19 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import Agent, BatchAgent, make_agent
-from drone_env.agents.base import begin, named_failures
-from drone_env.agents.named import as_agent
+from drone_env.agents.base import begin
+from drone_env.agents.custom import as_agent
 from drone_env.core.episode import Episode, rollout
-from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.seeds import N_SEEDS, SPLITS, map_key, split_seeds, task_key
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.planning.optimal import solve
 from drone_env.results.result import EpisodesKey, Results, concatenate, repeated
@@ -54,16 +54,17 @@ def episodes_key(
     """
     task = get_task(task)
     made = made or make_agent(agent, task)
-    if get_task(task.id, task.version) != task:
+    if TASKS.get(task.id) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
     if not isinstance(seeds, range) or not seeds or seeds.step != 1:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InvalidValueError(f"seeds must be a range of at least one, with step 1; got {seeds}")
-    check_seed(seeds.start)
-    check_seed(seeds.stop - 1)
     if split != "custom" and split not in SPLITS:
         raise UnknownNameError("split", split, ["custom", *SPLITS])
-    if split != "custom" and {split_of(seeds.start), split_of(seeds.stop - 1)} != {split}:
-        raise InvalidValueError(f"seeds {seeds.start} to {seeds.stop - 1} are not of the split {split!r}")
+    first, stop = SPLITS.get(split, (0, N_SEEDS))
+    if not first <= seeds.start < seeds.stop <= stop:
+        raise InvalidValueError(
+            f"seeds {seeds.start} to {seeds.stop - 1} are not of the split {split!r}, {first} to {stop - 1}"
+        )
     digest = config_hash(task, agent, made)
     return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), agent, digest, repeat)
 
@@ -120,9 +121,10 @@ def _agent_of(key: EpisodesKey) -> Agent:
 
 def _fly_and_solve(task: TaskConfig, key: EpisodesKey, agent: Agent) -> Results:
     seeds = np.arange(*key.seeds, dtype=np.int64)
-    optimal = deepcopy(_fly_optimally(task, *key.seeds))  # the caller may change the arrays of the results
+    optimal = _fly_optimally(task, *key.seeds)
     if key.agent == "optimal" and optimal is not None:
-        scores, steps, deliveries = deepcopy(optimal)
+        # Copies, because the caller may change the arrays of the results.
+        scores, steps, deliveries = optimal[0].copy(), optimal[1].copy(), optimal[2].copy()
     else:
         scores, steps, deliveries = _fly(task, key.agent, agent, seeds, key.repeat)
     return Results(
@@ -132,8 +134,8 @@ def _fly_and_solve(task: TaskConfig, key: EpisodesKey, agent: Agent) -> Results:
         steps=steps,
         deliveries=deliveries,
         success=deliveries == task.deliveries,
-        optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal[0],
-        optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal[1],
+        optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal[0].copy(),
+        optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal[1].copy(),
     )
 
 
@@ -200,16 +202,27 @@ def summarise(results: Results, *again: Results) -> dict[str, Any]:
     Raises:
         InvalidValueError: if they are not flights of one agent over the same maps.
     """
-    summary = Summary.of(repeated((results, *again)))
+    return figures_of(Summary.of(repeated((results, *again))))
+
+
+def figures_of(summary: Summary) -> dict[str, Any]:
+    """Return the statistics of `summarise` from a summary."""
     figures = {name: getattr(summary, figure) for name, figure in FIGURES.items()}
     return figures if summary.regret_maps == summary.maps else figures | {"mean_regret": None}
 
 
-def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
-    """Fly one key after another in this process; consecutive keys of one agent and task share the agent."""
-    made = lru_cache(maxsize=1)(_agent_of)  # called with the key of any maps
-    for key in keys:
-        yield _fly_and_solve(get_task(key.task, key.version), key, made(key._replace(seeds=(0, 1), repeat=0)))
+def local_engine(keys: Sequence[EpisodesKey], agents: dict[tuple[str, str], Agent] | None = None) -> Iterator[Results]:
+    """Fly one key after another in this process.
+
+    Args:
+        keys: The keys; those of one task and agent follow each other.
+        agents: The agents of the keys by task and name, which lose each one that flies; None to make them.
+    """
+    for (task_id, name), chunks in groupby(keys, lambda key: (key.task, key.agent)):
+        task, agent = TASKS[task_id], None if agents is None else agents.pop((task_id, name))
+        for key in chunks:
+            agent = agent or _agent_of(key)
+            yield _fly_and_solve(task, key, agent)
 
 
 def evaluate_keys(
@@ -273,17 +286,10 @@ def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
 def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> Flown:
     from drone_env.agents.batch_rollout import rollout_batch  # compiles
 
-    agent_seeds, step = _agent_seeds(seeds, repeat), 0
+    agent_seeds = _agent_seeds(seeds, repeat)
     if isinstance(agent, BatchAgent):
-
-        def act_batch(grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-            nonlocal step
-            step += 1
-            return agent.act_batch(grids, telemetry)
-
-        with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {step}"):
-            agent.reset_batch(agent_seeds)
-            return rollout_batch(task, seeds, act_batch, getattr(agent, "stateless", False))
+        reset = partial(agent.reset_batch, agent_seeds)
+        return rollout_batch(task, seeds, agent.act_batch, getattr(agent, "stateless", False), name, reset)
     flown: list[tuple[float, int, int]] = []
     for seed, agent_seed in zip(seeds.tolist(), agent_seeds.tolist(), strict=True):
         episode = Episode(task, seed=seed)

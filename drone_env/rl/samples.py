@@ -13,6 +13,7 @@ import numpy.typing as npt
 from drone_env.agents.tour_features import (
     Distances,
     Features,
+    TourState,
     find_distances,
     first_states,
     make_distances,
@@ -138,7 +139,8 @@ def write_state(workspace: Workspace, features: Features, values: Any, m: int) -
     still = left if search.counts else min(left, units)
     done = mark_delivered(legs, delivered)
     find_paths(search, cell, units, 0)
-    write_features(search, legs.stops, legs.parcels, delivered, cell, units, left, distances, features, m)
+    tour = TourState(legs.stops, legs.parcels, delivered, cell, units, left)
+    write_features(search, tour, distances, features, m)
     first, best, lost, differ = features.begins[m], -1, 0, False
     for option in range(first, features.begins[m + 1]):
         row = row_after_option(legs, delivered, done, features, option, units)

@@ -1,6 +1,5 @@
 """Reward profiles from files that the server was started with."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,15 +7,13 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.commands.arguments import temporary_reward_profiles
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> Iterator[dict[str, Any]]:
+def settings(tmp_path: Path) -> dict[str, Any]:
     mine = tmp_path / "mine.toml"
     mine.write_text('id = "mine"\nsummary = "waiting pays"\n[events]\nwait = 0.25\n')
-    with temporary_reward_profiles():
-        yield {"data": tmp_path / "data", "reward_profiles": str(mine)}
+    return {"data": tmp_path / "data", "reward_profiles": str(mine)}
 
 
 def test_callers_find_the_profile_and_are_paid_by_it(client: TestClient, tmp_path: Path) -> None:

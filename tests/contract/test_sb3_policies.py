@@ -10,7 +10,7 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from drone_env import evaluate
-from drone_env.agents.named import as_agent
+from drone_env.agents.custom import as_agent
 from drone_env.core.episode import Episode, choices
 from drone_env.core.tasks import get_task
 from drone_env.envs.drone_delivery import DroneDeliveryEnv

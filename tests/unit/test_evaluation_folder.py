@@ -46,7 +46,7 @@ def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
 ) -> None:
     press = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
 
-    def fly(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
+    def fly(keys: Sequence[EpisodesKey], agents: object) -> Iterator[Results]:
         for key in keys:
             press()
             yield run_episodes(key)
