@@ -71,7 +71,7 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
         raise InvalidValueError(f"a dataset needs a folder in an existing one, got {str(out)!r}")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InvalidValueError(f"{out} exists and is not an empty folder: name another")
-    # In the same file system, so that the final move is one atomic step. The next run replaces what a killed one leaves.
+    # In the same file system, so that the final move is one atomic step. The next run removes what a killed one leaves.
     part = out.with_name(f"{out.name}.part")
     part.mkdir(exist_ok=True)
     with locked(part / "lock", f"another process is writing {out}"):
