@@ -31,21 +31,11 @@ def open_file(path: str | Path) -> BufferedReader:
         OSError: if it cannot be opened.
         InvalidValueError: if it is not a regular file.
     """
-    _require_regular(path, os.stat(path))
-    # The path may have changed: without O_NONBLOCK, opening a pipe waits for a writer.
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    try:
-        _require_regular(path, os.fstat(descriptor))
-    except BaseException:
-        os.close(descriptor)
-        raise
-    return open(descriptor, "rb")
-
-
-def _require_regular(path: str | Path, status: os.stat_result) -> None:
-    if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe, socket or device"
+    mode = os.stat(path).st_mode
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device"
         raise InvalidValueError(f"{path} is {kind}; only regular files are read")
+    return open(path, "rb")
 
 
 def read_file(path: str | Path, most: int) -> bytes:
@@ -100,7 +90,7 @@ def replacing(path: Path) -> Generator[Path, None, None]:
             temporary.unlink(missing_ok=True)
 
 
-def stamp(path: Path) -> tuple[int, int, int] | None:
+def file_identity(path: Path) -> tuple[int, int, int] | None:
     """Return values that change when the file changes; None if there is none.
 
     Raises:

@@ -14,7 +14,6 @@ campaigns() {
   DRONE_ENV_FRAMES=20000 DRONE_ENV_SCHEMA_EXAMPLES=200 $python -m pytest -m '' --timeout 36000 tests/api
   $python tests/api/hostile_callers.py
   DRONE_ENV_LLM_ROUTES=100 DRONE_ENV_PROMPT_MAPS=100 $python -m pytest -m '' --timeout 36000 tests/llm
-  DRONE_ENV_NGINX_SESSIONS=150 $python -m pytest --timeout 36000 tests/cluster/test_nginx.py
 }
 
 # All tests, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.

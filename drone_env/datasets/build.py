@@ -5,12 +5,12 @@
 
 import json
 import math
+import shutil
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium
@@ -26,6 +26,7 @@ from drone_env.datasets.chat import COLUMNS as CHAT
 from drone_env.datasets.chat import row_writer
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
 from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
+from drone_env.files import locked
 from drone_env.results.pages import render
 
 Write = Callable[[Sequence[Trajectory]], None]
@@ -70,15 +71,21 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
         raise InvalidValueError(f"a dataset needs a folder in an existing one, got {str(out)!r}")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InvalidValueError(f"{out} exists and is not an empty folder: name another")
-    # In the same file system, so that the final move is one atomic step.
-    with TemporaryDirectory(prefix=f"{out.name}.", suffix=".part", dir=out.parent) as temporary:
-        folder = Path(temporary) / "dataset"
-        folder.mkdir()
-        rows = _write(config, folder, on_map)
-        (folder / "README.md").write_text(_readme(config, rows), encoding="utf-8")
-        if out.exists():
-            out.rmdir()
-        folder.rename(out)
+    # In the same file system, so that the final move is one atomic step. The next run removes what a killed one leaves.
+    part = out.with_name(f"{out.name}.part")
+    part.mkdir(exist_ok=True)
+    with locked(part / "lock", f"another process is writing {out}"):
+        try:
+            folder = part / "dataset"
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            rows = _write(config, folder, on_map)
+            (folder / "README.md").write_text(_readme(config, rows), encoding="utf-8")
+            if out.exists():
+                out.rmdir()
+            folder.rename(out)
+        finally:
+            shutil.rmtree(part)
     return rows
 
 

@@ -21,7 +21,7 @@ import torch
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import locked, open_file, replacing, stamp
+from drone_env.files import file_identity, locked, open_file, replacing
 from drone_env.rl.common import figure
 
 FORMAT, VERSION = "drone_env/checkpoint", 1
@@ -112,7 +112,7 @@ class TrainingRun:
         self.stopped = False
         """Set it to end the run after the current step."""
         self._seconds, self._since = 0.0, clock()
-        self._stamp = stamp(self.checkpoint)
+        self._identity = file_identity(self.checkpoint)
         if self.resumed:
             self._resume()
 
@@ -156,7 +156,7 @@ class TrainingRun:
         data.mkdir(parents=True, exist_ok=True)
         message = f"another process is training in {data}: wait for its end, or add --data FOLDER"
         with locked(data / "train.lock", message):
-            if stamp(self.checkpoint) != self._stamp:
+            if file_identity(self.checkpoint) != self._identity:
                 raise InvalidValueError(f"another process has trained in {data} meanwhile: start this training again")
             if not self.resumed and self.checkpoint.exists():
                 earlier = next(path for n in count(1) if not (path := Path(f"{self.checkpoint}.{n}")).exists())

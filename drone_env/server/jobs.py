@@ -4,8 +4,8 @@ import logging
 import os
 import signal
 import sys
-from collections import OrderedDict
 from contextlib import suppress
+from functools import lru_cache
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -30,10 +30,8 @@ if sys.platform != "win32":
     import resource
 
 log = logging.getLogger(__name__)
-CACHED_SOLVERS = 16 << 20
-"""Bytes of solved maps that a process caches; a map of skyline_hard takes 2 MB."""
-GROWTH = 32 << 20
-"""Bytes by which a process may grow over its jobs; then a new one replaces it."""
+CACHED_SOLVERS = 8
+"""Maps whose exact values a process caches; a map of skyline_hard takes 2 MB."""
 
 Registered = tuple[dict[str, TaskConfig], dict[str, RewardProfile]]
 """The tasks and reward profiles of the server."""
@@ -49,9 +47,9 @@ class JobContext:
     def __init__(self, settings: Settings) -> None:
         self.networks = Networks(settings.weights, settings.data)
         self.runs = StoredRuns(settings.data)
-        self._solvers: OrderedDict[tuple[TaskConfig, int], Solver] = OrderedDict()
         self.is_new = True
         """Whether this process runs its first job."""
+        self._solver_of = lru_cache(CACHED_SOLVERS)(_solve)
 
     def solver_of(self, task: TaskConfig, seed: int) -> "Solver":
         """Return the exact values of a map.
@@ -59,24 +57,22 @@ class JobContext:
         Raises:
             TooLargeError: if solving it takes too much memory, even in a new process.
         """
-        from drone_env.planning.optimal import solver_of  # loads Numba, which server processes do not need
-
-        key = (task, seed)
         try:
-            solver = self._solvers.get(key) or solver_of(Episode(task, seed=seed))
+            return self._solver_of(task, seed)
         except MemoryError:
             self.require_new()
             raise TooLargeError(f"the exact values of this map of {task.id!r} take too much memory") from None
-        self._solvers[key] = solver
-        self._solvers.move_to_end(key)
-        while len(self._solvers) > 1 and sum(cached.nbytes for cached in self._solvers.values()) > CACHED_SOLVERS:
-            self._solvers.popitem(last=False)
-        return solver
 
     def require_new(self) -> None:
         """Call this when memory has run out. If this process has run other jobs, a new one repeats the job."""
         if not self.is_new:
             sys.exit()
+
+
+def _solve(task: TaskConfig, seed: int) -> "Solver":
+    from drone_env.planning.optimal import solver_of  # loads Numba, which server processes do not need
+
+    return solver_of(Episode(task, seed=seed))
 
 
 _contexts: list[JobContext] = []
@@ -90,7 +86,7 @@ def job_context() -> JobContext:
 def serve(
     connection: Connection, others: Connection, settings: Settings, environment: dict[str, str], registered: Registered
 ) -> None:
-    """Run jobs until the server closes the connection, or this process has grown too much. The server starts another.
+    """Run jobs until the server closes the connection.
 
     Args:
         connection: Receives functions and arguments, sends results and errors.
@@ -114,7 +110,7 @@ def serve(
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))
     limits = Limits(settings)
-    while not limits.outgrown:
+    while True:
         try:
             function, arguments = connection.recv()
         except (EOFError, OSError):
@@ -128,7 +124,7 @@ def serve(
             error = raised
         except MemoryError:
             context.require_new()
-            error = TooLargeError(limits.too_much)
+            error = TooLargeError(too_much(settings.job_megabytes))
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
@@ -147,38 +143,31 @@ class Limits:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self.seconds, self._bytes = settings.job_seconds, settings.job_megabytes << 20
-        self.too_much = too_much(settings.job_megabytes)
-        self._compiling = 0
-        self._first = _allocated()
-        self._compilers = 0
-        """Bytes allocated by compilation, which do not count."""
+        self.seconds = settings.job_seconds
+        self._allowed = _allocated() + (settings.job_megabytes << 20)
         if sys.platform != "win32":
             from numba.core import event
 
-            signal.signal(signal.SIGPROF, self._interrupt)
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-            limits = self
+            limits, depth = self, 0
 
             class Compiling(event.Listener):
                 def on_start(self, event: event.Event) -> None:
-                    if not limits._compiling:
-                        limits._lift()
-                        limits._compilers -= _allocated()
-                    limits._compiling += 1
+                    nonlocal depth
+                    depth += 1
+                    if depth == 1:
+                        limits.__exit__()
+                        limits._allowed -= _allocated()
 
                 def on_end(self, event: event.Event) -> None:
-                    limits._compiling -= 1
-                    if not limits._compiling:
-                        limits._compilers += _allocated()
+                    nonlocal depth
+                    depth -= 1
+                    if depth == 0:
+                        limits._allowed += _allocated()
                         limits.__enter__()
 
             event.register("numba:compile", Compiling())
-
-    @property
-    def outgrown(self) -> bool:
-        """Whether the process has grown too much to be reused."""
-        return _allocated() > self._first + self._compilers + GROWTH
+            signal.signal(signal.SIGPROF, self._interrupt)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def __enter__(self) -> None:
         """Set the limits."""
@@ -186,18 +175,15 @@ class Limits:
             used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
             _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * self.seconds)
             if sys.platform == "linux":
-                _set_soft_limit(resource.RLIMIT_DATA, self._first + self._compilers + self._bytes)
+                _set_soft_limit(resource.RLIMIT_DATA, self._allowed)
             signal.setitimer(signal.ITIMER_PROF, self.seconds)
 
     def __exit__(self, *error: object) -> None:
         """Lift the limits."""
         if sys.platform != "win32":
-            self._lift()
-
-    def _lift(self) -> None:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        for kind in (resource.RLIMIT_CPU, resource.RLIMIT_DATA):
-            _set_soft_limit(kind, resource.getrlimit(kind)[1])
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            for kind in (resource.RLIMIT_CPU, resource.RLIMIT_DATA):
+                _set_soft_limit(kind, resource.getrlimit(kind)[1])
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         raise TooLargeError(too_long(self.seconds))

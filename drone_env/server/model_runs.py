@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drone_env.errors import DroneEnvError
-from drone_env.files import EVALUATIONS, RUNS, stamp
+from drone_env.files import EVALUATIONS, RUNS, file_identity
 from drone_env.results.folder import CHUNKS, CONFIG
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, evaluation_entries
 
@@ -62,7 +62,7 @@ class StoredRuns:
         """The leaderboard entries of a folder for a task, or why it is not ranked. Cached until a file changes."""
         files, compute = self._sources(path, task)
         try:
-            stamps = [(file, stamp(file)) for file in files]
+            stamps = [(file, file_identity(file)) for file in files]
         except OSError as error:
             return [NotRanked(path, str(error), damaged=True)]
         cached = self._cache.get((path, task))

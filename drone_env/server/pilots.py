@@ -20,7 +20,7 @@ from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.agents.weights_file import TOURNET, network_of
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
-from drone_env.files import stamp
+from drone_env.files import file_identity
 
 log = logging.getLogger(__name__)
 HUMAN, NETWORK, TRAINED = "human", "pathqnet", "trained"
@@ -278,7 +278,7 @@ class Networks:
         """
         file = self.file(pilot, task)
         try:
-            now = stamp(file)
+            now = file_identity(file)
             if now is None:
                 return None
             with self._lock:

@@ -8,7 +8,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing import resource_tracker
@@ -32,41 +31,23 @@ UNREAD_SECONDS = 75
 """Linux closes a connection if the other side has acknowledged no data for this time."""
 CONNECTIONS = 1000
 """Connections of a process, in addition to one per session."""
-STARTUP_FAILED = 3
-"""uvicorn's exit status if the application cannot start."""
-LINES, LINE_SECONDS = 10, 60.0
-"""Most log lines from one place in the code within this time, because clients can trigger them."""
 OTHER_FILES = 128
 """Open files that are not connections: the store, logs, files of requests."""
 
 
-class BoundedLog(logging.Filter):
-    """Drops lines beyond `LINES` from one place in the code, and traces of tasks that are cancelled at shutdown."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._places: dict[tuple[str, int], tuple[float, int]] = {}
+class _WithoutCancelled(logging.Filter):
+    """Drops traces of tasks that are cancelled when the server stops."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether to log a line. The first line after dropped ones shows their number."""
-        if record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError):
-            return False
-        place, now = (record.pathname, record.lineno), time.monotonic()
-        since, count = self._places.get(place, (now, 0))
-        if now - since >= LINE_SECONDS:
-            if count > LINES:
-                record.msg = f"{record.msg} ({count - LINES} similar lines were dropped)"
-            since, count = now, 0
-        self._places[place] = since, count + 1
-        return count < LINES
+        return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
 LOGGING = {
     "version": 1,
     "disable_existing_loggers": False,
     "formatters": {"line": {"format": "%(levelname)s: %(message)s"}},
-    "filters": {"bounded": {"()": BoundedLog}},
-    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line", "filters": ["bounded"]}},
+    "filters": {"cancelled": {"()": _WithoutCancelled}},
+    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line", "filters": ["cancelled"]}},
     "root": {"handlers": ["stderr"]},
 }
 """Log to standard error only."""
@@ -121,7 +102,6 @@ def run(
             limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,
             timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
-            timeout_worker_healthcheck=60,  # after the default of 5 s uvicorn kills slow processes
         )
         # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):
@@ -137,7 +117,7 @@ def run(
                             child.kill()
                         os._exit(0)
                 if not server.started:
-                    sys.exit(STARTUP_FAILED)
+                    sys.exit(1)
 
 
 def leave_ctrl_c() -> None:

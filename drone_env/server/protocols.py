@@ -9,7 +9,7 @@ import asyncio
 import logging
 import time
 from collections import Counter
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
@@ -23,13 +23,8 @@ REQUEST_SECONDS = 30.0
 """Time for a whole request to arrive."""
 HEAD_BYTES, HEADERS = 16_384, 100
 """Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that."""
-SMALL, READS, CHUNKS = 512, 64, 1024
-"""Most reads and chunks below `SMALL` bytes of a request. A read takes about 40 us of the event loop, a chunk 2 us."""
-HANDSHAKE_BYTES = 4096
-"""Most bytes of the `Sec-WebSocket-*` headers, because Python code parses lists in them."""
 INVALID = 400, "this is not a valid HTTP request"
 TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
-TOO_MANY_PIECES = 400, f"a request has at most {READS} reads and {CHUNKS} chunks of under {SMALL} bytes"
 END_SECONDS = 4.0
 """Time for clients to read the last responses when the server stops."""
 END_OF_HEAD = b"\r\n\r\n"
@@ -53,7 +48,7 @@ class Http(HttpToolsProtocol):
         self._deadline: asyncio.TimerHandle | None = None
         self._unread = b""
         self._in_head = True
-        self._head_bytes = self._body_left = self._reads = self._chunks = 0
+        self._head_bytes = self._body_left = 0
         self._refusal = INVALID
         self.address = "" if self.client is None else self.client[0]
         """The address of the other side."""
@@ -78,7 +73,6 @@ class Http(HttpToolsProtocol):
         """Parse data, or buffer it during a response."""
         self._used_at = time.monotonic()
         self._unread = self._unread + data if self._unread else data
-        self._reads += len(data) < SMALL
         self._read()
 
     def on_header(self, name: bytes, value: bytes) -> None:
@@ -89,43 +83,25 @@ class Http(HttpToolsProtocol):
         """
         if self._in_head:
             if len(self.headers) >= HEADERS:
-                self._refuse(TOO_LARGE)
+                self._refusal = TOO_LARGE
+                raise ValueError  # stops the parser; `_parse` sends the response
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Start the response.
-
-        Raises:
-            ValueError: if the request does not have one host, its body has an encoding other than chunked, or the
-                `Sec-WebSocket-*` headers are too long.
-        """
-        if sum([len(value) for name, value in self.headers if name.startswith(b"sec-websocket-")]) > HANDSHAKE_BYTES:
-            self._refuse(TOO_LARGE)
-        names, parser = [name for name, _ in self.headers], cast(Any, self.parser)
-        if names.count(b"host") not in ((0, 1) if parser.get_http_version() == "1.0" else (1,)):
-            self._refuse((400, "a request has one Host header"))
-        if [value.lower() for name, value in self.headers if name == b"transfer-encoding"] not in ([], [b"chunked"]):
-            self._refuse((400, "the only transfer encoding is chunked"))
+        """Start the response."""
         self._in_head = False
-        self._body_left = int(self.headers[names.index(b"content-length")][1]) if b"content-length" in names else 0
+        self._body_left = next((int(value) for name, value in self.headers if name == b"content-length"), 0)
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Add a chunk of a body.
-
-        Raises:
-            ValueError: if there are too many small ones.
-        """
+        """Add a chunk of a body."""
         self._head_bytes -= len(body)
-        self._chunks += len(body) < SMALL
-        if self._chunks > CHUNKS:
-            self._refuse(TOO_MANY_PIECES)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
         """End the request."""
         self._in_head = True
-        self._head_bytes = self._body_left = self._reads = self._chunks = 0
+        self._head_bytes = self._body_left = 0
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
@@ -177,8 +153,6 @@ class Http(HttpToolsProtocol):
                 end = min(end, start + HEAD_BYTES - self._head_bytes)
             if end == start:
                 self._end(*TOO_LARGE)
-            elif self._reads > READS:
-                self._end(*TOO_MANY_PIECES)
             else:
                 self._head_bytes += end - start
                 self._parse(data[start:end])
@@ -204,11 +178,6 @@ class Http(HttpToolsProtocol):
                 self.cycle.keep_alive = False
         except httptools.HttpParserError:
             self._end(*self._refusal)
-
-    def _refuse(self, refusal: tuple[int, str]) -> NoReturn:
-        """Stop the parser; `_parse` then sends this response."""
-        self._refusal = refusal
-        raise ValueError(refusal)
 
     def _end(self, status: int, text: str, header: bytes = b"") -> None:
         """Send a status, unless a response has started, and close the connection."""

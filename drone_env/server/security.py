@@ -1,17 +1,15 @@
-"""The middleware around every request: its host, origin and token, its headers, its line in the log. Its address."""
+"""The middleware around every request: its host, origin and token, its headers, its line in the log."""
 
 import base64
 import binascii
 import hmac
-import ipaddress
 import re
 import time
-from functools import lru_cache
-from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drone_env.server.addresses import host_name, is_local_name, listens_on_loopback
 from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.logs import RequestLog
 from drone_env.server.page_files import is_file
@@ -142,73 +140,3 @@ def _offered_token(scope: Scope) -> bytes:
             except binascii.Error:
                 return b""
     return b""
-
-
-PROXY_HEADERS, FORWARDED = ("forwarded", "via", "x-real-ip"), "x-forwarded-"
-BROWSER_HEADERS = ("origin", "sec-fetch-site")
-
-
-@lru_cache(maxsize=1024)
-def is_local_name(host: str) -> bool:
-    """Return whether a lower-case host name or address always means the loopback interface."""
-    name = host.rstrip(".")
-    if name == "localhost" or name.endswith(".localhost"):
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def listens_on_loopback(scope: Scope, host: str) -> bool:
-    """Return whether only programs on this machine can reach the server.
-
-    A request that arrives at loopback does not prove it, because a server on all addresses receives it as well.
-
-    Args:
-        scope: The request; `server` is the local end of its connection.
-        host: The configured address; uvicorn started by hand may use another.
-    """
-    server = scope.get("server")
-    return server is not None and is_local_name(server[0].lower()) and not _is_wildcard(host)
-
-
-def shared_address(scope: Scope) -> str | None:
-    """Return the address whose callers share a session.
-
-    None for browsers, which keep cookies, and for proxies, which have many callers under one address.
-    """
-    client = scope.get("client")
-    if client is None or _comes_through_proxy(scope) or any(name in BROWSER_HEADERS for name in Headers(scope=scope)):
-        return None
-    return client[0]
-
-
-def is_stranger(scope: Scope, host: str) -> bool:
-    """Return whether a caller may be on another machine; a proxy forwards such callers."""
-    client = (scope.get("client") or ("unknown",))[0].lower()
-    return _comes_through_proxy(scope) or not (is_local_name(client) and listens_on_loopback(scope, host))
-
-
-def _comes_through_proxy(scope: Scope) -> bool:
-    """Return whether a request came through a proxy. Proxies that add no header use HTTP/1.0."""
-    names = Headers(scope=scope).keys()
-    added = any(name in PROXY_HEADERS or name.startswith(FORWARDED) for name in names)
-    return added or scope.get("http_version") == "1.0"
-
-
-@lru_cache(maxsize=1024)
-def host_name(header: str) -> str:
-    """Return the lower-case name in a `Host` header, without port."""
-    try:
-        return urlsplit(f"//{header}").hostname or ""
-    except ValueError:
-        return ""
-
-
-@lru_cache
-def _is_wildcard(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_unspecified
-    except ValueError:
-        return False

@@ -17,10 +17,10 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError
 from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
+from drone_env.server.addresses import shared_address
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError
 from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.security import shared_address
 
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"

@@ -1,20 +1,22 @@
 """The first process of a server with several: it starts, replaces and ends the others."""
 
+import logging
 import signal
 import sys
 import threading
 
-from uvicorn.supervisors import Multiprocess
+from uvicorn.supervisors.multiprocess import Multiprocess, Process
 
-from drone_env.server.process import STARTUP_FAILED, leave_ctrl_c
+from drone_env.server.process import leave_ctrl_c
 
+log = logging.getLogger(__name__)
 JOIN_SECONDS = 0.2
 
 
 class Supervisor(Multiprocess):
     """uvicorn's, which ends as a server of one process does: with the same status, and at once at a second Ctrl-C."""
 
-    _terminated = False
+    _failed = _terminated = False
 
     def run(self) -> None:
         """Serve until stopped. Only this process handles Ctrl-C."""
@@ -25,8 +27,23 @@ class Supervisor(Multiprocess):
         if self._terminated:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             signal.raise_signal(signal.SIGTERM)
-        if any(process.exitcode == STARTUP_FAILED for process in self.processes):
-            sys.exit(STARTUP_FAILED)
+        if self._failed:
+            sys.exit(1)
+
+    def keep_subprocess_alive(self) -> None:
+        """Replace server processes that a signal has killed. One that has failed ends the server: others would, too.
+
+        uvicorn's pings are not used. One to a process that is ending waits for a minute.
+        """
+        for index, old in enumerate(self.processes):
+            status = old.process.exitcode
+            if status is not None and status < 0:
+                self.processes[index] = Process(self.config, self.sockets)
+                self.processes[index].start()
+            elif status is not None and not self._failed:
+                log.error("a server process has failed to start: the server ends")
+                self._failed = True
+                self.should_exit.set()
 
     def handle_term(self) -> None:
         """Note the signal, and stop."""

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import threading
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
@@ -32,18 +32,23 @@ from drone_env.server.settings import Settings
 
 log = logging.getLogger(__name__)
 PROCESSES = max(2, (os.cpu_count() or 1) // 2)
-"""Number of workers. The first runs only quick jobs, so that a slow map does not delay other callers."""
+"""Number of workers. Half of them run only quick jobs, so that a slow map does not delay other callers."""
 WAITING = 64
-"""Most waiting jobs."""
+"""Most waiting jobs of each kind: quick, and others."""
 END_SECONDS = 2
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+OUT_OF_TIME = -signal.SIGXCPU if sys.platform != "win32" else None
+FINAL = (OUT_OF_TIME, -signal.SIGTERM)
+"""Exit statuses of workers whose job is not repeated: it used too much time, or the server is being stopped."""
 PRELOADED = ["__main__", "drone_env.server.worker_preload"]
 Result = TypeVar("Result")
-Queue = OrderedDict[str, "deque[Job]"]
 
 
 class Job(Future[Any]):
     """A waiting or running job. `cancel` drops it; if it is running and not quick, its worker is killed."""
+
+    process: BaseProcess | None = None
+    dropped = False
 
     def __init__(
         self, workers: "Workers", function: Callable[..., Any], arguments: tuple[object, ...], quick: bool
@@ -52,8 +57,6 @@ class Job(Future[Any]):
         self.function = function
         self.arguments = arguments
         self.quick = quick
-        self.dropped = False
-        self.process: BaseProcess | None = None
         self._workers = workers
 
     def cancel(self) -> bool:
@@ -72,9 +75,8 @@ class Workers:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings.model_copy(update={"token": None})
-        self._queues: dict[bool, Queue] = {quick: OrderedDict() for quick in (True, False)}
+        self._waiting: dict[bool, OrderedDict[str, list[Job]]] = {quick: OrderedDict() for quick in (True, False)}
         self._running: set[Job] = set()
-        self._reserved_is_busy = False
         self._closed = False
         self._condition = threading.Condition()
         self._threads: list[threading.Thread] = []
@@ -91,25 +93,18 @@ class Workers:
         Raises:
             RequestError: if too many jobs are waiting, or the server is stopping.
         """
-        quick = task is not None and is_registered(task)
-        job = Job(self, function, arguments, quick)
+        job = Job(self, function, arguments, quick=task is not None and is_registered(task))
         with self._condition:
             if self._closed:
                 raise RequestError(503, "not_started", "the server is stopping")
-            queue = self._queues[quick]
-            own = queue.get(caller, ())
-            if not in_share(len(own), sum(map(len, queue.values())), WAITING):
+            waiting = self._waiting[job.quick]
+            if not in_share(len(waiting.get(caller, ())), sum(map(len, waiting.values())), WAITING):
                 raise RequestError(503, "busy", "too many requests are waiting for their turn: try again later")
-            queue.setdefault(caller, deque()).append(job)
-            if not self._threads:
-                self._threads = [
-                    threading.Thread(
-                        target=self._serve, args=(not number,), name=f"drone_env-worker-{number}", daemon=True
-                    )
-                    for number in range(PROCESSES)
-                ]
-                for thread in self._threads:
-                    thread.start()
+            waiting.setdefault(caller, []).append(job)
+            for number in range(0 if self._threads else PROCESSES):
+                name, kind = f"drone_env-worker-{number}", number % 2 == 0
+                self._threads.append(threading.Thread(target=self._serve, args=(kind,), name=name, daemon=True))
+                self._threads[-1].start()
             self._condition.notify_all()
         return job
 
@@ -133,43 +128,55 @@ class Workers:
         """Remove a job from the queue or kill its worker, and return whether it had not ended."""
         with self._condition:
             job.dropped = True
-            for queue in self._queues.values():
-                for caller, jobs in queue.items():
-                    if job in jobs:
-                        jobs.remove(job)
-                        if not jobs:
-                            del queue[caller]
-                        return Future.cancel(job)
-            # A quick job ends soon. A new worker would take longer to start, and has no cached maps.
-            if job in self._running and job.process is not None and (self._closed or not job.quick):
-                job.process.kill()
+            for jobs in self._waiting[job.quick].values():
+                if job in jobs:
+                    jobs.remove(job)
+                    return Future.cancel(job)
+            self._kill_dropped(job)
             return job in self._running
 
     def close(self) -> None:
         """Drop all jobs and end the workers."""
         with self._condition:
             self._closed = True
-            waiting = [job for queue in self._queues.values() for jobs in queue.values() for job in jobs]
+            waiting = [job for kind in self._waiting.values() for jobs in kind.values() for job in jobs]
             for job in (*waiting, *self._running):
                 job.cancel()
             self._condition.notify_all()
         for thread in self._threads:
             thread.join(END_SECONDS)  # a thread that is starting a process may take longer; threads are daemons
 
-    def _serve(self, reserved: bool) -> None:
+    def _serve(self, quick: bool) -> None:
+        """Run the jobs of one kind in a process, one after another, until the pool is closed."""
         leave_ctrl_c()
         process: _Process | None = None
-        while (job := self._next(reserved)) is not None:
+        while (job := self._next(quick)) is not None:
             result, error, process = self._run(job, process)
             with self._condition:
                 self._running.remove(job)
-                self._reserved_is_busy &= not reserved
             if error is None:
                 job.set_result(result)
             else:
                 job.set_exception(error)
         if process is not None:
             process.end()
+
+    def _next(self, quick: bool) -> Job | None:
+        """Wait for the next job; None when the pool is closed."""
+        waiting = self._waiting[quick]
+        with self._condition:
+            while not self._closed:
+                while waiting:
+                    caller, jobs = waiting.popitem(last=False)
+                    if not jobs:
+                        continue
+                    job = jobs.pop(0)
+                    waiting[caller] = jobs
+                    job.set_running_or_notify_cancel()
+                    self._running.add(job)
+                    return job
+                self._condition.wait()
+        return None
 
     def _run(self, job: Job, process: "_Process | None") -> "tuple[Any, DroneEnvError | None, _Process | None]":
         """Run a job in a process that has run others, or in a new one.
@@ -184,52 +191,37 @@ class Workers:
             process = process or _Process(self._settings)
             with self._condition:
                 job.process = process.process
-                if job.dropped and (self._closed or not job.quick):
-                    job.process.kill()
+                self._kill_dropped(job)
             process.connection.send((job.function, job.arguments))
             result, error = process.connection.recv()
         except (EOFError, OSError):
-            error = self._error_of(process, job)
-            is_busy = isinstance(error, RequestError) and error.status == 503
-            is_final = is_new or is_busy or isinstance(error, TooLargeError)
-            return (None, error, None) if is_final else self._run(job, None)
+            status = None if process is None else process.end()
+            error = self._reason(job, status)
+            if is_new or job.dropped or status in FINAL:
+                return None, error, None
+            return self._run(job, None)
         except Exception:  # for example arguments that cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
             return None, RequestError(500, "internal", FAILED), process
         return result, error, process
 
-    def _next(self, reserved: bool) -> Job | None:
-        """Wait for the next job; None when the pool is closed."""
-        with self._condition:
-            while not self._closed:
-                # Others run quick jobs only while the reserved worker is busy, because it has cached their maps.
-                lanes = (True,) if reserved else (False, True) if self._reserved_is_busy else (False,)
-                for queue in (self._queues[quick] for quick in lanes if self._queues[quick]):
-                    caller, jobs = queue.popitem(last=False)
-                    job = jobs.popleft()
-                    if jobs:
-                        queue[caller] = jobs
-                    job.set_running_or_notify_cancel()
-                    self._running.add(job)
-                    self._reserved_is_busy |= reserved
-                    self._condition.notify_all()
-                    return job
-                self._condition.wait()
-        return None
+    def _kill_dropped(self, job: Job) -> None:
+        # A quick job ends soon. A new worker would take longer to start, and has no cached maps.
+        if job.dropped and job in self._running and job.process is not None and (self._closed or not job.quick):
+            job.process.kill()
 
-    def _error_of(self, process: "_Process | None", job: Job) -> DroneEnvError:
-        """Return why a worker ended during a job."""
-        status = None if process is None else process.end()
+    def _reason(self, job: Job, status: int | None) -> DroneEnvError:
+        """Return why a worker ended during a job, by its exit status; None if it could not be started."""
         if job.dropped:
             return RequestError(503, "dropped", "nobody waits for this job any more")
-        if process is None or status == -signal.SIGTERM:  # for example, all processes of the group were told to stop
+        if status in (None, -signal.SIGTERM):  # for example, all processes of the group were told to stop
             return RequestError(503, "busy", "the worker was stopped: try again later")
-        if sys.platform != "win32" and status == -signal.SIGXCPU:
+        if status == OUT_OF_TIME:
             return TooLargeError(too_long(self._settings.job_seconds))
+        if status == -signal.SIGABRT:  # LLVM aborts if an allocation fails
+            return TooLargeError(too_much(self._settings.job_megabytes))
         if status:
             log.warning("a worker ended with status %s while it ran %s", status, job.function.__qualname__)
-        if sys.platform != "win32" and status == -signal.SIGABRT:  # LLVM aborts if an allocation fails
-            return TooLargeError(too_much(self._settings.job_megabytes))
         return RequestError(500, "internal", FAILED)
 
 

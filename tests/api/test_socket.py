@@ -19,9 +19,16 @@ from drone_env.server.openenv import LARGEST_FRAME
 from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
-from tests.cluster.sessions import socket_result
 from tests.tools import PATIENCE
 from tests.unit.stores import failing
+
+
+def socket_result(fields: dict[str, Any], reward: float | None, flown: int, profile: str) -> dict[str, Any]:
+    """The response to a step: reward and done beside the rest."""
+    metadata = {"reward_profile": profile, "flown": flown}
+    observation = {name: value for name, value in fields.items() if name != "done"}
+    observation |= {"metadata": metadata, "prompt": ""}
+    return {"observation": observation, "reward": reward, "done": fields["done"], "metadata": metadata}
 
 
 def ask(socket: WebSocketTestSession, frame: Any) -> Any:

@@ -7,8 +7,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient, ServerError
+from drone_env.server.addresses import shared_address
 from drone_env.server.app import create_app
-from drone_env.server.security import shared_address
 from drone_env.server.settings import Settings
 from tests.api.conftest import NO_COOKIES
 

@@ -12,7 +12,7 @@ import pytest
 
 from drone_env.client import DroneEnvClient
 from tests.api.serving import serving
-from tests.tools import eventually, is_taken
+from tests.tools import ROOT, eventually, is_taken, ran
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
@@ -35,7 +35,12 @@ def test_workers_fly_one_session_and_end_with_the_first_process_however_that_end
 
 @pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
 @pytest.mark.parametrize(
-    ("workers", "asked"), [(1, (signal.SIGINT,)), (2, (signal.SIGINT,) * 3), (2, (signal.SIGTERM,))]
+    ("workers", "asked"),
+    [
+        (2, (signal.SIGINT,) * 3),
+        pytest.param(1, (signal.SIGINT,), marks=pytest.mark.long),
+        pytest.param(2, (signal.SIGTERM,), marks=pytest.mark.long),
+    ],
 )
 def test_it_ends_quietly_when_all_its_processes_are_told_while_a_job_process_starts(
     tmp_path: Path, workers: int, asked: tuple[signal.Signals, ...]
@@ -51,6 +56,18 @@ def test_it_ends_quietly_when_all_its_processes_are_told_while_a_job_process_sta
         assert server.process.wait(timeout=60) == (-signal.SIGTERM if signal.SIGTERM in asked else 0)
         job.exception()
         assert "Traceback" not in server.log.read_text()
+
+
+def test_it_ends_when_its_processes_cannot_start(tmp_path: Path) -> None:
+    (tmp_path / "plugin.py").write_text(
+        "import multiprocessing\nif multiprocessing.parent_process(): raise SystemError('no luck')\n"
+    )
+    command = ["-m", "drone_env.cli", "serve", "--workers", 2, "--port", 0, "--data", tmp_path / "data"]
+    path = os.pathsep.join(map(str, (tmp_path, ROOT)))
+    done = ran(sys.executable, *command, PYTHONPATH=path, DRONE_ENV_PLUGINS="plugin")
+    assert done.returncode == 1
+    assert "SystemError: no luck" in done.stderr
+    assert "a server process has failed to start: the server ends" in done.stderr
 
 
 def descendants(process: int) -> list[int]:

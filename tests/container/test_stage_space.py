@@ -12,7 +12,6 @@ import yaml
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from tests.package.installed import copy_tracked
-from tests.tools import tracked
 
 from .test_dockerfile import START, instructions
 
@@ -85,11 +84,6 @@ def address_of(trusted: str, forwarded: str) -> str:
     scope: Any = {"type": "http", "client": ("10.20.0.1", 1), "scheme": "http", "headers": headers}
     asyncio.run(ProxyHeadersMiddleware(app, trusted)(scope, cast(Any, None), cast(Any, None)))
     return seen[0]
-
-
-def test_all_sources_are_pushed(pushed: Path) -> None:
-    sent = {file.relative_to(pushed) for file in (pushed / "drone_env").rglob("*") if file.is_file()}
-    assert sent == {Path(name) for name in tracked("drone_env")}
 
 
 def test_the_front_matter_is_what_the_hub_takes(space: Path) -> None:

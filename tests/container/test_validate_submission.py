@@ -69,9 +69,7 @@ def test_a_space_that_refuses_fails_the_first_check(commands: Commands) -> None:
 INFO = '[ "$1" = info ] && exit 0; '
 FAILURES = {
     "no docker": ("docker", None, "docker is not installed"),
-    "no daemon": ("docker", 'echo "no daemon" >&2; exit 1', "does not work: no daemon"),
     "failed build": ("docker", f"{INFO}exit 7", "FAILED: the build ended with status 7"),
-    "slow build": ("docker", f"{INFO}sleep 30", "the build takes longer than 1 s"),
     "openenv fails": ("openenv", 'echo "FAIL static.manifest"; exit 1', "FAILED: openenv validate"),
 }
 
@@ -83,7 +81,7 @@ def test_one_check_that_fails_leaves_the_others_alone(commands: Commands, case: 
         (commands.folder / command).unlink()
     else:
         commands.add(command, script)
-    assert said in failure(commands.run(SCRIPT, SPACE, BUILD_TIMEOUT="1" if case == "slow build" else "60"))
+    assert said in failure(commands.run(SCRIPT, SPACE))
 
 
 @pytest.mark.feature("P3")
@@ -91,13 +89,6 @@ def test_the_guide_has_the_same_steps_for_powershell() -> None:
     guide = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```powershell\n(.*?)```", guide, re.DOTALL)
     assert any("Invoke-RestMethod -Method Post" in block and "openenv validate" in block for block in blocks)
-
-
-def test_a_wrong_call_is_told(commands: Commands) -> None:
-    done = commands.run(SCRIPT, "user-name.hf.space")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "must start with https:// or http://, got user-name.hf.space" in done.stderr
-    assert "Usage:" in done.stderr
 
 
 def test_the_script_is_clean() -> None:

@@ -20,7 +20,7 @@ from drone_env.results.folder import stored_results
 from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
-from drone_env.server.logs import TrainLog
+from drone_env.server.train_log import TrainLog
 from tests.tools import limited
 
 PARSERS: dict[str, Callable[[Path], object]] = {

@@ -20,7 +20,7 @@ from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line
 from drone_env.rl.tour_config import TourConfig
 from drone_env.rl.trainer import Progress, Trainer
-from drone_env.server.logs import TrainLog
+from drone_env.server.train_log import TrainLog
 from tests.same import assert_same
 from tests.unit.small_training import SMALL, run_in
 

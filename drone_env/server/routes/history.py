@@ -15,9 +15,10 @@ from drone_env.results.finished import Analysis, EpisodeSummary
 from drone_env.results.record import EpisodeRecord
 from drone_env.server import map_choice
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
-from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
+from drone_env.server.logs import LoggedRequest, RequestLog
 from drone_env.server.pilots import HUMAN, Provenance
 from drone_env.server.state import AppStateDep
+from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5

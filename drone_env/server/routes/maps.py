@@ -16,13 +16,13 @@ from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
+from drone_env.server.addresses import is_stranger
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.routes.replay import best_flight
-from drone_env.server.security import is_stranger
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
