@@ -20,7 +20,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.server import MOVES, NEW, Http, open_session, time_sessions  # noqa: E402
+from benchmarks.server import MOVES, NEW, Http, Session, open_session, time_sessions  # noqa: E402
 from tests.api.serving import serving  # noqa: E402
 from tests.cluster.serving import COMMAND, Nginx  # noqa: E402
 
@@ -104,15 +104,19 @@ async def measure_http(at: Served, task: str, sessions: int, seconds: float) -> 
     }
 
 
+async def first_steps(session: Session) -> None:
+    """Fly `STEPS` steps."""
+    for step in range(STEPS):
+        await session.connection.ask(session.steps[step % 4])
+
+
 async def measure_sockets(at: Served, task: str, sessions: int, seconds: float) -> dict[str, float]:
     """Memory of a WebSocket, and the cost of a step."""
     for session in [await open_session(at.proxy, "WebSocket", task) for _ in range(8)]:
         await session.connection.close()
     memory, proxy_memory = memory_of(at.server_ids), memory_of(at.proxy_ids)
     opened = [await open_session(at.proxy, "WebSocket", task) for _ in range(sessions)]
-    for session in opened:
-        for step in range(STEPS):
-            await session.connection.ask(session.steps[step % 4])
+    await asyncio.gather(*map(first_steps, opened))
     taken = memory_of(at.server_ids) - memory, memory_of(at.proxy_ids) - proxy_memory
     step = await time_sessions(opened[:BUSY], at.server_ids, seconds, at.proxy_ids)
     for session in opened[BUSY:]:
