@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from drone_env.agents.pathqnet import load_network, shipped_network
-from drone_env.agents.weights_file import write_weights
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
-from drone_env.core.seeds import split_of, split_seeds
+from drone_env.core.seeds import split_of
 from drone_env.core.tasks import TASKS, get_task
-from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.rl.common import Validation, Validator
+from drone_env.rl.common import Validation
 from drone_env.rl.model import PathQNet
 from drone_env.rl.run import load_checkpoint, save_checkpoint
 from drone_env.rl.trainer import Trainer
@@ -188,21 +185,6 @@ def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
     lines = [line for line in trainer.history if not np.isnan(line.score)]
     assert len(lines) > 3
     assert all(line.success < 0.7 and line.length > 35 for line in lines), lines
-
-
-def test_a_validation_is_what_evaluation_says_of_the_same_maps(whole: Trainer, tmp_path: Path) -> None:
-    task, net = get_task("easy"), tmp_path / "net.safetensors"
-    write_weights(net, {name: tensor.numpy() for name, tensor in whole.best.items()}, {"telemetry_size": 5})
-    # A network that hardly delivers, and one whose flights end at many moments.
-    for network, agent in ((net, f"pathqnet:{net}"), (shipped_network(task), "pathqnet")):
-        maps = split_seeds("validation", 40)
-        expected = summarise(run_episodes(episodes_key("easy", agent, maps, "validation")))
-        q_values = load_network(network)
-        found = Validator(task, 40).validate(lambda *obs, q_values=q_values: q_values(*obs).argmax(axis=1))
-        assert found.score == pytest.approx(expected["mean_score"])
-        assert found.optimum == pytest.approx(expected["mean_optimal_score"])
-        assert found.success == expected["success_rate"]
-    assert found.success == 1
 
 
 def test_the_best_network_is_kept() -> None:
