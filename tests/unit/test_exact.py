@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.tables import BATTERY, CELL, UNDER
+from drone_env.core.tables import BATTERY
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, TooLargeError
 from drone_env.planning import states
@@ -73,17 +73,6 @@ class TestRefusals:
         spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
         with pytest.raises(EpisodeError, match="create a solver for this episode"):
             make(full).value(spent)
-
-    @pytest.mark.parametrize("cell", [2, 4], ids=["a parcel that waits", "a closed cell"])
-    def test_a_place_where_the_drone_cannot_be(self, make: MakeSolver, cell: int) -> None:
-        rules: dict[str, Any] = {"impassable": frozenset({Cell.OBSTACLE}), "efficiency_needs_all": True}
-        episode = toy_episode(["@.0", ".O."], max_steps=9, **rules)
-        solver, before = make(episode.copy()), episode.get_state()
-        grid, state = np.frombuffer(before.grid, np.uint8).copy(), np.frombuffer(before.numbers, np.uint16).copy()
-        grid[episode.cell], state[UNDER], state[CELL], grid[cell] = episode.under, grid[cell], cell, Cell.DRONE
-        episode.set_state(replace(before, grid=grid.tobytes(), numbers=state.tobytes()))
-        with pytest.raises(EpisodeError, match="create a solver for this episode"):
-            solver.value(episode)
 
     def test_more_memory_than_is_allowed(self, make: MakeSolver, monkeypatch: pytest.MonkeyPatch) -> None:
         episode = Episode("skyline_easy", seed=0)

@@ -2,7 +2,7 @@
 
 import random
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -144,9 +144,9 @@ def test_training_learns(monkeypatch: pytest.MonkeyPatch) -> None:
     task = replace(get_task("easy"), id="tiny_city", short_name="tiny_city", width=3, height=3, buildings=0, trees=0,
                    obstacles=0, max_steps=9, battery_capacity=9)  # fmt: skip
     monkeypatch.setitem(TASKS, task.id, task)
-    config = replace(SMALL, task="tiny_city", episodes=400, num_envs=16, batch_size=64, steps_per_update=8,
+    config = replace(SMALL, task="tiny_city", episodes=300, num_envs=16, batch_size=64, steps_per_update=8,
                      learning_rate=2e-3, replay_size=8000, epsilon_steps=2000, validation_every=100,
-                     validation_maps=100)  # fmt: skip
+                     validation_maps=40)  # fmt: skip
     trainer = Trainer(config)
     untrained = trainer.validator.validate(trainer.act).score
     finished(trainer)
@@ -230,21 +230,3 @@ def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(task: str, tmp_path:
         resumed.set_state(load_checkpoint(tmp_path / "run.pth"))
     assert stops > 2
     assert_same(uninterrupted.get_state(), resumed.get_state())
-
-
-def test_a_run_that_is_extended_later_is_the_same_from_then_on() -> None:
-    """Even if several episodes end in the last step of the first part."""
-    counts = [0]
-    for _ in (trainer := Trainer(SMALL)).train():
-        counts.append(trainer.episodes)
-    part = next(before + 1 for before, after in pairwise(counts) if after > before + 1)
-    config = replace(SMALL, final_learning_rate=SMALL.learning_rate, episodes=part + 12)
-    once, first = finished(Trainer(config)), finished(Trainer(replace(config, episodes=part)))
-    assert first.episodes == part
-    extended = Trainer(config)
-    extended.set_state(first.get_state())
-    finished(extended)
-    # Except for the validation and the log line at the end of the first part.
-    for name in (*("online", "optimizer", "replay", "batch", "rng", "returns", "numbers", "ended", "early"),
-                 *("steps", "updates", "episodes")):  # fmt: skip
-        assert_same(once.get_state()[name], extended.get_state()[name])
