@@ -180,10 +180,6 @@ class Batch:
         reward_profile: A reward profile or its name.
         same_step: If True, a step that ends an episode also starts the next one. If False, the following step starts
             it and ignores its action. The next map is always `seeds.next_seed`.
-
-    Raises:
-        UnknownNameError: if there is no such task or profile.
-        InvalidValueError: if `num_envs` is not an integer of at least 1.
     """
 
     def __init__(

@@ -90,9 +90,6 @@ class CodeCache:
         function: A module-level function.
         options: Its compile options.
         folder: The folder of the files.
-
-    Raises:
-        OSError: if the function's source cannot be read.
     """
 
     def __init__(self, function: Any, options: dict[str, Any], folder: Path) -> None:
@@ -133,9 +130,6 @@ def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A decorator: `numba.njit` with these options, and a cache in `cache_folder()` if there is one.
 
     The function must be module-level, and call only functions of its own file, of `core` and of `planning`.
-
-    Raises:
-        InvalidValueError: if `NUMBA_DISABLE_JIT` is set.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -79,10 +79,6 @@ class Episode:
         task: A task or its name.
         reward_profile: A reward profile or its name.
         seed: The map to start on; without a seed, call `reset`.
-
-    Raises:
-        UnknownNameError: if there is no such task or profile.
-        InvalidValueError: if the seed is not an integer in [0, 2^53).
     """
 
     def __init__(
@@ -111,10 +107,6 @@ class Episode:
         Args:
             seed: If None, the next map of `next_seed`; the first map is then drawn at random from the train split.
             reward_profile: The profile from now on; None keeps the current one.
-
-        Raises:
-            InvalidValueError: if the seed is not an integer in [0, 2^53).
-            UnknownNameError: if there is no such profile.
         """
         profile = self.reward_profile if reward_profile is None else get_reward_profile(reward_profile)
         if seed is not None:

@@ -20,8 +20,6 @@ ORIGINAL_PROFILE = "tiered"
 STRIDE = 2 * MAX_SIDE
 """Entries of a potential table per number of deliveries. Distances are smaller."""
 MAX_REWARD = 1_000_000
-MAX_PLACES = 400
-"""Maximum decimal places of a number: more than floats have, and few enough for exact arithmetic."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,6 @@ class RewardProfile:
             raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be Decimal, such as Decimal('0.05')")
         if not all(number.is_finite() and number.copy_abs() <= MAX_REWARD for number in numbers):
             raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be from -{MAX_REWARD} to {MAX_REWARD}")
-        if any(int(number.as_tuple().exponent) < -MAX_PLACES for number in numbers):
-            raise InvalidTaskError(f"reward profile {self.id!r}: numbers may have {MAX_PLACES} decimal places at most")
         if self.clamp is not None and self.clamp[0] > self.clamp[1]:
             bounds = f"{self.clamp[0]} to {self.clamp[1]}"
             raise InvalidTaskError(f"reward profile {self.id!r}: the lower bound of clamp is above the upper: {bounds}")
@@ -139,21 +135,13 @@ def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
 
 
 def own_profile(name: str) -> RewardProfile | None:
-    """The reward profile with this name, or None if it is one of the package. A run must store other profiles.
-
-    Raises:
-        UnknownNameError: if there is no such profile.
-    """
+    """The reward profile with this name, or None if it is one of the package. A run must store other profiles."""
     profile = get_reward_profile(name)
     return None if profile.id in PACKAGE_PROFILES else profile
 
 
 def profile_for_discount(profile: RewardProfile, gamma: float) -> RewardProfile:
-    """The profile for a learner with this discount: potential-based shaping uses the same discount.
-
-    Raises:
-        InvalidTaskError: if gamma is not in [0, 1].
-    """
+    """The profile for a learner with this discount: potential-based shaping uses the same discount."""
     return profile if profile.shaping_gamma is None else replace(profile, shaping_gamma=Decimal(str(gamma)))
 
 

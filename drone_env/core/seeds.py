@@ -115,10 +115,6 @@ def split_seeds(split: str, episodes: int, offset: int = 0) -> range:
 
 
 def split_of(seed: int) -> str:
-    """The name of the split that contains `seed`.
-
-    Raises:
-        InvalidValueError: if it is not an integer in [0, 2^53).
-    """
+    """The name of the split that contains `seed`."""
     seed = check_seed(seed)
     return next(name for name, (start, stop) in SPLITS.items() if start <= seed < stop)

@@ -331,9 +331,6 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
         terrain: The terrain.
         name: Id and short name of the task.
         numbers: `width`, `height`, `deliveries`, `pads`, `max_steps`, `battery_capacity`, `charge_rate`.
-
-    Raises:
-        InvalidTaskError: if the numbers do not fit.
     """
     return TaskConfig(
         id=name,

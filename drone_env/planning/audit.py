@@ -177,10 +177,6 @@ def audited_profile(
 
     Potential-based shaping preserves the best policies if its gamma equals the learner's (Ng, Harada, Russell 1999).
     `shaping_gamma` sets another value, to show the effect.
-
-    Raises:
-        UnknownNameError: if there is no such profile.
-        InvalidValueError: if a gamma is not in [0, 1], or the profile has no shaping for `shaping_gamma`.
     """
     profile = get_reward_profile(reward_profile)
     if shaping_gamma is not None and profile.shaping_gamma is None:
@@ -197,8 +193,6 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
     """Audit a reward on one map, with the profile unchanged (see `audited_profile`).
 
     Raises:
-        UnknownNameError: if there is no such task or profile.
-        InvalidValueError: if the seed is not in [0, 2^53).
         TooLargeError: if the audit would take more memory than `states.MAX_BYTES`.
     """
     start = Episode(task, reward_profile, seed)

@@ -58,11 +58,7 @@ class CellStates(NamedTuple):
 
 
 def states_at_cells(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> CellStates:
-    """The states with the drone at these cells, or at all cells that it can enter. The episode is not changed.
-
-    Raises:
-        EpisodeError: if the episode has not started.
-    """
+    """The states with the drone at these cells, or at all cells that it can enter. The episode is not changed."""
     task, tables = episode.task, interpreted(episode.task)
     grid, state, _ = state_arrays(episode)
     cells = open_cells(episode) if cells is None else cells
@@ -150,9 +146,6 @@ def battery_range(episode: Episode, cell: int, units: int) -> npt.NDArray[np.int
 
     Returns:
         int64[cells], `UNREACHED` for cells out of range.
-
-    Raises:
-        EpisodeError: if the episode has not started.
     """
     task = episode.task
     ground, state, _ = state_arrays(episode)

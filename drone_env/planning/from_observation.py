@@ -48,9 +48,6 @@ def episode_from_fields(
         steps: Steps taken.
         parcels: Cell of each parcel, and whether it has been delivered.
         reward_profile: A reward profile or its name.
-
-    Raises:
-        UnknownNameError: if there is no such profile.
     """
     tables, grid = interpreted(task), ground.ravel().copy()
     state = np.zeros(state_size(tables), np.uint16)
@@ -94,9 +91,6 @@ def read_observations(
 
     Returns:
         The grids without the drones, uint8[M, cells], and cell, units left and steps left of the drones, int64[M, 3].
-
-    Raises:
-        InvalidValueError: as `drone_positions`.
     """
     x, y = drone_positions(task, grids, telemetry).T
     units = np.rint(telemetry[:, 2] * task.battery_capacity)
@@ -127,9 +121,6 @@ def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemet
         task: The task.
         grids: uint8[N, H, W]
         telemetry: float32[N, telemetry_size]
-
-    Raises:
-        InvalidValueError: if these are not observations of the task.
     """
     n, height, width = len(grids), task.height, task.width
     if grids.shape != (n, height, width) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
@@ -143,11 +134,7 @@ def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemet
 def drone_positions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
-    """(x, y) of the drones of N observations, int64[N, 2].
-
-    Raises:
-        InvalidValueError: if these are not observations of the task, or a drone is outside its grid.
-    """
+    """(x, y) of the drones of N observations, int64[N, 2]."""
     require_observations(task, grids, telemetry)
     positions = np.rint(telemetry[:, :2] * np.array([task.width, task.height]))
     if not ((positions >= 0) & (positions < (task.width, task.height))).all():

@@ -24,11 +24,7 @@ def greedy_action(task: TaskConfig, observation: Observation) -> Action:
 def greedy_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
-    """`greedy_action` for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size].
-
-    Raises:
-        InvalidValueError: if the task is not uniform, and these are not observations of it.
-    """
+    """`greedy_action` for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size]."""
     if task.uniform:  # along the row to the target, then along the column
         x, y, _, to_x, to_y, *_ = telemetry.T
         down_or_wait = np.where(y == to_y, WAIT, UP + (to_y > y))

@@ -44,8 +44,6 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
     """The optimum of a map.
 
     Raises:
-        UnknownNameError: if there is no such task.
-        InvalidValueError: if the seed is not in [0, 2^53).
         TooLargeError: if the solution would take too much memory; use `bounds` then.
     """
     return solve_episode(Episode(task, seed=seed))
@@ -96,9 +94,6 @@ def best_actions(episode: Episode, solver: "Solver | None" = None) -> list[Actio
     Args:
         episode: The episode.
         solver: As in `solve_episode`.
-
-    Raises:
-        TooLargeError: if the solution would take too much memory.
     """
     if episode.ended:
         return []

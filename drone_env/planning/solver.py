@@ -101,9 +101,6 @@ class Solver(ABC):
 
     Args:
         episode: An episode in flight; it is not changed.
-
-    Raises:
-        EpisodeError: if the episode has not started, or has ended.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -156,11 +153,7 @@ class Solver(ABC):
         return np.reshape(values, (-1, N_ACTIONS))
 
     def value(self, episode: Episode) -> float:
-        """V*: the highest score that can still be reached; after the end, the score.
-
-        Raises:
-            EpisodeError: if the episode is not reachable from the solved one.
-        """
+        """V*: the highest score that can still be reached; after the end, the score."""
         return episode.score if episode.ended else float(self.q_values(episode).max())
 
     def optimal_actions(self, episode: Episode) -> tuple[Action, ...]:
@@ -169,12 +162,7 @@ class Solver(ABC):
         return tuple(Action(int(action)) for action in np.flatnonzero(values == values.max()))
 
     def regret(self, episode: Episode, action: int) -> float:
-        """V*(s) - Q*(s, a): the score that an action loses.
-
-        Raises:
-            InvalidValueError: if the action is not an integer from 0 to 4.
-            EpisodeError: as `q_values`.
-        """
+        """V*(s) - Q*(s, a): the score that an action loses."""
         number = check_action(action)
         values = self.q_values(episode)
         return float(values.max() - values[number])

@@ -31,11 +31,7 @@ def _adapters(settings: type) -> dict[str, TypeAdapter[Any]]:
 
 
 def check_values(settings: object) -> None:
-    """Check every value of a dataclass against its annotation.
-
-    Raises:
-        InvalidValueError: if one does not fit; the message names the first.
-    """
+    """Check every value of a dataclass against its annotation."""
     for name, adapter in _adapters(type(settings)).items():
         value = getattr(settings, name)
         try:
@@ -193,10 +189,6 @@ def preset(name: str, task: str, episodes: int | None = None) -> TrainConfig:
         task: The task.
         episodes: Number of episodes; None for the preset's own. With fewer episodes, `fast` flies fewer in parallel,
             so that later episodes use what earlier ones taught.
-
-    Raises:
-        UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset, or the number of episodes is out of range.
     """
     if name not in PRESETS:
         raise InvalidValueError(f"preset must be one of {', '.join(PRESETS)}, got {name!r}")

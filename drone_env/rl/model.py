@@ -73,11 +73,7 @@ class PathQNet(nn.Module):
         )
 
     def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:
-        """The value of each action.
-
-        Raises:
-            InvalidValueError: if the map is flat and not square.
-        """
+        """The value of each action."""
         if grid.dim() == 2:
             side = isqrt(grid.shape[1])
             if side * side != grid.shape[1]:

@@ -27,9 +27,6 @@ class EpsilonGreedyPolicy:
         eps_start: Probability at step 0.
         eps_end: Probability from `decay_steps` on.
         decay_steps: Steps of the linear decay.
-
-    Raises:
-        InvalidValueError: if a probability is not in [0, 1] or `decay_steps` is below 1.
     """
 
     eps_start: Share = 1.0

@@ -21,7 +21,7 @@ import torch
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import file_identity, locked, open_file, replacing
+from drone_env.files import locked, open_file, replacing
 from drone_env.rl.common import figure
 
 FORMAT, VERSION = "drone_env/checkpoint", 1
@@ -112,7 +112,6 @@ class TrainingRun:
         self.stopped = False
         """Set it to end the run after the current step."""
         self._seconds, self._since = 0.0, clock()
-        self._identity = file_identity(self.checkpoint)
         if self.resumed:
             self._resume()
 
@@ -149,15 +148,12 @@ class TrainingRun:
         Yields each line of the log after it is written.
 
         Raises:
-            InvalidValueError: if another process trains in the same folder, or has trained there since this run
-                began; or if the weights are no longer finite.
+            InvalidValueError: if another process trains in the same folder, or if the weights are no longer finite.
         """
         trainer, config, data = self.trainer, self.trainer.config, self.log.parent
         data.mkdir(parents=True, exist_ok=True)
         message = f"another process is training in {data}: wait for its end, or add --data FOLDER"
         with locked(data / "train.lock", message):
-            if file_identity(self.checkpoint) != self._identity:
-                raise InvalidValueError(f"another process has trained in {data} meanwhile: start this training again")
             if not self.resumed and self.checkpoint.exists():
                 earlier = next(path for n in count(1) if not (path := Path(f"{self.checkpoint}.{n}")).exists())
                 self.checkpoint.replace(earlier)
@@ -186,12 +182,7 @@ class TrainingRun:
                 self._write_history()
 
     def save(self) -> None:
-        """Write the checkpoint and, after a validation, the best network beside it.
-
-        Raises:
-            InvalidValueError: if the weights are no longer finite; both files stay as they are.
-            OSError: if they cannot be written.
-        """
+        """Write the checkpoint and, after a validation, the best network beside it."""
         if not all(torch.isfinite(weights).all() for weights in self.trainer.online.parameters()):
             raise InvalidValueError(
                 f"the training diverged: after {self.done} {self.unit} weights are infinite or NaN; nothing is saved.\n"

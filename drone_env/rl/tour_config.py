@@ -38,12 +38,7 @@ MAX_STATES = 1 << 17
 
 @dataclass(frozen=True)
 class TourConfig:
-    """The settings of one training of a tour network.
-
-    Raises:
-        UnknownNameError: if there is no such task.
-        InvalidValueError: if a value is out of range.
-    """
+    """The settings of one training of a tour network."""
 
     unit: ClassVar[str] = "updates"
     """The field that sets the length of a training."""

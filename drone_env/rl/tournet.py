@@ -175,10 +175,6 @@ class TourTrainer:
 
     Args:
         config: The settings.
-
-    Raises:
-        UnsupportedTaskError: if there are no exact values for a task.
-        TooLargeError: if they would take too much memory.
     """
 
     def __init__(self, config: TourConfig) -> None:
@@ -343,11 +339,7 @@ class TourTrainer:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from a state of `get_state`.
-
-        Raises:
-            CheckpointError: if it comes from a run with other settings, which the message names.
-        """
+        """Continue from a state of `get_state`."""
         require_same(self.config.identity(), state["config"])
         for name in MODULES:
             getattr(self, name).load_state_dict(state[name])

@@ -297,11 +297,7 @@ class Trainer:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from a state of `get_state`.
-
-        Raises:
-            CheckpointError: if it comes from a run with other settings, which the message names.
-        """
+        """Continue from a state of `get_state`."""
         require_same(self.config.identity(), state["config"])
         for name in MODULES:
             getattr(self, name).load_state_dict(state[name])

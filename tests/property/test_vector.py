@@ -18,7 +18,7 @@ from drone_env.envs.wrappers import vector
 from tests.property.test_episode import NUMBERS, PROFILES, SEEDS, TASK
 from tests.same import assert_same
 
-several = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "300")) // 10, deadline=None, derandomize=True)
+several = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "150")) // 10, deadline=None, derandomize=True)
 N = 3
 FORMS: dict[str, tuple[Any, Any]] = {
     "plain": (lambda env: env, lambda env: env),

@@ -63,14 +63,13 @@ def test_the_maximiser_is_the_best_of_all_flights(profile: str) -> None:
         assert (earned, episode.score) == (pytest.approx(highest, abs=1e-9), audited.score)
 
 
-# An audit of the hard task takes a second.
-SEEDS = [("easy", seed) for seed in split_seeds("test", 8)] + [("medium", 0), ("medium", 1), ("hard", 0)]
+SEEDS = [("easy", seed) for seed in split_seeds("test", 4)] + [("medium", 0)]
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.99])
 @pytest.mark.parametrize("profile", ["tiered", "composite"])
 def test_rewards_that_pay_for_time_are_exploitable(profile: str, gamma: float) -> None:
-    for task, seed in SEEDS[::4]:
+    for task, seed in SEEDS[::2]:
         audited = audit_map(task, seed, profile, gamma)
         assert not audited.aligned
         assert audited.score < 0.81
@@ -89,7 +88,7 @@ def test_rewards_that_pay_the_score_are_aligned(profile: str) -> None:
 
 def test_shaping_for_another_discount_is_found_out() -> None:
     profile = audited_profile("aligned", 1.0, shaping_gamma=0.99)
-    assert not all(audit_map("medium", seed, profile, 1.0).aligned for seed in split_seeds("test", 30))
+    assert not all(audit_map("medium", seed, profile, 1.0).aligned for seed in split_seeds("test", 12))
 
 
 def test_hacks_of_one_easy_map_by_hand() -> None:
@@ -150,9 +149,6 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),
-        ("id = 'x'\nshaping = 1e999999999", "from -1000000 to 1000000"),
-        ("id = 'x'\nshaping_gamma = 1e-999999999", "400 decimal places at most"),
-        (f"id = 'x'\nshaping = 0.{'1' * 5001}", "a word of more than 64 characters"),
         ("id = 'score'", "taken by a profile of the package"),
         ('id = "a\\u001b"', "must be printable"),
         ("id = 'x'\n[events]\ncrash = 1", "events.crash.*'delivery', 'battery_dead'"),

@@ -1,6 +1,5 @@
 """An episode as an object: its start, its snapshots, and what it refuses."""
 
-from dataclasses import replace
 from itertools import accumulate
 from typing import Any
 
@@ -54,15 +53,6 @@ class TestState:
         before = episode.get_state()
         with pytest.raises(InvalidValueError, match=f"{task}_delivery.*{profile}.*easy_delivery.*tiered"):
             episode.set_state(other.get_state())
-        assert episode.get_state() == before
-
-    @pytest.mark.parametrize("part", ["grid", "numbers"])
-    def test_a_snapshot_of_another_size_is_refused(self, part: str) -> None:
-        episode = Episode("easy", seed=2)
-        before = episode.get_state()
-        # NumPy would repeat a single number, and the episode would be another one.
-        with pytest.raises(InvalidValueError, match="bytes of grid and state"):
-            episode.set_state(replace(before, **{part: bytes(2)}))
         assert episode.get_state() == before
 
     def test_observation_is_a_copy(self) -> None:

@@ -17,7 +17,7 @@ from drone_env.errors import InvalidValueError
 from tests.which_tasks import DRAWN
 
 EASY = TASKS["easy_delivery"]
-SEEDS = [seed for split in SPLITS for seed in split_seeds(split, 30)]
+SEEDS = [seed for split in SPLITS for seed in split_seeds(split, 10)]
 
 
 def contents(city: CityMap) -> tuple[bytes, tuple[int, int], tuple[tuple[int, int], ...]]:
@@ -71,13 +71,11 @@ class TestStreets:
     def test_buildings_and_trees_stand_between_the_streets_and_everything_else_on_them(self, task: TaskConfig) -> None:
         for seed in SEEDS:
             city = generate_city_map(task, seed)
-            x0, y0 = city.start
-            for y, x in np.ndindex(city.grid.shape):
-                on_street = (x - x0) % task.street_spacing == 0 or (y - y0) % task.street_spacing == 0
-                if city.grid[y, x] in (Cell.BUILDING, Cell.TREE):
-                    assert not on_street
-                elif city.grid[y, x] != Cell.ROAD:
-                    assert on_street
+            (x0, y0), (y, x) = city.start, np.indices(city.grid.shape)
+            on_street = ((x - x0) % task.street_spacing == 0) | ((y - y0) % task.street_spacing == 0)
+            blocks = np.isin(city.grid, (Cell.BUILDING, Cell.TREE))
+            assert not (blocks & on_street).any()
+            assert (blocks | on_street | (city.grid == Cell.ROAD)).all()
 
 
 class TestSeed:
@@ -92,12 +90,12 @@ class TestSeed:
 class TestGenerators:
     def test_equal_state_gives_equal_maps_of_train_seeds(self) -> None:
         one, two = (np.random.default_rng(5) for _ in range(2))
-        cities = [generate_city_map("hard", one) for _ in range(300)]
+        cities = [generate_city_map("easy", one) for _ in range(100)]
         for city in cities:
-            again, alone = generate_city_map("hard", two), generate_city_map("hard", city.seed)
+            again, alone = generate_city_map("easy", two), generate_city_map("easy", city.seed)
             assert contents(city) == contents(again) == contents(alone)
         seeds = {city.seed for city in cities}
-        assert len(seeds) == 300
+        assert len(seeds) == 100
         assert 0 <= min(seeds) < 2**51 < max(seeds) < 2**52
 
     @pytest.mark.parametrize("junk", [None, "7", 1.5, True, -1, 2**53, np.random.RandomState(0)])
@@ -128,7 +126,7 @@ class TestFairness:
             assert 30 < chi_square(np.sum(grids == kind, axis=0)) < 185
 
     def test_what_stands_in_a_city_is_uniform_over_the_cells_where_it_may(self) -> None:
-        grids, starts, _ = drawn(TASKS["skyline_easy"], np.arange(100_000))
+        grids, starts, _ = drawn(TASKS["skyline_easy"], np.arange(50_000))
         # 63 degrees of freedom: mean 63, standard deviation 11
         assert 15 < chi_square(np.bincount(starts, minlength=64)) < 130
         cells = np.arange(64)

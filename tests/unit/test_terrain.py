@@ -125,9 +125,10 @@ def test_what_does_not_fit_is_refused(change: dict[str, Any], said: str) -> None
 
 
 def test_the_shipped_cities_are_what_the_importer_makes_of_the_extract() -> None:
-    for name, text in city_data().items():
+    made = city_data()
+    for name, text in made.items():
         assert (FOLDER / f"{name}.txt").read_text("utf-8") == text
     city = get_task("city").terrain
     assert city is not None
     assert (city.attribution, city.width) == ("Helsinki, © OpenStreetMap contributors, ODbL-1.0", 64)
-    assert terrain_text(city.grid(), city.attribution) == city_data()["helsinki_16"]
+    assert terrain_text(city.grid(), city.attribution) == made["helsinki_16"]

@@ -1,6 +1,5 @@
 """A training of the tour network on disk: stopped and gone on with, what is refused, and its command."""
 
-import csv
 import signal
 from dataclasses import replace
 from itertools import islice
@@ -98,11 +97,8 @@ def test_the_command_trains_and_leaves_what_it_says(
     evaluate += ["--checkpoint", "data/tournet_skyline_easy.safetensors"]
     assert f"next: drone-env {' '.join(evaluate)}" in captured.err
     state = load_checkpoint(tmp_path / "data/tournet_skyline_easy.pth")
-    results = tmp_path / "results/tournet_skyline_easy"
-    history = list(csv.DictReader((results / "history.csv").read_text().splitlines()))
-    for row, line in zip(history, state["history"], strict=True):
-        line["validation_skyline_easy"] = line.pop("ratios")["skyline_easy"]
-        assert {name: float(value) for name, value in row.items()} == line
+    history = (tmp_path / "results/tournet_skyline_easy/history.csv").read_text()
+    assert f",{state['ratios']['skyline_easy']}" in history.splitlines()[-1]
     log = (tmp_path / "data/train.log").read_text().splitlines()
     assert [line.split()[0] for line in log] == ["update=2", "update=4"]
     # The exported network is the validated average, with its origin.
@@ -111,7 +107,6 @@ def test_the_command_trains_and_leaves_what_it_says(
     expected = {"network": "tournet", "tasks": {"skyline_easy": 2}, "updates": 4, "states": 64}
     expected |= {"validation_shares": state["ratios"], "config": state["config"]}
     assert {name: network.metadata[name] for name in expected} == expected
-    assert main([*EASY, "--updates", "6"]) == 2  # other settings are another run
 
 
 def test_interrupted_it_saves_and_goes_on_to_the_same_end(

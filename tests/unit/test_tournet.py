@@ -9,16 +9,16 @@ import pytest
 import torch
 
 from drone_env.agents.tour_features import FeatureEncoder, Features
-from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
+from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tournet import TournetAgent, best_options
-from drone_env.agents.weights_file import LARGEST, Weights, network_of
+from drone_env.agents.weights_file import network_of
 from drone_env.commands import evaluate as command
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
-from drone_env.planning.solver import ExactSolver
+from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.planning.legs import LegSolver
 from drone_env.rl.model import TourNet
 from tests.toy import toy_episode
 from tests.unit.tour_features import EVERY_TASK, HARD, features_of, observations
@@ -50,15 +50,6 @@ def test_the_network_without_torch_is_the_same(name: str, model: TourNet, networ
     assert len(choices) > 20
     assert np.abs(choices - choice.numpy()).max() < 1e-5
     assert np.abs(completions - completion.numpy()).max() < 1e-5
-
-
-def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:
-    features = FeatureEncoder(HARD)(*observations(HARD, 6, 30))
-    rng = np.random.default_rng(0)
-    for signs in ([1], [-1, 1]):
-        large = {name: (LARGEST * rng.choice(signs, shape)).astype(np.float32) for name, shape in SHAPES.items()}
-        for logits in TourNetwork(Weights(large, {}, ""))(features):
-            assert np.isfinite(logits).all()
 
 
 # What it sees
@@ -102,9 +93,9 @@ def test_the_optimum_can_be_flown_by_the_options_that_are_offered(name: str) -> 
     """Whatever the best option is, by the exact value of where its first step leads."""
     task = TASKS[name]
     encoder = FeatureEncoder(task)
-    for seed in range(1 if name in ("skyline_hard", "hard_delivery", "city_small") else 4):
+    for seed in range(3):
         episode = Episode(task, seed=seed)
-        solver = ExactSolver(episode)
+        solver = LegSolver(episode)
         optimum = solver.value(episode)
         while not episode.ended:
             values = solver.q_values(episode)
@@ -133,21 +124,11 @@ def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
     for kind in (Cell.PAD, Cell.DELIVERY):
         with pytest.raises(InvalidValueError, match="more parcels or pads than"):
             FeatureEncoder(HARD)(np.full_like(grids, kind), telemetry)
-    for place, amount, why in (
-        (0, 1.5, "outside the grid"),
-        (2, 1.5, "battery or steps"),
-        (5, -0.1, "battery or steps"),
-    ):
+    for place, amount, why in ((0, 1.5, "outside the grid"), (2, 1.5, "battery or steps")):
         wrong = telemetry.copy()
         wrong[1, place] = amount
         with pytest.raises(InvalidValueError, match=why):
             FeatureEncoder(HARD)(grids, wrong)
-
-
-def test_a_task_with_too_much_to_see_is_refused() -> None:
-    pads = {"pads": 4000, "deliveries": 16, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
-    with pytest.raises(TooLargeError, match=r"the features of a map of 'large' would take .* GB"):
-        FeatureEncoder(replace(HARD, id="large", width=64, height=64, battery_capacity=32_000, **pads))
 
 
 # The agent
@@ -158,11 +139,8 @@ def test_the_first_of_the_highest_is_chosen() -> None:
     features = Features(empty, empty, empty, np.array([0, 2, 2, 5]), empty, empty, empty)
     assert best_options(features, np.array([1, 2, 3, 3.00001, 1], np.float32)).tolist() == [1, -1, 2]
     assert best_options(features._replace(begins=np.zeros(3, np.int64)), empty).tolist() == [-1, -1]
-    # So large that one less a tie is the same number.
-    assert best_options(features, np.array([1e6, 0, 1, 0, 0], np.float32)).tolist() == [0, -1, 2]
-    for none in (np.nan, np.inf):
-        with pytest.raises(CheckpointError, match="returned NaN or infinity"):
-            best_options(features, np.array([none, 0, 1, 0, 0], np.float32))
+    with pytest.raises(CheckpointError, match="returned NaN or infinity"):
+        best_options(features, np.array([np.nan, 0, 1, 0, 0], np.float32))
 
 
 def test_a_charge_that_fills_the_battery_is_like_any_other_that_does(network: Path) -> None:

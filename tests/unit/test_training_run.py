@@ -5,18 +5,16 @@ import math
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from drone_env.agents.pathqnet import load_network
 from drone_env.cli import main
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl import common
-from drone_env.rl.config import TrainConfig, preset
+from drone_env.rl.config import TrainConfig
 from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line
 from drone_env.rl.tour_config import TourConfig
 from drone_env.rl.trainer import Progress, Trainer
@@ -54,32 +52,22 @@ def test_what_starts_again_keeps_every_earlier_training(tmp_path: Path) -> None:
 
 
 @pytest.mark.feature("L5")
-@pytest.mark.parametrize(("episodes", "seconds"), [(6, 0), (2, 300)])
+@pytest.mark.parametrize(("episodes", "seconds"), [(3, 0), (1, 150)])
 def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(
     tmp_path: Path, episodes: int, seconds: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = replace(SMALL, num_envs=1, learning_starts=10_000, episodes=20, checkpoint_episodes=episodes,
+    config = replace(SMALL, num_envs=1, learning_starts=10_000, episodes=12, checkpoint_episodes=episodes,
                      checkpoint_seconds=seconds)  # fmt: skip
     trainer, kept = Trainer(config), list[tuple[int, int]]()
     run = TrainingRun(trainer, tmp_path, tmp_path, clock=lambda: trainer.steps)
     monkeypatch.setattr(run, "save", lambda: kept.append((trainer.steps, trainer.episodes)))
     list(run.train())
-    assert (kept[0][1], kept[-1]) == (episodes, (trainer.steps, 20))
+    assert (kept[0][1], kept[-1]) == (episodes, (trainer.steps, 12))
     assert len(kept) > 3
     for (steps, before), (later, flown) in pairwise(kept[:-1]):
         assert flown - before >= episodes
         assert later - steps >= seconds
         assert seconds or flown - before == episodes
-
-
-@pytest.mark.feature("L5")
-def test_what_the_log_has_told_is_not_lost_by_a_kill(tmp_path: Path) -> None:
-    """With the settings of `train.py --episodes 500`, except for slow ones."""
-    config = replace(preset("fast", "easy", 500), validation_maps=5, validation_every=500, steps_per_update=1e9)
-    for line in TrainingRun(Trainer(config), tmp_path, tmp_path / "results").train():
-        if line.episode >= 60:
-            break  # like a kill: nothing is saved
-    assert TrainingRun(Trainer(config), tmp_path, tmp_path / "results").trainer.episodes >= 50
 
 
 @pytest.mark.feature("L6")
@@ -121,11 +109,7 @@ def test_two_cannot_train_in_one_folder(tmp_path: Path) -> None:
         with pytest.raises(InvalidValueError, match=r"another process is training in .*: .*add --data FOLDER"):
             next(other.train())
     assert first.checkpoint.read_bytes() == kept
-    late = run_in(tmp_path)  # it has read the checkpoint that the first replaces
-    first.save()
     lines.close()
-    with pytest.raises(InvalidValueError, match=r"another process has trained in .* meanwhile"):
-        next(late.train())
     assert next(run_in(tmp_path, fresh=True).train()).episode == 5
 
 
@@ -183,18 +167,8 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert "has 40 of 20 episodes: nothing to do" in trained("--episodes", "20")[1]
     status, told = trained("--episodes", "50")
     assert "going on from data/easy.pth: 40 of 50 episodes" in told
-    # TensorBoard hides what the folder has of episodes after the checkpoint.
-    files = (tmp_path / "results/easy/tensorboard").glob("events.*")
-    starts = [
-        event.step for file in files for event in EventFileLoader(str(file)).Load() if event.HasField("session_log")
-    ]
-    assert sorted(starts) == [1, 41]
     assert len((tmp_path / "data/train.log").read_text().splitlines()) == 10
     assert load_checkpoint(tmp_path / "data/easy.pth")["config"] == state["config"]
-    status, told = trained("--episodes", "60", "--preset", "original")
-    assert status == 2
-    assert "num_envs" in told
-    assert len(wrap(told, 80)) <= 3
 
 
 @pytest.mark.feature("L4")
