@@ -1,5 +1,6 @@
-"""Parse and validate TOML: cities, reward profiles, prompts."""
+"""Parse TOML and validate it."""
 
+import re
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +17,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+LONG_NUMBER = re.compile(r"\b0[xob]\w{65}")
+"""Printing a number takes quadratic time; Python limits decimal numbers itself."""
+
 
 def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) -> dict[str, Any]:
     """Parse a TOML text.
@@ -25,11 +29,13 @@ def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) 
         parse_float: Converts the text of a number with a dot or an exponent.
 
     Raises:
-        InvalidValueError: if it is not TOML.
+        InvalidValueError: if it is not TOML, or a number is too long.
     """
     try:
         # Surrogates in a text raise UnicodeEncodeError.
         text = (content.encode() if isinstance(content, str) else content).decode("utf-8-sig")
+        if LONG_NUMBER.search(text):
+            raise ValueError("a number has more than 64 digits")
         return tomllib.loads(text, parse_float=parse_float)
     except ArithmeticError:
         raise InvalidValueError("invalid TOML: the exponent of a number is too large") from None
