@@ -147,7 +147,10 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     ),
     "a way less": (lambda text: re.sub("<way.*?/way>", "", text, count=1), r"1 of 2 .* \(relation 1\)"),
     "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish"),
-    "a history": (with_objects('<node id="1" visible="false"/>'), "osmium time-filter"),
+    "a history": (
+        with_objects('<node id="1" visible="false"><tag k="natural" v="tree"/></node>'),
+        "osmium time-filter",
+    ),
     "two versions": (
         with_objects('<way id="3"><nd ref="5"/><nd ref="7"/><tag k="railway" v="rail"/></way>'),
         "osmium time-filter",
