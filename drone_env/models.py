@@ -51,9 +51,6 @@ class Message(BaseModel):
         Args:
             text: The JSON.
             wrong: Start of the error message, such as `line 3 is not a call`; the reason follows.
-
-        Raises:
-            InvalidValueError: if it is invalid.
         """
         try:
             return cls.model_validate_json(text)
@@ -101,20 +98,12 @@ class DroneObservation(Message):
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
-        """Return the current observation of an episode.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
+        """Return the current observation of an episode."""
         return cls(**observation_fields(episode))
 
 
 def observation_fields(episode: Episode) -> dict[str, Any]:
-    """Return the fields of `DroneObservation.of(episode)` without validation, which takes a third of a step's time.
-
-    Raises:
-        EpisodeError: before the first reset.
-    """
+    """Return the fields of `DroneObservation.of(episode)` without validation, which takes a third of a step's time."""
     width, cells = episode.task.width, episode.grid().tobytes()
     rows = [shown(cells[start : start + width]) for start in range(0, len(cells), width)]
     return {
@@ -126,11 +115,7 @@ def observation_fields(episode: Episode) -> dict[str, Any]:
 
 
 def observation_numbers(episode: Episode) -> dict[str, Any]:
-    """Return the fields of `DroneObservation.of(episode)` except for map and legend.
-
-    Raises:
-        EpisodeError: before the first reset.
-    """
+    """Return the fields of `DroneObservation.of(episode)` except for map and legend."""
     x, y = episode.position
     distance = episode.distance_to_target
     return {
@@ -232,11 +217,7 @@ class DroneState(Message):
 
     @classmethod
     def of(cls, episode: Episode, episode_id: str | None = None) -> Self:
-        """Return the full state of an episode.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
+        """Return the full state of an episode."""
         return cls(
             **{name: value for name, value in observation_numbers(episode).items() if name in cls.model_fields},
             episode_id=episode_id,

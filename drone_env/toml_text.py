@@ -27,9 +27,6 @@ def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) 
     Args:
         content: The text, or its UTF-8.
         parse_float: Converts the text of a number with a dot or an exponent.
-
-    Raises:
-        InvalidValueError: if it is not TOML, or a number is too long.
     """
     try:
         # Surrogates in a text raise UnicodeEncodeError.
@@ -44,11 +41,7 @@ def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) 
 
 
 def read_toml(content: str | bytes, model: "type[Model]", parse_float: Callable[[str], Any] = float) -> "Model":
-    """Parse a TOML text and validate it.
-
-    Raises:
-        InvalidValueError: if it is not TOML, or does not fit the model.
-    """
+    """Parse a TOML text and validate it."""
     from pydantic import ValidationError  # slow to load
 
     table = parse_toml(content, parse_float)

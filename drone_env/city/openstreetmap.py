@@ -246,11 +246,7 @@ def _opened(path: Path) -> Generator[Source, None, None]:
 
 
 def _covered(source: Source) -> BBox:
-    """Return what a file covers: its bounds, else its nodes.
-
-    Raises:
-        InvalidValueError: if it is more than half of the world.
-    """
+    """Return what a file covers: its bounds, else its nodes."""
     box = source.bounds
     if not box.valid():
         return source.extent()
