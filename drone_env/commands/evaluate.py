@@ -215,7 +215,7 @@ def _fly(
 
         folder = ResultsFolder(out, keys)
     total = sum(key.seeds[1] - key.seeds[0] for key in keys)
-    with progress_bar("maps", total) as advance, noted_interrupts() as interrupts:
+    with noted_interrupts() as interrupts, progress_bar("maps", total) as advance:
 
         def arrived(chunk: Results) -> None:
             if interrupts:
