@@ -39,7 +39,7 @@ DIRECTIONS: list[Direction] = [action.name for action in Action]
 """The names of the actions, by number."""
 
 
-class Message(BaseModel):
+class StrictModel(BaseModel):
     """Base of all models: immutable, strict, without unknown fields, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -58,7 +58,7 @@ class Message(BaseModel):
             raise InvalidValueError(f"{wrong}: {text_of(error)}") from None
 
 
-class DroneAction(Message):
+class DroneAction(StrictModel):
     """One action."""
 
     direction: Direction = Field(description="Where to fly: UP is y - 1, DOWN y + 1, LEFT x - 1, RIGHT x + 1.")
@@ -69,7 +69,7 @@ class DroneAction(Message):
         return Action[self.direction]
 
 
-class DroneObservation(Message):
+class DroneObservation(StrictModel):
     """The observation after a reset or a step."""
 
     grid: list[str] = Field(fail_fast=True, description="The map as one row of emoji per line, top row first.")
@@ -166,7 +166,7 @@ def shown(row: bytes) -> tuple[str, tuple[str, ...]]:
     return "".join([EMOJI[cell] for cell in row]), tuple([NAMES[cell] for cell in row])
 
 
-class PathPoint(Message):
+class PathPoint(StrictModel):
     """One step of a flight: the action and its effect."""
 
     step: int = Field(ge=1, description="Number of the step, from 1.")
@@ -178,7 +178,7 @@ class PathPoint(Message):
     battery_steps_remaining: Count = Field(description="Battery units left after the step.")
 
 
-class ParcelState(Message):
+class ParcelState(StrictModel):
     """One parcel."""
 
     x: Count
@@ -186,7 +186,7 @@ class ParcelState(Message):
     delivered: bool
 
 
-class DroneState(Message):
+class DroneState(StrictModel):
     """The full state of an episode, including its steps."""
 
     episode_id: str | None = Field(

@@ -20,7 +20,7 @@ from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError, shown
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
-from drone_env.models import Message
+from drone_env.models import StrictModel
 from drone_env.results.result import CHUNK, COLUMNS, EpisodesKey, Results, concatenate
 
 CONFIG, CHUNKS = "evaluation.json", "pieces"
@@ -30,7 +30,7 @@ MOST_CHUNKS = 1_000_000
 Name = Annotated[str, Field(max_length=1000)]
 
 
-class EvaluationConfig(Message):
+class EvaluationConfig(StrictModel):
     """Everything that determines the results of an evaluation. `agents` contains digests of networks, not paths."""
 
     format: Literal["drone_env/evaluation"] = "drone_env/evaluation"
