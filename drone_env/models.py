@@ -105,7 +105,7 @@ class DroneObservation(StrictModel):
 def observation_fields(episode: Episode) -> dict[str, Any]:
     """Return the fields of `DroneObservation.of(episode)` without validation, which takes a third of a step's time."""
     width, cells = episode.task.width, episode.grid().tobytes()
-    rows = [shown(cells[start : start + width]) for start in range(0, len(cells), width)]
+    rows = [row_as_emoji(cells[start : start + width]) for start in range(0, len(cells), width)]
     return {
         "grid": [emoji for emoji, _ in rows],
         "cell_types": [list(names) for _, names in rows],
@@ -161,7 +161,7 @@ def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
 
 
 @lru_cache(maxsize=4096)
-def shown(row: bytes) -> tuple[str, tuple[str, ...]]:
+def row_as_emoji(row: bytes) -> tuple[str, tuple[str, ...]]:
     """Return a row of cell ids as emoji and as names. Cached: a step changes one or two rows of a map."""
     return "".join([EMOJI[cell] for cell in row]), tuple([NAMES[cell] for cell in row])
 

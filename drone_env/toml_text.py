@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from drone_env.errors import InvalidValueError, shown, text_of
+from drone_env.errors import InvalidValueError, abbreviate, text_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -51,5 +51,5 @@ def read_toml(content: str | bytes, model: "type[Model]", parse_float: Callable[
         unknown = [name for name in table if name not in model.model_fields]
         if unknown:
             allowed = ", ".join(model.model_fields)
-            raise InvalidValueError(f"unknown key {shown(unknown[0])}; allowed: {allowed}") from None
+            raise InvalidValueError(f"unknown key {abbreviate(unknown[0])}; allowed: {allowed}") from None
         raise InvalidValueError(text_of(error)) from None

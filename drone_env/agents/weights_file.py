@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 from threadpoolctl import ThreadpoolController
 
-from drone_env.errors import CheckpointError, shown
+from drone_env.errors import CheckpointError, abbreviate
 from drone_env.files import read_file, replacing
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
@@ -69,7 +69,7 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
     try:
         found = weights.metadata.get("network", PATHQNET)
         if found != network:
-            raise ValueError(f"it contains a network of {shown(found)}, not of {network!r}")
+            raise ValueError(f"it contains a network of {abbreviate(found)}, not of {network!r}")
         _require_shapes(weights.parameters, shapes_of(weights.metadata))
     except (ValueError, TypeError) as error:
         raise _rejected(path, error) from None

@@ -18,7 +18,7 @@ from drone_env.agents import network_file
 from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, TooLargeError, shown
+from drone_env.errors import InvalidValueError, TooLargeError, abbreviate
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
 from drone_env.models import StrictModel
 from drone_env.results.result import CHUNK, COLUMNS, EpisodesKey, Results, concatenate
@@ -78,7 +78,7 @@ class EvaluationConfig(StrictModel):
         for label, digest in self.agents.items():
             agent, _, task = label.rpartition(" on ")
             if task not in versions:
-                raise ValueError(f"agents: {shown(label)} does not end in ' on TASK', with a task of `tasks`")
+                raise ValueError(f"agents: {abbreviate(label)} does not end in ' on TASK', with a task of `tasks`")
             keys.append(EpisodesKey(task, versions[task], self.split, (self.seeds[0], self.seeds[1]), agent, digest))
         return keys
 
