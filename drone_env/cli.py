@@ -62,6 +62,8 @@ def _run(arguments: list[str]) -> int:
         finally:  # forget the profiles of files that the command has registered
             REWARD_PROFILES.clear()
             REWARD_PROFILES.update(profiles)
+    except BrokenPipeError:
+        raise
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)

@@ -192,9 +192,6 @@ class DroneEnvClient:
             path: The path.
             body: The body, sent as JSON.
             idempotency: Headers that make another method idempotent.
-
-        Raises:
-            ServerError: if there is no response, or it is an error or not a JSON object.
         """
         # Without an id, callers would share a session.
         headers = {"X-Session-Id": self.session_id or "new", **(idempotency or {})}

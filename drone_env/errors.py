@@ -136,7 +136,7 @@ def install_command(extra: str) -> str:
     return f"{'uv ' if by_uv else ''}pip install {target}"
 
 
-def shown(value: object) -> str:
+def abbreviate(value: object) -> str:
     """Return the `repr` of an untrusted value for a message, cut to 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -23,7 +23,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from drone_env.core.actions import Event
 from drone_env.core.rewards import PACKAGE_PROFILES, RewardProfile, get_reward_profile
-from drone_env.errors import InvalidTaskError, InvalidValueError, shown
+from drone_env.errors import InvalidTaskError, InvalidValueError, abbreviate
 from drone_env.files import read_file
 from drone_env.models import EventName
 from drone_env.toml_text import read_toml
@@ -34,15 +34,15 @@ MAX_FILE = 1 << 16
 def _number(value: object) -> Decimal:
     # TOML's decimals are parsed as `Decimal`, so that 0.1 is exact.
     if type(value) not in (int, Decimal):
-        raise ValueError(f"must be a number, got {shown(value)}")
+        raise ValueError(f"must be a number, got {abbreviate(value)}")
     return Decimal(value)  # pyright: ignore[reportArgumentType]
 
 
 def _free(name: str) -> str:
     if not name.isprintable():
-        raise ValueError(f"must be printable, got {shown(name)}")
+        raise ValueError(f"must be printable, got {abbreviate(name)}")
     if name in PACKAGE_PROFILES:
-        raise ValueError(f"{shown(name)} is taken by a profile of the package")
+        raise ValueError(f"{abbreviate(name)} is taken by a profile of the package")
     return name
 
 

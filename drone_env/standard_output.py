@@ -21,50 +21,23 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error("plain", _plain)
 
 
-class OutputError(Exception):
-    """Standard output cannot be written; the cause is the system's error. No OSError, which commands handle."""
-
-
-class Output(io.TextIOWrapper):
-    """Standard output. If it cannot be written, it raises `OutputError`."""
-
-    def write(self, text: str, /) -> int:
-        """Write a text."""
-        try:
-            return super().write(text)
-        except OSError as error:
-            raise OutputError from error
-
-    def flush(self) -> None:
-        """Write what is buffered."""
-        try:
-            super().flush()
-        except OSError as error:
-            raise OutputError from error
-
-
 def guarded(run: Callable[[], int]) -> int:
     """Run a program and return its exit status; 2 if standard output cannot be written.
 
-    If the reader has closed the pipe (`drone-env fly | head`), nothing is printed; else the reason, in one line.
+    If the reader has closed the pipe (`drone-env fly | head`), nothing is printed.
     """
-    # Python has None for a closed stream. What replaces standard output cannot be written either.
-    sys.stdout = out = sys.stdout or os.fdopen(os.open(os.devnull, os.O_RDONLY), "w", encoding="utf-8")
-    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="plain")
-    if type(out) is io.TextIOWrapper:
-        sys.stdout = Output(out.buffer, out.encoding, out.errors, None, out.line_buffering, out.write_through)
     try:
         try:
             return run()
         finally:
-            sys.stdout.flush()
-    except OutputError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # the interpreter flushes it again
-        if isinstance(error.__cause__, OSError) and not isinstance(error.__cause__, BrokenPipeError):
-            print_error(f"standard output: {error.__cause__.strerror}")
+            print(end="", flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the interpreter flushes it again
+        if not isinstance(error, BrokenPipeError):
+            print_error(f"standard output: {error.strerror}")
         return 2
 
 

@@ -72,7 +72,8 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         OSError: if the file cannot be read.
         CheckpointError: if it contains no network for that task.
     """
-    task = get_task(task)
+    if isinstance(task, str):
+        task = get_task(task)
     if name in list(AGENTS):
         return AGENTS[name](task)
     if network := network_file(name):

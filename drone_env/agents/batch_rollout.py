@@ -42,9 +42,6 @@ def rollout_batch(
         stateless: Whether `act` keeps no state per episode; it then gets only episodes that still fly.
         name: The agent's name in errors.
         reset: Called before the first step.
-
-    Raises:
-        AgentError, InvalidValueError: as `named_failures`.
     """
     n, step = len(seeds), 0
     results = BatchResults(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))

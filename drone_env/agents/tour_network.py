@@ -95,10 +95,5 @@ def relu(x: Array) -> Array:
 
 
 def load_tour_network(path: Path) -> TourNetwork:
-    """Read an exported network.
-
-    Raises:
-        OSError: if the file cannot be read.
-        CheckpointError: if it is not an exported tour network; the message says why.
-    """
+    """Read an exported network."""
     return TourNetwork(read_weights(path, TOURNET, lambda metadata: SHAPES))

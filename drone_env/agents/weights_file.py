@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 from threadpoolctl import ThreadpoolController
 
-from drone_env.errors import CheckpointError, shown
+from drone_env.errors import CheckpointError, abbreviate
 from drone_env.files import read_file, replacing
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
@@ -46,11 +46,7 @@ class Weights(NamedTuple):
 
 
 def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping[str, Any]) -> None:
-    """Write a network to a file, and create missing folders.
-
-    Raises:
-        OSError: if it cannot be written; the previous file stays.
-    """
+    """Write a network to a file, and create missing folders."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content = save(dict(parameters), {METADATA: json.dumps(metadata, sort_keys=True)})
     with replacing(path) as temporary:
@@ -73,7 +69,7 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
     try:
         found = weights.metadata.get("network", PATHQNET)
         if found != network:
-            raise ValueError(f"it contains a network of {shown(found)}, not of {network!r}")
+            raise ValueError(f"it contains a network of {abbreviate(found)}, not of {network!r}")
         _require_shapes(weights.parameters, shapes_of(weights.metadata))
     except (ValueError, TypeError) as error:
         raise _rejected(path, error) from None
@@ -81,12 +77,7 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
 
 
 def network_of(path: Path) -> str:
-    """The network that a file names in its metadata.
-
-    Raises:
-        OSError: if it cannot be read.
-        CheckpointError: if it is no file of a network.
-    """
+    """The network that a file names in its metadata."""
     return str(_read(path).metadata.get("network", PATHQNET))
 
 

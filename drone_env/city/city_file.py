@@ -38,7 +38,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from drone_env.core.cells import SYMBOLS, Cell
 from drone_env.core.tasks import MAX_DELIVERIES, TaskConfig, task_on
 from drone_env.core.terrain import PLACED, XY, Terrain, pieces
-from drone_env.errors import InvalidTaskError, InvalidValueError, shown
+from drone_env.errors import InvalidTaskError, InvalidValueError, abbreviate
 from drone_env.files import read_file, write_text
 from drone_env.toml_text import read_toml
 
@@ -95,7 +95,9 @@ class City:
         for name in TEXTS:
             text = getattr(self, name)
             fits = text.isprintable() and len(text) <= MAX_TEXT
-            _require(fits, f"{name} must be one printable line of at most {MAX_TEXT} characters, got {shown(text)}")
+            _require(
+                fits, f"{name} must be one printable line of at most {MAX_TEXT} characters, got {abbreviate(text)}"
+            )
         _require(self.cell is None or 0 < self.cell < inf, f"cell must be metres above 0, got {self.cell}")
         if self.bbox is not None:
             check_bbox(self.bbox)

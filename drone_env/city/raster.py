@@ -67,9 +67,6 @@ def projection_of(bbox: BBox, cell: float, size: tuple[int, int], middle: bool =
         cell: Side of a cell in metres.
         size: Maximum number of columns and rows.
         middle: Whether to take the middle of a larger box instead of raising.
-
-    Raises:
-        InvalidValueError: if the box is invalid, or has too few or too many cells.
     """
     check_bbox(bbox)
     west, south, east, north = bbox

@@ -7,17 +7,15 @@ import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from drone_env.errors import ClusterError, InvalidValueError, needs
 
-LOCAL, AUTO = "local", "auto"
-CONNECT_SECONDS = 10
-
 
 @contextmanager
-def connect(address: str | None = None, cpus: int | None = None) -> Generator[None, None, None]:
+def connect(address: str | None = None) -> Generator[None, None, None]:
     """Connect to Ray until the end of the `with`.
 
     Token authentication is on unless RAY_AUTH_MODE is `disabled`. A cluster that starts here uses the token from
@@ -26,40 +24,34 @@ def connect(address: str | None = None, cpus: int | None = None) -> Generator[No
     Args:
         address: `local` or None starts a cluster on this machine, `auto` joins the one that runs here or at
             RAY_ADDRESS, HOST:PORT joins that one.
-        cpus: CPUs of a cluster that starts here; all of the machine by default.
 
     Raises:
         MissingPackageError: if Ray is not installed.
-        InvalidValueError: if this process is connected already, or the address is malformed.
+        InvalidValueError: if the address is malformed.
         ClusterError: if there is no cluster at the address, it refuses the token, or none can be started.
     """
-    address = LOCAL if address is None else address
+    address = "local" if address is None else address
     # Ray reads these variables when it is imported, and passes them to its processes.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")
     # The future default; without it Ray prints a warning.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    if address == LOCAL and not _has_token():
+    named = os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH")
+    if address == "local" and not named and not (Path.home() / ".ray" / "auth_token").is_file():
         # Ray caches the first token that it reads for the lifetime of the process.
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     with needs("cluster"):
         import ray
-        from ray.exceptions import AuthenticationError
-    if ray.is_initialized():
-        raise InvalidValueError("this process is connected to a cluster already")
     _redirect_messages()
-    if address not in (LOCAL, AUTO):
+    if address not in ("local", "auto"):
         _check_reachable(address)
-    own: dict[str, Any] = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
+    dashboard = False if address == "local" else None
     try:
-        ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **own)
-    except AuthenticationError as error:
-        hint = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
-        raise ClusterError(f"the cluster at {address} refuses: {hint} ({error.message})") from None
+        ray.init(address, include_dashboard=dashboard, log_to_driver=False, logging_level=logging.WARNING)
     except Exception as error:  # Ray raises many types if its processes do not start in time.
         raise ClusterError(
-            f"cannot join the cluster at {address}: it does not respond, or its token is not that of RAY_AUTH_TOKEN or "
-            f"RAY_AUTH_TOKEN_PATH: {error}"
+            f"cannot join the cluster at {address}: {error}. Does it respond, and is its token that of RAY_AUTH_TOKEN "
+            "or RAY_AUTH_TOKEN_PATH?"
         ) from None
     try:
         yield
@@ -70,9 +62,7 @@ def connect(address: str | None = None, cpus: int | None = None) -> Generator[No
 @lru_cache(maxsize=1)
 def _redirect_messages() -> None:
     """Redirect messages such as the death of a node, which Ray prints among the results, to standard error."""
-    import ray._private.worker as ray_worker
-
-    worker: Any = ray_worker
+    worker: Any = import_module("ray._private.worker")
     printed = worker.print_to_stdstream
 
     def to_standard_error(data: dict[str, Any], *arguments: Any, **more: Any) -> None:
@@ -87,11 +77,6 @@ def _check_reachable(address: str) -> None:
     if not host or "/" in host or not port.isdecimal():
         raise InvalidValueError(f"--address takes local, auto or HOST:PORT, got {address!r}")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_SECONDS).close()
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
     except (OSError, OverflowError) as error:
         raise ClusterError(f"no cluster is reachable at {address}: {error}") from None
-
-
-def _has_token() -> bool:
-    named = any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
-    return named or (Path.home() / ".ray" / "auth_token").is_file()

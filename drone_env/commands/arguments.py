@@ -45,12 +45,7 @@ REGISTERED: dict[str, Callable[[str], Any]] = {
 
 
 def register_files(arguments: Sequence[str]) -> list[str]:
-    """Register the files of cities and reward profiles, and replace them by their names.
-
-    Raises:
-        OSError: if a file cannot be read.
-        InvalidTaskError: if it is invalid, or its name is taken.
-    """
+    """Register the files of cities and reward profiles, and replace them by their names."""
     names: list[str] = []
     option = ""
     for argument in arguments:
@@ -64,11 +59,7 @@ def register_files(arguments: Sequence[str]) -> list[str]:
 
 
 def parse_seeds(text: str) -> range:
-    """Return the seeds A to B - 1 of `A:B`.
-
-    Raises:
-        InvalidValueError: if the text has another form, or the range is empty.
-    """
+    """Return the seeds A to B - 1 of `A:B`."""
     numbers = re.fullmatch(r"(\d{1,16}):(\d{1,16})", text)
     seeds = range(*map(int, numbers.groups())) if numbers else range(0)
     if not seeds or seeds.stop > N_SEEDS:
@@ -86,9 +77,6 @@ def select_maps(seeds: str | None, split: str | None, episodes: int | None, defa
         split: A split; None for test.
         episodes: Number of its first maps.
         default: The default of `episodes`.
-
-    Raises:
-        InvalidValueError: if the options contradict each other, or one is out of range.
     """
     if seeds is None:
         if episodes is not None and episodes < 1:
@@ -100,11 +88,7 @@ def select_maps(seeds: str | None, split: str | None, episodes: int | None, defa
 
 
 def parsed(command: Callable[..., int | None], program: str, arguments: Sequence[str]) -> Callable[[], int | None]:
-    """Return the call of a command with these arguments; `--help` prints its manual and exits.
-
-    Raises:
-        InvalidValueError: if an option is unknown, missing or invalid.
-    """
+    """Return the call of a command with these arguments; `--help` prints its manual and exits."""
 
     @wraps(command)
     def call(*args: Any, **options: Any) -> Callable[[], int | None]:

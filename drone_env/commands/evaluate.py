@@ -168,12 +168,6 @@ def fly_grid(
         engine: Where to fly.
         address: The cluster.
         out: The folder that stores the results.
-
-    Raises:
-        UnknownNameError, InvalidValueError, OSError: for invalid names, seeds, files and folders.
-        CheckpointError, TooLargeError, UnsupportedTaskError: if no agent, or not the agent of a file, can fly any task.
-        ClusterError: from the cluster.
-        AgentError: if an agent fails.
     """
     if not tasks or not agents:
         raise InvalidValueError("--task and --agents take one name or more")
@@ -221,7 +215,7 @@ def _fly(
 
         folder = ResultsFolder(out, keys)
     total = sum(key.seeds[1] - key.seeds[0] for key in keys)
-    with progress_bar("maps", total) as advance, noted_interrupts() as interrupts:
+    with noted_interrupts() as interrupts, progress_bar("maps", total) as advance:
 
         def arrived(chunk: Results) -> None:
             if interrupts:
@@ -250,11 +244,7 @@ def noted_interrupts() -> Generator[list[bool], None, None]:
 
 
 def json_file(json: str | None) -> Path | None:
-    """Return the file of `--json`; None for standard output and without the option.
-
-    Raises:
-        InvalidValueError: if its folder is missing.
-    """
+    """Return the file of `--json`; None for standard output and without the option."""
     target = None if json in (None, "-") else Path(json)
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
         raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
@@ -262,11 +252,7 @@ def json_file(json: str | None) -> Path | None:
 
 
 def write_report(report: dict[str, Any], json: str) -> None:
-    """Write a report to the file of `--json`, or to standard output.
-
-    Raises:
-        InvalidValueError, OSError: if it cannot be written.
-    """
+    """Write a report to the file of `--json`, or to standard output."""
     target = json_file(json)
     if target is None:
         print_json(report)

@@ -37,12 +37,7 @@ def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], r
 
 
 def prepare_file(option: str, path: Path) -> None:
-    """Create the folder of a file before the flight.
-
-    Raises:
-        InvalidValueError: if the path is a folder.
-        OSError: if the folder cannot be created.
-    """
+    """Create the folder of a file before the flight."""
     if path.is_dir():
         raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)

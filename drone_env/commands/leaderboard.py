@@ -65,11 +65,7 @@ def _folders_in(path: Path) -> list[Path]:
 
 
 def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
-    """Return the entries of an evaluation or of a run of a language model.
-
-    Raises:
-        MissingPackageError: for a run, if the extra `llm` is not installed.
-    """
+    """Return the entries of an evaluation or of a run of a language model."""
     if (path / EVALUATION).exists():
         return evaluation_entries(path)
     if (path / RUN).exists():
@@ -81,12 +77,7 @@ def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
 
 
 def required_entries(path: Path) -> list[LeaderboardEntry]:
-    """Return the entries of a folder of results.
-
-    Raises:
-        InvalidValueError: if it cannot be ranked; the message contains the reason.
-        MissingPackageError: if it needs the extra `llm`.
-    """
+    """Return the entries of a folder of results."""
     entries: list[LeaderboardEntry] = []
     for entry in (entry for folder in _folders_in(path) for entry in _entries(folder)):
         if isinstance(entry, NotRanked):

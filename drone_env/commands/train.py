@@ -44,12 +44,7 @@ AnySettings = TypeVar("AnySettings", Settings, TourSettings)
 
 
 def train_command(arguments: Sequence[str]) -> Callable[..., int]:
-    """The subcommand for these arguments, with the defaults of its preset or checkpoint.
-
-    Raises:
-        UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset or number of episodes, or PathQNet is to learn all tasks.
-    """
+    """The subcommand for these arguments, with the defaults of its preset or checkpoint."""
     given = _given(arguments)
     if given.network == "tournet":
         tour = TourSettings(task=given.task or "all")

@@ -18,7 +18,7 @@ from typing_extensions import TypedDict
 
 from drone_env.core.actions import Action
 from drone_env.errors import EndpointError, InvalidValueError
-from drone_env.models import Count, Message
+from drone_env.models import Count, StrictModel
 
 AnswerKind = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
 TurnKind = Literal["ok", "repaired", "parse_error", "illegal", "refusal", "truncated", "api_error", "budget_stop"]
@@ -115,7 +115,7 @@ class ChatMessage(TypedDict):
     content: str
 
 
-class Answer(Message):
+class Answer(StrictModel):
     """The endpoint's answer to one call."""
 
     text: str

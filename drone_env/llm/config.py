@@ -16,7 +16,7 @@ from drone_env.core.tasks import TaskConfig, custom_task_rules, get_task
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.text_episode import EpisodeRun
-from drone_env.models import DIRECTIONS, Count, Message
+from drone_env.models import DIRECTIONS, Count, StrictModel
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"
@@ -163,7 +163,7 @@ def is_private(host: str) -> bool:
         return "." not in host or host.endswith(PRIVATE_NAMES)
 
 
-class Sampling(Message):
+class Sampling(StrictModel):
     """Parameters of every request. Null values are not sent."""
 
     temperature: float | None = Field(default=0.0, ge=0, le=2)
@@ -181,7 +181,7 @@ class Sampling(Message):
         return extra
 
 
-class RunConfig(Message):
+class RunConfig(StrictModel):
     """The identity of a run: all that decides its calls and results. A run folder resumes only with an equal one."""
 
     format: Literal["drone_env/llm-run"] = "drone_env/llm-run"

@@ -22,7 +22,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
 from drone_env.llm.answers import MARK, Answer, ChatMessage, Reading, read_answer
-from drone_env.models import Message
+from drone_env.models import StrictModel
 from drone_env.toml_text import parse_toml
 
 FOLDER = Path(__file__).with_name("prompts")
@@ -48,7 +48,7 @@ VALUES = {
 """All names that a template can use."""
 
 
-class PromptFile(Message):
+class PromptFile(StrictModel):
     """The fields of a prompt file."""
 
     format: Literal[1]

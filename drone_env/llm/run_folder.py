@@ -14,7 +14,7 @@ from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.text_episode import EpisodeRun, Status
 from drone_env.llm.transcript import LONGEST_CALL
-from drone_env.models import Count, Message, Score
+from drone_env.models import Count, Score, StrictModel
 from drone_env.results.record import record_of
 from drone_env.results.result import EpisodesKey, Results
 
@@ -23,7 +23,7 @@ MAX_CONFIG, MAX_RESULT = 1 << 20, 1 << 16
 """Bytes of a configuration, and of the result of a flight."""
 
 
-class FlightResult(Message):
+class FlightResult(StrictModel):
     """The result of a flight; its `EpisodeRecord` is the line of the same number in `episodes.jsonl`."""
 
     flight: Count

@@ -19,7 +19,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import append_line, read_lines
 from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.rejections import Part
-from drone_env.models import Count, Message
+from drone_env.models import Count, StrictModel
 
 SENT = "sent.txt"
 LONGEST_CALL = 1 << 24
@@ -37,7 +37,7 @@ class CallKey(NamedTuple):
         return f"{self.flight}-{self.turn}-{self.attempt}"
 
 
-class Failure(Message):
+class Failure(StrictModel):
     """One try without an answer."""
 
     status: int = Field(ge=0, description="HTTP status, or that of an error in a 200 response; 0 if there was none.")
@@ -45,7 +45,7 @@ class Failure(Message):
     waited: float = Field(ge=0, description="Seconds waited before the next try.")
 
 
-class Call(Message):
+class Call(StrictModel):
     """One call, with all its tries."""
 
     flight: Count

@@ -15,7 +15,7 @@ from drone_env.agents.base import begin
 from drone_env.agents.custom import as_agent
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, map_key, split_seeds, task_key
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.planning.optimal import solve
 from drone_env.results.result import EpisodesKey, Results, concatenate, repeated
@@ -52,9 +52,10 @@ def episodes_key(
         InvalidValueError: if the seeds are not one or more consecutive integers in [0, 2^53) and in the split, the task
             differs from the registered one of its name, or the agent has no `config`.
     """
-    task = get_task(task)
+    if isinstance(task, str):
+        task = get_task(task)
     made = made or make_agent(agent, task)
-    if TASKS.get(task.id) != task:
+    if get_task(task.id, task.version) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
     if not isinstance(seeds, range) or not seeds or seeds.step != 1:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InvalidValueError(f"seeds must be a range of at least one, with step 1; got {seeds}")
@@ -219,10 +220,10 @@ def local_engine(keys: Sequence[EpisodesKey], agents: dict[tuple[str, str], Agen
         agents: The agents of the keys by task and name, which lose each one that flies; None to make them.
     """
     for (task_id, name), chunks in groupby(keys, lambda key: (key.task, key.agent)):
-        task, agent = TASKS[task_id], None if agents is None else agents.pop((task_id, name))
+        agent = None if agents is None else agents.pop((task_id, name))
         for key in chunks:
             agent = agent or _agent_of(key)
-            yield _fly_and_solve(task, key, agent)
+            yield _fly_and_solve(get_task(task_id, key.version), key, agent)
 
 
 def evaluate_keys(

@@ -14,7 +14,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError
-from drone_env.models import DIRECTIONS, Count, Direction, Message, OutcomeName, Score, Seed
+from drone_env.models import DIRECTIONS, Count, Direction, OutcomeName, Score, Seed, StrictModel
 from drone_env.results.record import AgentLabel, EpisodeRecord, record_of
 from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import mean_of
@@ -22,7 +22,7 @@ from drone_env.results.statistics import mean_of
 AGENT_LABEL: TypeAdapter[str] = TypeAdapter(AgentLabel)
 
 
-class StoredEpisode(Message):
+class StoredEpisode(StrictModel):
     """One finished episode."""
 
     id: str = Field(description="Id of the episode in its store.")
@@ -80,7 +80,7 @@ def _iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat()
 
 
-class EpisodeSummary(Message):
+class EpisodeSummary(StrictModel):
     """One row of a list of finished episodes, with the optimum of its map."""
 
     number: int = Field(exclude=True, description="The order of storing; it always rises.")
@@ -178,7 +178,7 @@ def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> Non
     )
 
 
-class Analysis(Message):
+class Analysis(StrictModel):
     """Statistics of the newest finished episodes of one task, of all agents and reward profiles; null if unknown."""
 
     task: str = Field(description="Id of the task.")

@@ -18,9 +18,9 @@ from drone_env.agents import network_file
 from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, TooLargeError, shown
+from drone_env.errors import InvalidValueError, TooLargeError, abbreviate
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
-from drone_env.models import Message
+from drone_env.models import StrictModel
 from drone_env.results.result import CHUNK, COLUMNS, EpisodesKey, Results, concatenate
 
 CONFIG, CHUNKS = "evaluation.json", "pieces"
@@ -30,7 +30,7 @@ MOST_CHUNKS = 1_000_000
 Name = Annotated[str, Field(max_length=1000)]
 
 
-class EvaluationConfig(Message):
+class EvaluationConfig(StrictModel):
     """Everything that determines the results of an evaluation. `agents` contains digests of networks, not paths."""
 
     format: Literal["drone_env/evaluation"] = "drone_env/evaluation"
@@ -59,12 +59,7 @@ class EvaluationConfig(Message):
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read the configuration in a folder.
-
-        Raises:
-            OSError: if it cannot be read.
-            InvalidValueError: if it is not the configuration of an evaluation.
-        """
+        """Read the configuration in a folder."""
         path = folder / CONFIG
         return cls.read(read_file(path, MOST_BYTES), f"{path} is not the configuration of an evaluation")
 
@@ -77,17 +72,13 @@ class EvaluationConfig(Message):
         return self
 
     def episodes_keys(self) -> list[EpisodesKey]:
-        """Return the key of each agent on each of its tasks, at its first repeat.
-
-        Raises:
-            ValueError: if a label in `agents` does not end in " on TASK" with a task of `tasks`.
-        """
+        """Return the key of each agent on each of its tasks, at its first repeat."""
         versions = {task: int(version) for task, _, version in (name.rpartition(" v") for name in self.tasks)}
         keys: list[EpisodesKey] = []
         for label, digest in self.agents.items():
             agent, _, task = label.rpartition(" on ")
             if task not in versions:
-                raise ValueError(f"agents: {shown(label)} does not end in ' on TASK', with a task of `tasks`")
+                raise ValueError(f"agents: {abbreviate(label)} does not end in ' on TASK', with a task of `tasks`")
             keys.append(EpisodesKey(task, versions[task], self.split, (self.seeds[0], self.seeds[1]), agent, digest))
         return keys
 
@@ -119,20 +110,11 @@ class ResultsFolder:
         self._chunks.mkdir(exist_ok=True)
 
     def load(self, key: EpisodesKey) -> Results | None:
-        """Return the results of a chunk; None if it is missing.
-
-        Raises:
-            OSError: if the file cannot be read.
-            InvalidValueError: if it is damaged.
-        """
+        """Return the results of a chunk; None if it is missing."""
         return _load(_file(self._chunks, key), key)
 
     def save(self, results: Results) -> None:
-        """Write the results of a chunk.
-
-        Raises:
-            OSError: if they cannot be written.
-        """
+        """Write the results of a chunk."""
         with replacing(_file(self._chunks, results.key)) as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, **{name: getattr(results, name) for name in COLUMNS})
             file.flush()

@@ -18,7 +18,7 @@ from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import append_line, read_file, read_lines, write_text
-from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
+from drone_env.models import DIRECTIONS, Count, Direction, Score, StrictModel
 
 LONGEST_RECORD = 4 << 20
 """Maximum bytes of a record. The longest flight, 32,000 steps, takes about 1.3 MB."""
@@ -32,7 +32,7 @@ AgentLabel = Annotated[
 ]
 
 
-class EpisodeRecord(Message):
+class EpisodeRecord(StrictModel):
     """One flight from its reset. `replay` flies it again."""
 
     format: Literal["drone_env/episode"] = "drone_env/episode"

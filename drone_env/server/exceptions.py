@@ -26,7 +26,7 @@ from drone_env.errors import (
     text_of,
     wrong_parts,
 )
-from drone_env.models import Message
+from drone_env.models import StrictModel
 
 log = logging.getLogger(__name__)
 
@@ -34,14 +34,14 @@ FAILED = "the server failed; its log says why"
 WHAT_TO_DO = "POST /reset opens a session; send the header X-Session-Id: SESSION_ID, as it answers, or keep the cookie"
 
 
-class FieldProblem(Message):
+class FieldProblem(StrictModel):
     """An error in one field of a request."""
 
     where: str = Field(description="The field, such as `body.direction`.")
     message: str = Field(description="What is wrong with it.")
 
 
-class Problem(Message):
+class Problem(StrictModel):
     """An error response."""
 
     code: str = Field(description="Error code for programs.")

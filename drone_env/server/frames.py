@@ -18,17 +18,17 @@ from drone_env.models import (
     Direction,
     EventName,
     GroundName,
-    Message,
     OutcomeName,
     Position,
     Score,
+    StrictModel,
 )
 from drone_env.results.record import fly_directions
 from drone_env.server.jobs import job_context
 from drone_env.server.pilots import HUMAN, Provenance, all_pilots
 
 
-class FlightHeader(Message):
+class FlightHeader(StrictModel):
     """The pilot, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
@@ -76,7 +76,7 @@ class FlightHeader(Message):
         )
 
 
-class EfficiencyPart(Message):
+class EfficiencyPart(StrictModel):
     """One part of the efficiency."""
 
     name: str
@@ -84,7 +84,7 @@ class EfficiencyPart(Message):
     share: float = Field(ge=0, le=1, description="Value of this part.")
 
 
-class Frame(Message):
+class Frame(StrictModel):
     """The state of a flight after a step; frame 0 is the reset."""
 
     step: Count = Field(description="Steps flown.")
@@ -115,7 +115,7 @@ class Frame(Message):
     regret: float | None = Field(default=None, ge=0, description="Optimum of the map - value.")
 
 
-class EpisodeView(Message):
+class EpisodeView(StrictModel):
     """An episode, frame by frame."""
 
     opening: FlightHeader

@@ -17,7 +17,7 @@ BATCH_SECONDS = 0.25
 """Event streams send the requests of this time together."""
 
 
-class LoggedRequest(models.Message):
+class LoggedRequest(models.StrictModel):
     """One request."""
 
     number: int = Field(ge=1, description="Number of the request since the process started.")

@@ -10,7 +10,7 @@ from starlette.datastructures import Headers
 from drone_env import __version__
 from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, NoSessionError, text_of
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
-from drone_env.models import Message
+from drone_env.models import StrictModel
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState
@@ -23,7 +23,7 @@ PROTOCOLS = ("2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05")
 """Versions of MCP, newest first."""
 
 
-class FlyArguments(Message):
+class FlyArguments(StrictModel):
     """The arguments of the tool `fly`."""
 
     route: Route = Field(
@@ -31,11 +31,11 @@ class FlyArguments(Message):
     )
 
 
-class LookArguments(Message):
+class LookArguments(StrictModel):
     """The tool `look` has no arguments."""
 
 
-TOOLS: dict[str, tuple[type[Message], str]] = {
+TOOLS: dict[str, tuple[type[StrictModel], str]] = {
     "reset": (SessionReset, "Start a flight over a map. Returns the rules and the observation."),
     "fly": (FlyArguments, "Fly one action or a route. Returns what happened, and where the drone is now."),
     "look": (LookArguments, "Return the rules and the observation."),

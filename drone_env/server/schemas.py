@@ -11,7 +11,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer, actions_named, read_answer
-from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Message, Seed
+from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Seed, StrictModel
 from drone_env.results.finished import check_agent
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
@@ -35,7 +35,7 @@ def examples(values: list[JsonValue]) -> Any:
 AgentName = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(check_agent)]
 
 
-class ResetOptions(Message):
+class ResetOptions(StrictModel):
     """Options of a reset."""
 
     model_config = ConfigDict(json_schema_extra={"examples": RESETS})
@@ -121,7 +121,7 @@ Route = Annotated[str, BeforeValidator(route_text)]
 """Names of actions, separated by spaces; numbers and lists are converted."""
 
 
-class RouteAction(Message):
+class RouteAction(StrictModel):
     """An action, or several in a row, in an OpenEnv session.
 
     `{"direction": "UP"}`, `{"direction": 0}`, `{"direction": "UP UP WAIT"}`, `{"route": ["UP", "UP", "WAIT"]}`.

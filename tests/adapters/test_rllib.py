@@ -13,7 +13,7 @@ from tests.adapters.conftest import run_example
 def test_the_pages_example_tells_scores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with connect("local", cpus=1):
+    with connect("local"):
         # RLlib keeps its results here; without Tune it has no option for that.
         monkeypatch.setattr("ray.tune.trainable.trainable.DEFAULT_STORAGE_PATH", str(tmp_path))
         run_example("RLlib")

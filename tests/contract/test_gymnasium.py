@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import TimeAwareObservation
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
@@ -21,7 +20,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.registry import REWARD_THRESHOLDS
 from drone_env.envs.rendering import draw_picture
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, WithOptimum
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_actions, solve
 
@@ -104,15 +103,6 @@ def test_info_has_the_same_keys_and_types_in_every_step() -> None:
     assert info["optimal_score"] == solve("hard", 4).score
 
 
-def test_where_no_planner_knows_the_optimum_no_info_has_it() -> None:
-    task = replace(TASKS["skyline_hard"], id="vast", deliveries=16, max_steps=400, battery_capacity=1)
-    env = WithOptimum(DroneDeliveryEnv(task))
-    _, first = env.reset(seed=3)
-    *_, last = env.step(4)
-    assert (last["outcome"], last["score"]) == ("battery_dead", 0.01)
-    assert [*first] == [*last] == ["seed", "score", "action_mask", "event", "outcome"]
-
-
 def test_the_limit_that_libraries_read_truncates_nothing() -> None:
     task = replace(TASKS["skyline_easy"], battery_capacity=60, drain=())  # the steps run out, not the battery
     env = make(SKYLINE, task=task)
@@ -120,26 +110,6 @@ def test_the_limit_that_libraries_read_truncates_nothing() -> None:
         same.reset(seed=1)
         ends = [same.step(4)[2:4] for _ in range(same.spec.max_episode_steps)]
         assert ends == [(False, False)] * (task.max_steps - 1) + [(True, False)]
-
-
-def test_a_shorter_limit_truncates_and_a_longer_one_does_not() -> None:
-    env = make(max_episode_steps=5)
-    env.reset(seed=1)
-    assert [env.step(4)[2:4] for _ in range(5)] == [(False, False)] * 4 + [(False, True)]
-    env = make(max_episode_steps=100)
-    env.reset(seed=1)
-    assert [env.step(4)[2:4] for _ in range(60)][-1] == (True, False)
-
-
-@pytest.mark.parametrize("wrapped", [lambda env: env, FlatObservation], ids=["plain", "flat"])
-def test_time_becomes_a_part_of_the_observation(wrapped: Any) -> None:
-    env = TimeAwareObservation(wrapped(make()), flatten=False)
-    observation, _ = env.reset(seed=1)
-    for step in range(61):
-        assert observation["time"] == [step]
-        assert env.observation_space.contains(observation)
-        if step < 60:
-            observation, *_ = env.step(4)
 
 
 MEASURED = [task for task in TASKS.values() if task.id in REWARD_THRESHOLDS]

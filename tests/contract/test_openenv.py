@@ -116,19 +116,6 @@ class TestEnvironment:
         assert env.rubric is not None
         assert env.rubric.last_score == observation.score == solve("medium", 3).score
 
-    def test_without_a_seed_it_walks_on_from_the_last_map(self, env: Any) -> None:
-        walk = Episode(reward_profile="tiered", seed=5)
-        env.reset(seed=5)
-        env.reset()
-        assert env.state.seed == walk.reset()
-
-    def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(self, env: Any) -> None:
-        env.reset(seed=5)
-        before = env.state
-        with pytest.raises(InvalidValueError, match="colour: Extra inputs are not permitted"):
-            env.reset(colour="red")
-        assert env.state == before
-
     def test_the_task_api_lists_the_maps_of_our_splits(self, env: Any) -> None:
         splits = env.list_splits()
         assert len(splits) == 3 * len(TASKS)

@@ -179,13 +179,6 @@ def test_it_draws_each_episode(mode: str) -> None:
         assert np.array_equal(drawn, one.render())
 
 
-def test_it_draws_in_no_other_mode() -> None:
-    with pytest.raises(InvalidValueError, match=r"allowed: ansi, rgb_array$"):
-        make(render_mode="human")
-    with pytest.warns(UserWarning, match="needs a render mode"):
-        assert make().render() is None
-
-
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_a_wrapper_is_for_plain_observations_of_many(wrapper: Any) -> None:
     many = getattr(vector, wrapper.__name__)

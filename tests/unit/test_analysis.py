@@ -8,7 +8,6 @@ import pytest
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.errors import EpisodeError
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import (
@@ -99,8 +98,3 @@ def test_labels_go_by_the_value_of_a_parcel(task: str) -> None:
     # Every step costs 0.2 / max_steps here; a wrong turn costs two.
     step = 0.2 / TASKS[task].max_steps
     assert (label_of(step, TASKS[task]), label_of(2 * step, TASKS[task])) == ("good", "inaccuracy")
-
-
-def test_what_cannot_be_analysed_is_refused() -> None:
-    with pytest.raises(EpisodeError, match="ended"):
-        analyse_actions(toy_episode(MAP, max_steps=4), letters("RRW"), "late")

@@ -11,19 +11,18 @@ from drone_env.agents.pathqnet import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.openstreetmap import import_city
-from drone_env.errors import DroneEnvError
-from drone_env.files import append_line, write_text
+from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.files import append_line, read_file, write_text
 from drone_env.llm.prompt import read_prompt
-from drone_env.llm.run_folder import EpisodeIds, load_config, load_results
+from drone_env.llm.run_folder import load_config, load_results
 from drone_env.llm.transcript import read_calls
 from drone_env.results.folder import stored_results
 from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
-from drone_env.server.train_log import TrainLog
 from tests.tools import limited
 
-PARSERS: dict[str, Callable[[Path], object]] = {
+READERS: dict[str, Callable[[Path], object]] = {
     "city.toml": read_city,
     "reward.toml": load_reward_profile,
     "prompt.toml": read_prompt,
@@ -39,18 +38,6 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "evaluation.json": lambda path: stored_results(path.parent),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
-READERS: dict[str, Callable[[Path], object]] = {
-    **PARSERS,
-    "train.log": lambda path: TrainLog(path.parent).curve(),
-    "ids of calls.jsonl": lambda path: EpisodeIds(path.parent),
-}
-
-
-NO_FILES: dict[str, Callable[[Path], object]] = {
-    "pipe": os.mkfifo,
-    "device": lambda path: path.symlink_to("/dev/zero"),
-    "folder": Path.mkdir,
-}
 DAMAGE = {
     "nested": b"[" * 200_000 + b"\n",
     "number": b'{"format": 1' + b"0" * 100_000 + b"}\n",
@@ -75,24 +62,22 @@ def refused(name: str, path: Path) -> str:
     return said
 
 
-@pytest.mark.parametrize("kind", NO_FILES)
-@pytest.mark.parametrize("name", READERS)
-def test_only_files_are_read(name: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / name.rpartition(" of ")[2]
-    NO_FILES[kind](path)
-    refused(name, path)
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), Path.mkdir])
+def test_only_files_are_read(make: Callable[[Path], object], tmp_path: Path) -> None:
+    make(tmp_path / "file")
+    with pytest.raises(InvalidValueError, match="only regular files are read"):
+        read_file(tmp_path / "file", 9)
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-@pytest.mark.parametrize("name", PARSERS)
+@pytest.mark.parametrize("name", READERS)
 def test_what_is_damaged_is_refused_by_name(name: str, damage: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(DAMAGE[damage])
     refused(name, path)
 
 
-@pytest.mark.parametrize("name", PARSERS)
+@pytest.mark.parametrize("name", READERS)
 def test_what_is_too_large_is_not_read(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     with path.open("wb") as file:

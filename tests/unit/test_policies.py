@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from drone_env import evaluate, make_agent, summarise
-from drone_env.agents import file_of, rebase_agent_path
 from drone_env.cli import main
 from drone_env.errors import AgentError, InvalidValueError, UnknownNameError
 from drone_env.results.evaluate import episodes_key, repeats_of, run_episodes
@@ -196,16 +195,3 @@ def test_an_agent_that_fails_is_told_with_task_map_step_and_its_own_traceback(
     assert "return [0, 1]" in again.trace
     with pytest.raises(InvalidValueError, match="map 0, step 1: action must be"):
         run_episodes(episodes_key("easy", "my_policies:seven", range(1)))
-
-
-@pytest.mark.parametrize(
-    ("name", "file", "there"),
-    [
-        ("pathqnet:data/easy.safetensors", "data/easy.safetensors", "pathqnet:/tmp/there"),
-        ("mine:fly", None, "mine:fly"),
-        ("greedy", None, "greedy"),
-    ],
-)
-def test_the_file_that_a_name_names(name: str, file: str | None, there: str) -> None:
-    assert file_of(name) == (file and Path(file))
-    assert rebase_agent_path(name, Path("/tmp/there")) == there

@@ -2,20 +2,17 @@
 
 import unicodedata
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PIL import Image
 
 from drone_env.core.cells import CELL_KINDS, TARGET, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs import rendering
 from drone_env.envs.ansi import ROAD, WAY, draw_text, draw_tour
-from drone_env.envs.rendering import draw_picture, save_picture
-from drone_env.errors import EpisodeError
+from drone_env.envs.rendering import draw_picture
 from drone_env.planning.greedy import greedy_action
 from tests.toy import toy_episode
 
@@ -37,14 +34,6 @@ def fly(episode: Episode, steps: int = 1000) -> Episode:
         if not episode.ended:
             episode.step(greedy_action(episode.task, episode.observation()))
     return episode
-
-
-def cell_of(picture: Picture, episode: Episode, x: float, y: float) -> Picture:
-    """The pixels in the middle of a cell."""
-    layout = rendering._layout(episode.task, picture.shape[0])
-    column, row = (round(value) for value in layout.centre(x, y))
-    reach = max(1, layout.cell // 4)
-    return picture[row - reach : row + reach, column - reach : column + reach]
 
 
 def count(picture: Picture, colour: str) -> int:
@@ -72,18 +61,6 @@ class TestPicture:
         rendering.draw_figure.cache_clear()
         assert np.array_equal(first, draw_picture(fly(Episode("hard", seed=3), 12)))
 
-    def test_every_kind_of_cell_looks_different(self) -> None:
-        episode = Episode(replace(HARD, id="pads", pads=3), seed=7)
-        picture = draw_picture(episode)
-        grid = episode.grid()
-        looks = {}
-        for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.PAD, Cell.DRONE):
-            y, x = np.argwhere(grid == kind)[-1].tolist()
-            looks[kind] = cell_of(picture, episode, x, y).astype(int)
-        for a in looks:
-            for b in looks:
-                assert a == b or np.abs(looks[a] - looks[b]).mean() > 5, f"{a.name} looks like {b.name}"
-
     def test_target_is_marked_and_only_while_there_is_one(self) -> None:
         episode = Episode(seed=7)
         layout = rendering._layout(EASY, 720)
@@ -91,19 +68,6 @@ class TestPicture:
         assert fly(episode).success
         marks = count(draw_picture(episode)[:, : layout.city], "target")
         assert marks < 150, "only the lamps of the drone have this colour"
-
-    def test_needs_a_reset(self) -> None:
-        for draw in (draw_picture, draw_text):
-            with pytest.raises(EpisodeError, match="reset"):
-                draw(Episode())
-
-
-class TestSaving:
-    def test_writes_the_picture_and_its_folders(self, tmp_path: Path) -> None:
-        episode = fly(Episode("medium", seed=7), 6)
-        path = tmp_path / "some" / "where" / "mission.png"
-        save_picture(episode, path, size=128)
-        assert np.array_equal(np.asarray(Image.open(path)), draw_picture(episode, 128))
 
 
 def columns(text: str) -> int:

@@ -7,7 +7,7 @@ from typing_extensions import Self
 
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
+from drone_env.models import MAX_SEED, Count, Direction, Seed, StrictModel
 from drone_env.server.json_routes import SMALL, parse_json
 from drone_env.server.pilots import check_name
 from drone_env.server.schemas import AgentName
@@ -22,7 +22,7 @@ FlightNumber = Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
 Topic = Literal["requests", "training", "episodes"]
 
 
-class Fork(Message):
+class Fork(StrictModel):
     """A step of a flight, and the actions from there on."""
 
     actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="All actions from the start.")
@@ -36,7 +36,7 @@ class Fork(Message):
         return self
 
 
-class Start(Message):
+class Start(StrictModel):
     """Fly one map with one to eight pilots, and end the current flights.
 
     With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions. The agents
@@ -60,7 +60,7 @@ class Start(Message):
         return self
 
 
-class Attach(Message):
+class Attach(StrictModel):
     """Continue flights after a lost connection."""
 
     type: Literal["attach"]
@@ -68,20 +68,20 @@ class Attach(Message):
     number: Number = None
 
 
-class Play(Message):
+class Play(StrictModel):
     """Fly the agents continuously."""
 
     type: Literal["play"]
     speed: float | None = Field(default=None, ge=0.5, le=60, description="Steps per second.")
 
 
-class Plain(Message):
+class Plain(StrictModel):
     """Pause the agents, fly one step of each agent, or end the flights."""
 
     type: Literal["pause", "step", "end"]
 
 
-class Fly(Message):
+class Fly(StrictModel):
     """Fly one step by hand."""
 
     type: Literal["fly"]
@@ -89,14 +89,14 @@ class Fly(Message):
     flight: FlightNumber = 0
 
 
-class ByHand(Message):
+class ByHand(StrictModel):
     """Take back the last step flown by hand, or turn on values."""
 
     type: Literal["undo", "help"]
     flight: FlightNumber = 0
 
 
-class Subscribe(Message):
+class Subscribe(StrictModel):
     """Choose the topics to receive; replaces the last choice."""
 
     type: Literal["subscribe"]

@@ -16,7 +16,7 @@ from drone_env.core.rules import HIGHEST, LOWEST, score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.errors import StoreError
-from drone_env.models import Count, Message, Score
+from drone_env.models import Count, Score, StrictModel
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.pilots import COLOURS, HUMAN, all_pilots
@@ -48,7 +48,7 @@ def _score_weights() -> dict[str, int]:
 SCORE_WEIGHTS = _score_weights()
 
 
-class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
+class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
     """One task: the fields of its `TaskConfig`, except for the terrain."""
 
     name: str = Field(description="Same as `id`.")
@@ -94,7 +94,7 @@ def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[f
     return {event.name.lower(): (table[event, 1:2] if event in STAYING else table[event]).tolist() for event in events}
 
 
-class ProfileInfo(Message):
+class ProfileInfo(StrictModel):
     """The terms of a reward profile that are equal for all tasks. `TaskInfo.rewards` contains the others."""
 
     id: str
@@ -110,35 +110,35 @@ class ProfileInfo(Message):
         return cls.model_validate(profile, from_attributes=True, strict=False)
 
 
-class TaskList(Message):
+class TaskList(StrictModel):
     """All tasks and reward profiles."""
 
     tasks: list[TaskInfo]
     reward_profiles: list[ProfileInfo]
 
 
-class OneTask(Message):
+class OneTask(StrictModel):
     """One task and its pilots."""
 
     task: TaskInfo
     pilots: list[str] = Field(description="Ids of the pilots that can fly it, as in `/pilots`.")
 
 
-class GraderInfo(Message):
+class GraderInfo(StrictModel):
     """One grader."""
 
     id: str = Field(description="`module:function`.")
     task: str = Field(description="Id of its task.")
 
 
-class GraderList(Message):
+class GraderList(StrictModel):
     """All graders."""
 
     graders: list[GraderInfo]
     ids: list[str] = Field(description="The ids in the same order.")
 
 
-class KindInfo(Message):
+class KindInfo(StrictModel):
     """One kind of cell."""
 
     id: Count = Field(description="Its number in grids.")
@@ -147,7 +147,7 @@ class KindInfo(Message):
     effect: str
 
 
-class PilotInfo(Message):
+class PilotInfo(StrictModel):
     """One pilot of the page."""
 
     id: str
@@ -158,14 +158,14 @@ class PilotInfo(Message):
     tasks: list[str] = Field(description="Ids of the tasks that it can fly.")
 
 
-class PilotList(Message):
+class PilotList(StrictModel):
     """All pilots of the page."""
 
     pilots: list[PilotInfo]
     most: Count = Field(description="Most pilots in a race.")
 
 
-class Health(Message):
+class Health(StrictModel):
     """Status of the server."""
 
     status: Literal["healthy"] = "healthy"

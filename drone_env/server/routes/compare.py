@@ -8,7 +8,7 @@ from typing_extensions import Self
 
 from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
-from drone_env.models import Count, Message, Seed
+from drone_env.models import Count, Seed, StrictModel
 from drone_env.results.result import Result, Results
 from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, Summary, ci95, mean_of, ranked
 from drone_env.server.exceptions import error_responses
@@ -21,7 +21,7 @@ Kind = Literal["pilot", "person", "model", "other"]
 Optimum = Annotated[float | None, Field(description="The highest possible score.")]
 
 
-class LeaderboardEntry(Message):
+class LeaderboardEntry(StrictModel):
     """One agent over the maps of a task that it flew. Means are over maps; intervals (95 %) are null for one map."""
 
     agent: str
@@ -41,7 +41,7 @@ class LeaderboardEntry(Message):
     kind: Kind = Field(description="`model`: a language model with a run in the data folder.")
 
 
-class Leaderboard(Message):
+class Leaderboard(StrictModel):
     """All agents of a task by mean regret, the lowest first, without forks."""
 
     task: str = Field(description="Id of the task.")
@@ -49,7 +49,7 @@ class Leaderboard(Message):
     forks: Count = Field(description="Number of forks, which are left out.")
 
 
-class MapFigures(Message):
+class MapFigures(StrictModel):
     """Means of the flights of one agent over one map."""
 
     id: str | None = Field(description="Id of the newest of them in the store; null without one.")
@@ -71,7 +71,7 @@ class AgentMap(MapFigures):
     optimum: Optimum
 
 
-class AgentMaps(Message):
+class AgentMaps(StrictModel):
     """The maps of an agent, by number."""
 
     task: str = Field(description="Id of the task.")
@@ -79,7 +79,7 @@ class AgentMaps(Message):
     maps: list[AgentMap]
 
 
-class PairedMap(Message):
+class PairedMap(StrictModel):
     """One map that both agents flew."""
 
     seed: Seed
@@ -89,7 +89,7 @@ class PairedMap(Message):
     b: MapFigures
 
 
-class Pairing(Message):
+class Pairing(StrictModel):
     """Two agents over their common maps."""
 
     maps: Count

@@ -26,11 +26,11 @@ from drone_env.models import (
     DroneObservation,
     DroneState,
     GroundName,
-    Message,
     PathPoint,
     Position,
     Score,
     Seed,
+    StrictModel,
     flat_json,
     openenv_json,
 )
@@ -56,7 +56,7 @@ OPENED: dict[str, Any] = {
 }
 
 
-class StepRequest(Message):
+class StepRequest(StrictModel):
     """One action: either flat (`direction`) or in OpenEnv's format (`action`)."""
 
     model_config = ConfigDict(json_schema_extra={"examples": STEPS})
@@ -78,7 +78,7 @@ class StepRequest(Message):
         return Action[str(self.direction)] if self.action is None else self.action.action
 
 
-class StepResult(Message):
+class StepResult(StrictModel):
     """An observation in OpenEnv's format, with reward and done outside."""
 
     observation: dict[str, Any] = Field(description="The fields of `DroneObservation` without `done`, and `metadata`.")
@@ -101,7 +101,7 @@ class ResetResult(StepResult):
     session_id: SessionId
 
 
-class Grade(Message):
+class Grade(StrictModel):
     """The graded score of the session's episode."""
 
     task: str = Field(description="Id of the task.")
@@ -109,7 +109,7 @@ class Grade(Message):
     done: bool = Field(description="Whether the episode has ended.")
 
 
-class PathHistory(Message):
+class PathHistory(StrictModel):
     """The steps of a session's episode."""
 
     task: str = Field(description="Id of the task.")
@@ -119,7 +119,7 @@ class PathHistory(Message):
     path_history: list[PathPoint] = Field(description="Same as `path`.")
 
 
-class SolutionAnswer(Message):
+class SolutionAnswer(StrictModel):
     """An optimal flight on the map of an episode that has ended."""
 
     task: str = Field(description="Id of the task.")
@@ -133,7 +133,7 @@ class SolutionAnswer(Message):
     path: list[Position] = Field(description="Its positions [x, y], including the start.")
 
 
-class ModelInfo(Message):
+class ModelInfo(StrictModel):
     """The network behind a prediction."""
 
     name: Literal["pathqnet"] = "pathqnet"
@@ -151,7 +151,7 @@ class PredictRequest(DroneObservation):
     session_id: str | None = Field(default=None, max_length=255, description="Ignored.")
 
 
-class Prediction(Message):
+class Prediction(StrictModel):
     """The next action by the network."""
 
     action: Direction = Field(description="The action with the highest value.")

@@ -10,7 +10,7 @@ from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
-from drone_env.models import MAX_SEED, Count, Message, Score, Seed
+from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
 from drone_env.results.finished import Analysis, EpisodeSummary
 from drone_env.results.record import EpisodeRecord
 from drone_env.server import map_choice
@@ -34,7 +34,7 @@ class AnalysisAnswer(Analysis):
     status: Literal["Success", "No data"] = Field(description="Whether there are any episodes.")
 
 
-class EpisodeSummaries(Message):
+class EpisodeSummaries(StrictModel):
     """Finished episodes, newest first."""
 
     episodes: list[EpisodeSummary]
@@ -53,7 +53,7 @@ class History(EpisodeSummaries):
     rolling_success: list[float] = Field(description="Success rate over 20 episodes up to each episode.")
 
 
-class FlightByHand(Message):
+class FlightByHand(StrictModel):
     """A flight of a person without values, undo and forks."""
 
     id: str = Field(description="Id of the stored flight.")
@@ -62,7 +62,7 @@ class FlightByHand(Message):
     steps: Count
 
 
-class MapOfTheDay(Message):
+class MapOfTheDay(StrictModel):
     """The map of the day, and its list."""
 
     date: date
@@ -71,7 +71,7 @@ class MapOfTheDay(Message):
     best: list[FlightByHand] = Field(description="At most 10 flights by hand of this day, the best of each name.")
 
 
-class LogLines(Message):
+class LogLines(StrictModel):
     """The end of a log file."""
 
     file: str = Field(description="Name of the file.")

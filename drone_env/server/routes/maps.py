@@ -15,7 +15,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
-from drone_env.models import MAX_SEED, Count, Message, Position, Score
+from drone_env.models import MAX_SEED, Count, Position, Score, StrictModel
 from drone_env.server.addresses import is_stranger
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
@@ -34,7 +34,7 @@ EXAMPLE: JsonValue = {"cells": [[0, 1, 0], [0, 3, 0], [0, 0, 8]], "start": [0, 0
 KINDS = ", ".join(f"{kind:d} {CELL_KINDS[kind].name}" for kind in PLACED)
 
 
-class DrawnMap(Message):
+class DrawnMap(StrictModel):
     """A drawing: the file of a city as JSON, with start and parcels."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE]})
@@ -97,7 +97,7 @@ class DrawnMap(Message):
         )
 
 
-class BestFlight(Message):
+class BestFlight(StrictModel):
     """A best flight over a map."""
 
     score: Score = Field(description="The highest possible score.")
@@ -107,7 +107,7 @@ class BestFlight(Message):
     path: list[Position] = Field(description="[x, y] of the drone from the start; a wait adds none.")
 
 
-class MapWorth(Message):
+class MapWorth(StrictModel):
     """The optimum of a drawing, and its file."""
 
     name: str = Field(description="Name of its task if it is stored.")
@@ -117,7 +117,7 @@ class MapWorth(Message):
     bounds: tuple[Score, Score] | None = Field(description="Bounds of the optimum if it is null, if known.")
 
 
-class CityFile(Message):
+class CityFile(StrictModel):
     """The file of a city."""
 
     toml: str = Field(description="Its text.")

@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic_core import to_json
 
 from drone_env import __version__
-from drone_env.models import DroneState, Message
+from drone_env.models import DroneState, StrictModel
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import JsonRoute
 from drone_env.server.map_choice import SplitInfo, TaskApi, TaskSpec
@@ -26,7 +26,7 @@ REFUSED: dict[int | str, dict[str, Any]] = {
 api = TaskApi()
 
 
-class SplitRequest(Message):
+class SplitRequest(StrictModel):
     """A split by its name."""
 
     split: str = Field(max_length=100, description="Such as `easy_delivery/test`.", examples=["easy_delivery/test"])

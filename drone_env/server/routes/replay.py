@@ -17,7 +17,7 @@ from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, TooLargeError
-from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score, Seed
+from drone_env.models import DIRECTIONS, Count, Direction, EventName, Position, Score, Seed, StrictModel
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.results.analysis import FlightAnalysis, Label, Move, analyse_flight
 from drone_env.results.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
@@ -39,7 +39,7 @@ RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]
 Record = Annotated[EpisodeRecord, Body(openapi_examples={"one step": {"value": RECORD.model_dump()}})]
 
 
-class AnalysedMove(Message):
+class AnalysedMove(StrictModel):
     """One move and its regret."""
 
     step: int = Field(ge=1)
@@ -54,7 +54,7 @@ class AnalysedMove(Message):
     margin: float = Field(ge=0, description="Regret of the next best action.")
 
 
-class AnalysedFlight(Message):
+class AnalysedFlight(StrictModel):
     """A flight compared with the exact optimum of its map."""
 
     score: Score
@@ -198,7 +198,7 @@ def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
     return best, [start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)]
 
 
-class FlightSoFar(Message):
+class FlightSoFar(StrictModel):
     """A flight up to a step: the map, and the actions so far."""
 
     model_config = ConfigDict(
@@ -235,7 +235,7 @@ Rows = list[list[Item | None]]
 """[y][x], null at cells without a value."""
 
 
-class CellNetwork(Message):
+class CellNetwork(StrictModel):
     """The network that chose an action for every cell."""
 
     pilot: str = Field(description="Id of its pilot, as in `/pilots`.")
@@ -243,7 +243,7 @@ class CellNetwork(Message):
     digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
 
 
-class CellValues(Message):
+class CellValues(StrictModel):
     """Values if the drone were at each cell, [y][x], in an otherwise equal state; null where it cannot be.
 
     A parcel at the cell counts as delivered. A pad there has not charged the battery yet.
@@ -258,14 +258,14 @@ class CellValues(Message):
     disagree: Rows[bool] | None = Field(description="Whether the network's action has regret.")
 
 
-class PadRange(Message):
+class PadRange(StrictModel):
     """The cells in range of a full battery from a pad."""
 
     position: Position = Field(description="[x, y] of the pad.")
     units: Rows[Count] = Field(description="As `range`.")
 
 
-class ValuesAnswer(Message):
+class ValuesAnswer(StrictModel):
     """The values of a flight after a step. The fields from `q_values` on are null after the end.
 
     With `only`, the other fields are null.

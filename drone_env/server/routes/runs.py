@@ -13,7 +13,7 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import ChatMessage
 from drone_env.llm.transcript import Failure
-from drone_env.models import Count, Message
+from drone_env.models import Count, StrictModel
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, group_by_maps
 from drone_env.results.statistics import Bounds
 from drone_env.server.exceptions import RequestError, error_responses
@@ -26,7 +26,7 @@ LISTED = 1000
 """Maximum number of maps listed per run; the default of an evaluation."""
 
 
-class Run(Message):
+class Run(StrictModel):
     """The results of an agent or a language model over the maps of a board.
 
     The server replays every flight of a model from its responses. Evaluations store no actions; the server checks that
@@ -53,21 +53,21 @@ class Run(Message):
     maps: list[AgentMap] = Field(description=f"By number; the first {LISTED}.")
 
 
-class RunBoard(Message):
+class RunBoard(StrictModel):
     """Runs over the same maps, the best first."""
 
     maps: str = Field(description="The maps in words.")
     rows: list[Run]
 
 
-class UnrankedRun(Message):
+class UnrankedRun(StrictModel):
     """A run that is not ranked."""
 
     run: str = Field(description="Name of its folder.")
     reason: str
 
 
-class RunBoards(Message):
+class RunBoards(StrictModel):
     """The evaluations and runs of models over a task."""
 
     task: str = Field(description="Id of the task.")
@@ -75,7 +75,7 @@ class RunBoards(Message):
     unranked: list[UnrankedRun]
 
 
-class ModelCall(Message):
+class ModelCall(StrictModel):
     """One request to a language model, and its response."""
 
     step: Count = Field(description="The step of the request, from 1; 1 for a whole route.")
@@ -88,7 +88,7 @@ class ModelCall(Message):
     latency: float = Field(ge=0, description="Duration of the last attempt in seconds.")
 
 
-class ModelCalls(Message):
+class ModelCalls(StrictModel):
     """All requests of one flight, in order; none if no run in the data folder flew it."""
 
     run: str | None = Field(description="Name of the run's folder; null without a run, as the next two.")
