@@ -3,6 +3,7 @@
 import sys
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from drone_env.core.actions import Action
@@ -49,9 +50,13 @@ class Progress:
     _wait_shown: float = 0.0
     _early: list[Reading] | None = field(default_factory=list[Reading])
 
+    @cached_property
+    def _one_at_a_time(self) -> bool:
+        return min(self.config.flights, self.budget.options.concurrency) == 1
+
     def on_steps(self, run: EpisodeRun) -> None:
         """Print the new log lines of a flight, and a line of progress if the last one is old."""
-        if min(self.config.flights, self.budget.options.concurrency) == 1:
+        if self._one_at_a_time:
             self._print(run)
         now, budget = time.monotonic(), self.budget
         if now - self._line_shown >= LINE_SECONDS:
