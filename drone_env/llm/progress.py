@@ -121,10 +121,10 @@ def log_lines(run: EpisodeRun, model: str, printed: int = 0) -> list[str]:
     """
     episode, first = run.episode, max(printed - 1, 0)
     steps, ended = list(zip(episode.actions, episode.rewards, run.step_errors, strict=True)), episode.ended
-    return ([] if printed else [start_line(episode.task, model)]) + [
-        step_line(number, Action(action), reward, ended and number == len(steps), error)
-        for number, (action, reward, error) in enumerate(steps[first:], first + 1)
-    ]
+    lines = [] if printed else [start_line(episode.task, model)]
+    for number, (action, reward, error) in enumerate(steps[first:], first + 1):
+        lines.append(step_line(number, Action(action), reward, ended and number == len(steps), error))
+    return lines
 
 
 def last_line(run: EpisodeRun) -> str:

@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
-from drone_env.llm.answers import MARK, Answer, ChatMessage, Reading, read_answer
+from drone_env.llm.answers import MARK, ChatMessage
 from drone_env.models import Message
 from drone_env.toml_text import parse_toml
 
@@ -68,10 +68,6 @@ class Prompt(PromptFile):
     names: frozenset[str] = Field(description="The values that its templates use, and the parts they include.")
     digest: str = Field(description="SHA-256 of the file and its parts, with LF line ends, 16 hex digits.")
     own: str | None = Field(description="The text of a file that is not part of the package.")
-
-    def read_answer(self, answer: Answer) -> Reading:
-        """Parse an answer to this prompt."""
-        return read_answer(answer, self.plan, self.marks)
 
     def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
         """The system message, if it has text, and the user message that ask for the next action, or for the route.
