@@ -111,6 +111,8 @@ class Calls:
         elif (reading := await self._reading(run, key)) is not None:
             run.take(reading)
             self.progress.on_reading(reading)
+        else:
+            return
         self.progress.on_steps(run)
 
     async def _reading(self, run: EpisodeRun, key: CallKey) -> Reading | None:
