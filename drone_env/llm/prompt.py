@@ -36,7 +36,7 @@ LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel"
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
 COMPASS_PADS = 5
 """The largest number of charging pads that the compass shows."""
-CELL_LETTERS = [LETTERS[kind.name] for kind in CELL_KINDS.values()]
+CELL_LETTERS = list(LETTERS.values())
 LEGEND = (
     "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
 )
@@ -308,14 +308,9 @@ def _label(kind: Cell) -> str:
 @lru_cache(maxsize=64)
 def _deciding(task: TaskConfig) -> frozenset[Cell]:
     """The kinds of terrain that affect the best flight over maps of a task."""
-    return frozenset(
-        kind
-        for kind, count in task.cell_counts().items()
-        if count
-        and (
-            (kind is Cell.PAD and task.charge_rate > 0) or kind in task.impassable or dict(task.drain).get(kind, 1) != 1
-        )
-    )
+    there = {kind for kind, count in task.cell_counts().items() if count}
+    special = {kind for kind, units in task.drain if units != 1} | task.impassable
+    return frozenset(there & (special | {Cell.PAD} if task.charge_rate > 0 else special))
 
 
 def below_text(episode: Episode) -> str:
