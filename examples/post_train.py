@@ -35,7 +35,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.llm.answers import Answer
+from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.planning.optimal import solve, solver_of
 from drone_env.results.statistics import DIFFERENCES, SCORES, crossed, interval
@@ -265,7 +265,7 @@ def pilot(options: Options, model: Any, tokenizer: Any) -> Pilot:
 
 def action_of(prompt: Prompt, text: str) -> Action | None:
     """The action of an answer; None if it is unusable."""
-    actions = prompt.read_answer(Answer(text=text)).actions
+    actions = read_answer(Answer(text=text), prompt.plan, prompt.marks).actions
     return actions[0] if actions else None
 
 

@@ -152,8 +152,7 @@ def infer(
         try:
             result = asyncio.run(runner.run_flights(config, path, sender, progress))
             if run.report and result.verdict != "stopped":
-                verified = reports.verified_run(path)
-                reports.write_report(verified, reports.report(verified, options, run.moves))
+                reports.write_report(reports.report(reports.verified_run(path), options, run.moves))
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise

@@ -110,7 +110,8 @@ def _model_columns(report: dict[str, Any]) -> tuple[str, str, str]:
     """Return errored flights, unusable answers and tokens of a language model."""
     if "agent" in report:
         return "-", "-", "-"
-    from drone_env.llm.report import unusable_of
+    from drone_env.llm.answers import Unusable
 
+    unusable = Unusable(report["unusable"]["answers"], report["unusable"]["of"])
     tokens = known_sum(report["tokens"]["total"], report["calls"]["without_usage"], "d")
-    return str(report["flights"]["errored"]), str(unusable_of(report)), tokens
+    return str(report["flights"]["errored"]), str(unusable), tokens

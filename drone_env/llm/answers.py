@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, cast, get_args
 
-from pydantic import field_validator
 from typing_extensions import TypedDict
 
 from drone_env.core.actions import Action
@@ -126,12 +125,6 @@ class Answer(StrictModel):
     prompt_tokens: Count | None = None
     completion_tokens: Count | None = None
     model: str | None = None
-
-    @field_validator("text", "reasoning", "tool_arguments", "refusal", "finish_reason", "model")
-    @classmethod
-    def _writable(cls, text: str | None) -> str | None:
-        # JSON can contain half a character, which cannot be encoded.
-        return text and text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
 class Unusable(NamedTuple):

@@ -252,7 +252,7 @@ class RunConfig(StrictModel):
         """A flight at its start, by its number: all maps once, then all again."""
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
         run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history)
-        run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat)
+        run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat, prompt.plan)
         run.asked = {"system": "merge"} if self.system == "merge" else {}
         return run
 
@@ -273,32 +273,26 @@ class RunConfig(StrictModel):
             return get_prompt(self.prompt)
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
-    def _parameters(self, repeat: int) -> dict[str, Any]:
+    def _parameters(self, repeat: int, plan: bool) -> dict[str, Any]:
         """The fields of the requests of a repeat besides the messages."""
         sampling = self.sampling.model_dump(exclude={"extra"}, exclude_none=True)
         if "seed" in sampling:  # equal seeds would make each repeat a copy of the first
             sampling["seed"] += repeat
-        return {"model": self.model, **sampling, **self.sampling.extra, **_answer_form(self)}
+        return {"model": self.model, **sampling, **self.sampling.extra, **_answer_form(self.answers, plan)}
 
 
-def _answer_form(config: RunConfig) -> dict[str, Any]:
-    """The fields of the body that request the run's form of answers."""
-    if config.answers == "text":
+def _answer_form(answers: Literal["text", "json", "tool"], plan: bool) -> dict[str, Any]:
+    """The fields of the body that request a form of answers: an action, or a whole route."""
+    if answers == "text":
         return {}
-    plan = config.load_prompt().plan
     one = {"type": "string", "enum": DIRECTIONS}
-    properties: dict[str, Any] = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
-    schema = {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
+    properties = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
+    fixed = {"required": list(properties), "additionalProperties": False}
+    schema = {"type": "object", "properties": properties, **fixed}
     name = "fly_route" if plan else "fly"
-    if config.answers == "json":
-        return {
-            "response_format": {"type": "json_schema", "json_schema": {"name": name, "schema": schema, "strict": True}}
-        }
+    if answers == "json":
+        form = {"name": name, "schema": schema, "strict": True}
+        return {"response_format": {"type": "json_schema", "json_schema": form}}
     function = {"name": name, "description": f"Fly {'the whole route' if plan else 'one step'}.", "parameters": schema}
     return {
         "tools": [{"type": "function", "function": function}],

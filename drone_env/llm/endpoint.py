@@ -164,7 +164,7 @@ class Endpoint:
             reason = f"{self._clean(_message_of(error or 'the message is empty'))} (in a 200 response)"
             raise self._refusal(status, reason, data, response.headers, request)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
-        clean = {name: without_secret(text, self._token) for name, text in texts.items()}
+        clean = {name: without_secret(whole_characters(text), self._token) for name, text in texts.items()}
         answer = Answer.model_validate(fields | clean)
         if finish_kind(answer.finish_reason) == "failed":
             reason = f"the answer was not finished: finish reason {self._clean(str(answer.finish_reason))!r}"
@@ -321,6 +321,11 @@ def _retry_after(headers: httpx.Headers) -> float | None:
         return max(0.0, float(after) if after[:1].isdecimal() else parsedate_to_datetime(after).timestamp() - time())
     except (TypeError, ValueError):
         return None
+
+
+def whole_characters(text: str) -> str:
+    """The text with replacements for half characters, which JSON can contain and which cannot be encoded."""
+    return text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
 def without_secret(text: str, secret: str | None) -> str:

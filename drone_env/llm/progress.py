@@ -3,6 +3,7 @@
 import sys
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from drone_env.core.actions import Action
@@ -49,9 +50,13 @@ class Progress:
     _wait_shown: float = 0.0
     _early: list[Reading] | None = field(default_factory=list[Reading])
 
+    @cached_property
+    def _one_at_a_time(self) -> bool:
+        return min(self.config.flights, self.budget.options.concurrency) == 1
+
     def on_steps(self, run: EpisodeRun) -> None:
         """Print the new log lines of a flight, and a line of progress if the last one is old."""
-        if min(self.config.flights, self.budget.options.concurrency) == 1:
+        if self._one_at_a_time:
             self._print(run)
         now, budget = time.monotonic(), self.budget
         if now - self._line_shown >= LINE_SECONDS:
@@ -116,10 +121,10 @@ def log_lines(run: EpisodeRun, model: str, printed: int = 0) -> list[str]:
     """
     episode, first = run.episode, max(printed - 1, 0)
     steps, ended = list(zip(episode.actions, episode.rewards, run.step_errors, strict=True)), episode.ended
-    return ([] if printed else [start_line(episode.task, model)]) + [
-        step_line(number, Action(action), reward, ended and number == len(steps), error)
-        for number, (action, reward, error) in enumerate(steps[first:], first + 1)
-    ]
+    lines = [] if printed else [start_line(episode.task, model)]
+    for number, (action, reward, error) in enumerate(steps[first:], first + 1):
+        lines.append(step_line(number, Action(action), reward, ended and number == len(steps), error))
+    return lines
 
 
 def last_line(run: EpisodeRun) -> str:

@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
-from drone_env.llm.answers import MARK, Answer, ChatMessage, Reading, read_answer
+from drone_env.llm.answers import MARK, ChatMessage
 from drone_env.models import StrictModel
 from drone_env.toml_text import parse_toml
 
@@ -36,7 +36,7 @@ LABELS = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel"
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
 COMPASS_PADS = 5
 """The largest number of charging pads that the compass shows."""
-CELL_LETTERS = [LETTERS[kind.name] for kind in CELL_KINDS.values()]
+CELL_LETTERS = list(LETTERS.values())
 LEGEND = (
     "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
 )
@@ -68,10 +68,6 @@ class Prompt(PromptFile):
     names: frozenset[str] = Field(description="The values that its templates use, and the parts they include.")
     digest: str = Field(description="SHA-256 of the file and its parts, with LF line ends, 16 hex digits.")
     own: str | None = Field(description="The text of a file that is not part of the package.")
-
-    def read_answer(self, answer: Answer) -> Reading:
-        """Parse an answer to this prompt."""
-        return read_answer(answer, self.plan, self.marks)
 
     def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
         """The system message, if it has text, and the user message that ask for the next action, or for the route.
@@ -312,14 +308,9 @@ def _label(kind: Cell) -> str:
 @lru_cache(maxsize=64)
 def _deciding(task: TaskConfig) -> frozenset[Cell]:
     """The kinds of terrain that affect the best flight over maps of a task."""
-    return frozenset(
-        kind
-        for kind, count in task.cell_counts().items()
-        if count
-        and (
-            (kind is Cell.PAD and task.charge_rate > 0) or kind in task.impassable or dict(task.drain).get(kind, 1) != 1
-        )
-    )
+    there = {kind for kind, count in task.cell_counts().items() if count}
+    special = {kind for kind, units in task.drain if units != 1} | task.impassable
+    return frozenset(there & (special | {Cell.PAD} if task.charge_rate > 0 else special))
 
 
 def below_text(episode: Episode) -> str:

@@ -10,7 +10,7 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Reading, Unusable, in_common
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
 from drone_env.llm.budget import LimitReachedError
 from drone_env.llm.config import RunConfig, host_of, is_loopback
 from drone_env.llm.endpoint import Endpoint, TryFailedError
@@ -111,6 +111,8 @@ class Calls:
         elif (reading := await self._reading(run, key)) is not None:
             run.take(reading)
             self.progress.on_reading(reading)
+        else:
+            return
         self.progress.on_steps(run)
 
     async def _reading(self, run: EpisodeRun, key: CallKey) -> Reading | None:
@@ -120,7 +122,7 @@ class Calls:
             answer, latency = await self._send(run, key, failures)
             if not self.transcript.answered and (warning := missing_text(run.body, answer)):
                 self.progress.notice(warning)
-            reading = run.prompt.read_answer(answer)
+            reading = read_answer(answer, run.prompt.plan, run.prompt.marks)
             outcome = reading.kind
         except LimitReachedError as error:
             run.stop(outcome := "budget_stop", str(error))
@@ -154,14 +156,14 @@ class Calls:
 
     async def _send(self, run: EpisodeRun, key: CallKey, failures: list[Failure]) -> tuple[Answer, float]:
         """The answer, and its seconds without any wait for a slot; appends each failed try to `failures`."""
-        limiter, options, call_id = self.limiter, self.limiter.options, str(key)
+        limiter, options = self.limiter, self.limiter.options
         since: float | None = None
         while True:
             async with limiter.slot(key.flight, key.turn) as sent:
                 request = run.request(self.changes)
                 if not run.turns:
                     self.progress.on_steps(run)
-                self.transcript.sending(call_id)
+                call_id = self.transcript.sending(key)
                 try:
                     answer = await self.endpoint.send(request, call_id)
                 except TryFailedError as error:

@@ -8,7 +8,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError, InvalidValueError
-from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named
+from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named, read_answer
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.rejections import NO_CHANGES, Changes, changed
 from drone_env.llm.transcript import CallKey
@@ -72,7 +72,8 @@ class TextEpisode:
             EpisodeError: if the flight is over.
             EndpointError: if the server did not finish the answer; ask for another one.
         """
-        return self.take(self.prompt.read_answer(Answer(text=answer) if isinstance(answer, str) else answer))
+        answer = Answer(text=answer) if isinstance(answer, str) else answer
+        return self.take(read_answer(answer, self.prompt.plan, self.prompt.marks))
 
     def take(self, reading: Reading) -> list[ChatMessage]:
         """Fly an answer that has been parsed: the rest of `answer`."""

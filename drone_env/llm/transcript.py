@@ -9,7 +9,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -106,22 +107,33 @@ class Transcript:
             file.truncate(sum(len(line) for _, line in lines))
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
-    def sending(self, call_id: str) -> None:
-        """Write that a request of the call with this key, as text, is about to be sent."""
+    def sending(self, key: CallKey) -> str:
+        """Write that a request is about to be sent; returns the key as text."""
+        call_id = str(key)
         append_line(self._sent, call_id)
+        return call_id
 
     def append(self, call: Call) -> None:
         """Write a call; it is in the file when this returns."""
+        key = call.key
         append_line(self._file, call.model_dump_json())
         self.calls.append(call)
         if call.answer is not None:
-            self.answered[call.key] = call
+            self.answered[key] = call
 
     def close(self) -> None:
         """Sync and close the file."""
         for file in (self._file, self._sent):
             os.fsync(file.fileno())
             file.close()
+
+
+def requests_of(calls: Iterable[Call]) -> Counter[CallKey]:
+    """The number of requests of each call."""
+    requests: Counter[CallKey] = Counter()
+    for call in calls:
+        requests[call.key] += len(call.failures) + (call.answer is not None)
+    return requests
 
 
 def read_sent(path: Path) -> Iterator[CallKey]:

@@ -10,7 +10,7 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import Prompt
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.text_episode import EpisodeRun
-from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent
+from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent, requests_of
 from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
@@ -51,8 +51,7 @@ def verified_run(path: Path) -> VerifiedRun:
         flights = [_flown_again(config, prompt, *flown, known, used) for flown in zip(results, records, strict=True)]
         if used != answers.keys():
             raise InvalidValueError(f"{len(answers.keys() - used)} answers belong to no flight")
-        made = Counter(call.key for call in calls for _ in range(len(call.failures) + (call.answer is not None)))
-        if missing := made - Counter(sent):
+        if missing := requests_of(calls) - Counter(sent):
             raise InvalidValueError(f"{SENT} lacks a request of call {min(missing)}")
     except DroneEnvError as error:
         raise InvalidValueError(f"{path}: {error}") from None

@@ -12,11 +12,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
+import numpy as np
+
 from drone_env.core.actions import Action, Event, Outcome
-from drone_env.core.episode import Episode
+from drone_env.core.episode import Episode, EpisodeState, PathStep
 from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TaskConfig
+from drone_env.errors import EpisodeError
 from drone_env.results.record import EpisodeRecord, replay
 
 if TYPE_CHECKING:
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
 
 Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
 LABELS: tuple[Label, ...] = get_args(Label)
+CHUNK = 256
+"""Number of states whose values are computed together."""
 
 
 SEVERITIES: dict[Label, tuple[float, str]] = {
@@ -243,13 +248,20 @@ def analyse_actions(
         from drone_env.planning.optimal import solver_of  # loads Numba
 
         solver_from = solver_of
-    solver = solver_from(start)
-    flight = start.copy()
+    solver, flight, flown = solver_from(start), start.copy(), list(actions)
     moves: list[Move] = []
-    for action in actions:
-        values = solver.q_values(flight).tolist()
-        flight.step(action)
-        moves.append(_move(flight, values))
+    for first in range(0, len(flown), CHUNK):
+        before: list[EpisodeState] = []
+        for action in flown[first : first + CHUNK]:
+            if flight.ended:
+                raise EpisodeError("the episode has ended: it has no further actions")
+            before.append(flight.get_state())
+            flight.step(action)
+        grids = np.array([np.frombuffer(state.grid, np.uint8) for state in before])
+        states = np.array([np.frombuffer(state.numbers, np.uint16) for state in before])
+        values, path = solver.q_values_of(grids, states).tolist(), flight.path[-len(before) :]
+        number = flight.steps - len(before)
+        moves += [_move(start.task, number + i, *of) for i, of in enumerate(zip(path, values, strict=True), 1)]
     giving_up = None
     score = flight.counted_score()
     if not flight.ended:
@@ -259,18 +271,16 @@ def analyse_actions(
     return FlightAnalysis(start.task, start.seed, agent, flight.outcome, score, tuple(moves), giving_up)
 
 
-def _move(flight: Episode, values: list[float]) -> Move:
-    """Return the last step of `flight`; `values` is Q* before it."""
-    step = flight.last_step
-    assert step is not None
+def _move(task: TaskConfig, number: int, step: PathStep, values: list[float]) -> Move:
+    """Return a step of a flight; `values` is Q* before it."""
     best = max(values)
     regret = best - values[step.action]
     margin = best - max((value for value in values if value < best), default=best)
-    label = label_of(regret, flight.task)
+    label = label_of(regret, task)
     best_actions = tuple(action for action in Action if values[action] == best)
-    only = best_actions == (step.action,) and label_of(margin, flight.task) == "blunder"
+    only = best_actions == (step.action,) and label_of(margin, task) == "blunder"
     return Move(
-        step=flight.steps,
+        step=number,
         action=step.action,
         position=(step.x, step.y),
         event=step.event,

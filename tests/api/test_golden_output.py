@@ -83,7 +83,7 @@ def outputs(data: Path) -> dict[str, list[str]]:
         "analyse-flight --json": printed("analyse-flight", "--task", "easy", "--seed", "7", "--json"),
     }
     run = verified_run(model)
-    write_report(run, report(run, Options(price_prompt=10, price_completion=50)))
+    write_report(report(run, Options(price_prompt=10, price_completion=50)))
     found |= {name: (model / name).read_text() for name in ("report.json", "report.md")}
     with TestClient(create_app(Settings(data=data))) as client:
         found |= {path: json.dumps(client.get(f"/{path}").json(), indent=1) for path in REQUESTS}

@@ -124,7 +124,7 @@ def completion(script: dict, body: dict) -> dict:
         message |= {"content": None, "tool_calls": [{"id": "1", "type": "function", "function": function}]}
     elif body.get("response_format"):
         message["content"] = in_json
-    usage = None if script.get("no_usage") else {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
+    usage = {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
     choice = {"index": 0, "message": message, "finish_reason": script.get("finish_reason", "stop")}
     common = {"id": "x", "object": "chat.completion", "created": 0, "model": body["model"]}
     return {**common, "choices": [choice], "usage": usage}

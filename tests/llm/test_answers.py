@@ -149,9 +149,3 @@ def test_what_unusable_answers_have_in_common(unusable: list[str], told: str) ->
 )
 def test_a_run_is_marked_if_more_than_one_answer_in_20_was_unusable(turns: dict[str, int], told: str) -> None:
     assert str(Unusable.among(turns)) == told
-
-
-def test_half_a_character_can_be_kept() -> None:
-    answer = Answer(text="UP\ud800", reasoning="\ud83d\ude81")
-    assert (answer.text, answer.reasoning) == ("UP\ufffd", "\U0001f681")
-    assert Answer.model_validate_json(answer.model_dump_json()) == answer

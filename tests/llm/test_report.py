@@ -30,7 +30,7 @@ def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(tmp_path: Path) -> 
     assert [flight.success for flight in flown.result.flights] == [True, False, True, True]
     # Each flight is another draw from the model.
     assert [call.sampling_seed for call in flown.calls] == [5] * 4 + [6] * 60 + [7] * 3 + [8] * 3
-    figures = report(verified_run(tmp_path / "run"), moves=False)
+    figures = report(verified_run(tmp_path / "run"), moves=False).to_json()
     assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
     assert figures["success_rate"] == 0.75
 
@@ -44,7 +44,7 @@ def test_a_wait_that_the_model_did_not_choose_is_none_of_its_moves(
     tmp_path: Path, usable: Any, waits: int, labels: int, accuracy: float | None
 ) -> None:
     fly(Scripted(lambda number: "greedy" if usable(number) else "Hm."), tmp_path / "run")
-    figures = report(verified_run(tmp_path / "run"))
+    figures = report(verified_run(tmp_path / "run")).to_json()
     moves = figures["moves"]
     assert (figures["waits"], sum(moves["labels"].values())) == (waits, labels)
     assert (moves["decisive"], moves["accuracy"]) == (labels, accuracy)
@@ -62,7 +62,7 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(tmp_path: Path) -
     once = fly(Scripted(), tmp_path / "once", seeds=(14, 16))
     sender = Scripted(fails=lambda number: TryFailedError(400, "no") if number == len(once.calls) else None)
     flown = fly(sender, tmp_path / "run", seeds=(14, 16), repeats=2)
-    figures = report(verified_run(tmp_path / "run"), moves=False)
+    figures = report(verified_run(tmp_path / "run"), moves=False).to_json()
     assert figures["flights"]["errored"] == 1
     assert figures["score"] == pytest.approx(figures["baselines"]["greedy"], abs=1e-12)
     assert figures["pass_hat_k"] == {"1": 1.0}
@@ -73,12 +73,12 @@ def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_te
     hostile = "<script>alert(1)</script>|x![](http://h)"
     folder, fails = tmp_path / "run", TryFailedError(500, hostile, retried=True)
     fly(Scripted(fails=lambda number: fails if number > 3 else None), folder, seeds=(14, 16), model=hostile)
-    run = verified_run(folder)
-    figures = report(run, moves=False)
+    found = report(verified_run(folder), moves=False)
+    figures = found.to_json()
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
-    write_report(run, figures)
+    write_report(found)
     text = (folder / "report.md").read_text()
     assert "<script" not in text
     assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x!&#91;](http://h) |" in text
@@ -86,8 +86,7 @@ def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_te
 
 def test_a_run_without_a_score_has_a_report(tmp_path: Path) -> None:
     fly(Scripted(fails=lambda _: TryFailedError(400, "no", retried=True)), tmp_path, seeds=(14, 16))
-    run = verified_run(tmp_path)
-    write_report(run, report(run))
+    write_report(report(verified_run(tmp_path)))
     assert json.loads((tmp_path / "report.json").read_text())["score"] is None
     assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (tmp_path / "report.md").read_text()
 
@@ -142,11 +141,11 @@ def test_tokens_that_no_answer_reports_are_unknown_not_0(
             return Answer(text=text, prompt_tokens=prompt, completion_tokens=completion)
 
     fly(Metered(), tmp_path)
-    run = verified_run(tmp_path)
-    figures = report(run, Options(price_prompt=4, price_completion=10), moves=False)
+    found = report(verified_run(tmp_path), Options(price_prompt=4, price_completion=10), moves=False)
+    figures = found.to_json()
     assert tuple(figures["tokens"].values()) == tokens
     assert figures["cost_usd"] == (cost and pytest.approx(cost))
-    write_report(run, figures)
+    write_report(found)
     names = ("tokens: prompt", "tokens: completion", "answers without a count of tokens", "cost in US dollars")
     table = "".join(f"| {name} | {row} |\n" for name, row in zip(names, rows, strict=True))
     assert table in (tmp_path / "report.md").read_text()
@@ -170,14 +169,13 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     again = put_run(tmp_path, "again", "WAIT", range(14, 18))
     short = tmp_path / "llm" / "short"
     fly(Scripted(), short, Options(concurrency=1, max_calls=5), seeds=(14, 18))
-    found = boards(capsys, waiting, short, agents, agents / ".." / "agents", elsewhere)
+    # A folder stands for all in it, and once however often it is named.
+    found = boards(capsys, tmp_path / "llm", agents, agents / ".." / "agents", elsewhere)
     assert [board["maps"] for board in found["boards"]] == ["maps 14 to 17 (custom)", "maps 14 to 18 (custom)"]
-    greedy, _, waits = rows = found["boards"][0]["rows"]
-    assert [row["path"] for row in rows] == [str(agents), str(agents), str(waiting)]
+    greedy, *_, waits = rows = found["boards"][0]["rows"]
+    assert [row["path"] for row in rows] == [*map(str, (agents, agents, again, waiting))]
     assert waits["normalised"] < 0 < greedy["normalised"]
     assert [run["path"] for run in found["refused"]] == [str(short)]
-    # A folder stands for all in it.
-    assert [len(board["rows"]) for board in boards(capsys, tmp_path, waiting.parent)["boards"]] == [4, 1]
     # Rows that would look alike show their folders.
     assert main(["leaderboard", str(waiting), str(again)]) == 0
     table = capsys.readouterr().out

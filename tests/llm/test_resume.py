@@ -117,7 +117,8 @@ def test_a_request_under_way_at_a_kill_counts_after_it(endpoint: Start) -> None:
     assert (resumed.status, len(scripted.requests())) == (3, 5)
     assert [flight["status"] for flight in resumed.flights] == ["finished", "budget_stop"]
     verified(resumed)
-    assert report(verified_run(folder), moves=False)["calls"] == {"answered": 4, "requests": 5, "without_usage": 0}
+    budget = report(verified_run(folder), moves=False).budget
+    assert (budget.answers, budget.requests, budget.unmetered) == (4, 5, 0)
     whole = sent.read_text()
     for damaged, why in (
         (whole.replace("0-2-1\n", ""), r"sent\.txt lacks a request of call 0-2-1"),

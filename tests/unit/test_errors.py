@@ -12,7 +12,7 @@ import pytest
 from drone_env import errors
 from drone_env.errors import DroneEnvError, install_command
 
-ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.exceptions")
+ELSEWHERE = ("client", "llm.budget", "llm.endpoint", "server.exceptions")
 VALUES: dict[str, object] = {
     "status": 418,
     "retried": True,
