@@ -102,6 +102,7 @@ def run(
             limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,
             timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
+            timeout_worker_healthcheck=60,  # time for a process to start at SIGHUP; the default of 5 s can be too short
         )
         # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):

@@ -30,9 +30,12 @@ END_SECONDS = 4.0
 END_OF_HEAD = b"\r\n\r\n"
 FRAGMENTS = 100
 """Most frames of a WebSocket message."""
-CONTROL_FRAMES, CONTROL_FRAMES_PER_SECOND = 20, 2
-"""Most pings and pongs in a burst, and their average rate; clients send one in 20 seconds."""
+PINGS, PINGS_PER_SECOND = 20, 2
+"""Most pings in a burst, and their average rate; clients send one in 20 seconds. A client that has computed for minutes
+answers all pings of the server at once, so pongs have no limit.
+"""
 INVALID_DATA, POLICY_VIOLATION = 1007, 1008
+PING = 0x9
 LARGEST_FRAME_HEAD = 14
 
 
@@ -212,7 +215,7 @@ class _OneRequest(FlowControl):
 
 
 class WebSockets(WebSocketsSansIOProtocol):
-    """WebSockets: parses one frame at a time, and limits fragments and control frames."""
+    """WebSockets: parses one frame at a time, and limits fragments and pings."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start with an empty buffer."""
@@ -222,7 +225,7 @@ class WebSockets(WebSocketsSansIOProtocol):
         self._heard_at = self.loop.time()
         self._unread = bytearray()
         self._turn: asyncio.Handle | None = None
-        self._control_frames = self._counted_at = 0.0
+        self._pings = self._counted_at = 0.0
 
     def data_received(self, data: bytes) -> None:
         """Parse the head of the request, which the first call contains completely, or a frame."""
@@ -290,8 +293,8 @@ class WebSockets(WebSocketsSansIOProtocol):
             frame = bytes(self._unread[:size])
             del self._unread[:size]
             is_control, is_last = frame[0] & 0x08, frame[0] & 0x80
-            if is_control and not self._count_control_frame():
-                self._fail(POLICY_VIOLATION, f"at most {CONTROL_FRAMES_PER_SECOND} pings and pongs a second")
+            if frame[0] & 0x0F == PING and not self._count_ping():
+                self._fail(POLICY_VIOLATION, f"at most {PINGS_PER_SECOND} pings a second")
             elif not (is_control or is_last) and len(self.frames) >= FRAGMENTS:
                 self._fail(POLICY_VIOLATION, f"a message has at most {FRAGMENTS} fragments")
             else:
@@ -327,11 +330,11 @@ class WebSockets(WebSocketsSansIOProtocol):
         size = 2 + more + (4 if data[1] & 0x80 else 0) + length
         return size if length <= self.config.ws_max_size else min(size, LARGEST_FRAME_HEAD)
 
-    def _count_control_frame(self) -> bool:
+    def _count_ping(self) -> bool:
         now = self.loop.time()
-        left = self._control_frames - (now - self._counted_at) * CONTROL_FRAMES_PER_SECOND
-        self._control_frames, self._counted_at = max(left, 0.0) + 1, now
-        return self._control_frames <= CONTROL_FRAMES
+        left = self._pings - (now - self._counted_at) * PINGS_PER_SECOND
+        self._pings, self._counted_at = max(left, 0.0) + 1, now
+        return self._pings <= PINGS
 
     def _fail(self, code: int, reason: str) -> None:
         self.conn.fail(code, reason)

@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from starlette.types import Message
 from starlette.websockets import WebSocketDisconnect
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, wrong_parts
 from drone_env.server.app import create_app
 from drone_env.server.exceptions import RequestError
 from drone_env.server.json_routes import LIMIT, SMALL, JsonRequest, parse_json
@@ -90,6 +90,30 @@ class TestJson:
     def test_it_is_strict_and_bounded(self, text: str, told: str) -> None:
         with pytest.raises(InvalidValueError, match=told):
             parse_json(text.encode("utf-8", "surrogatepass"))
+
+    @pytest.mark.parametrize(
+        ("path", "body"),
+        [
+            ("/replay", {"actions": [12345] * 20_000}),
+            ("/annotate", {"rewards": ["x"] * 20_000}),
+            ("/values", {"actions": ["x"] * 20_000}),
+            ("/predict", {"grid": [["x"] * 64] * 300, "telemetry": ["x"] * 5_000}),
+            ("/maps", {"cells": [["x"] * 128] * 120}),
+        ],
+    )
+    def test_long_lists_have_few_validation_errors(
+        self, shared_client: TestClient, monkeypatch: pytest.MonkeyPatch, path: str, body: dict[str, Any]
+    ) -> None:
+        """Each costs as much as parsing 500 bytes."""
+        counts: list[int] = []
+
+        def counted(error: Any) -> Any:
+            counts.append(len(error.errors()))
+            return wrong_parts(error)
+
+        monkeypatch.setattr("drone_env.server.exceptions.wrong_parts", counted)
+        assert shared_client.post(path, json=body).status_code == 422
+        assert 0 < counts[0] <= 600
 
 
 def test_pages_of_this_server_and_those_listed_may_call_and_no_others(tmp_path: Path) -> None:

@@ -46,8 +46,10 @@ os.execv(uv, [uv, run, "--no-sync", *rest])
 @pytest.mark.parametrize(
     ("command", "asked", "status"),
     [
-        ("uv run server", signal.SIGTERM, 128 + signal.SIGTERM),
-        ("python -m uvicorn server.app:app --host 0.0.0.0", signal.SIGTERM, -signal.SIGTERM),
+        pytest.param("uv run server", signal.SIGTERM, 128 + signal.SIGTERM, marks=pytest.mark.long),
+        pytest.param(
+            "python -m uvicorn server.app:app --host 0.0.0.0", signal.SIGTERM, -signal.SIGTERM, marks=pytest.mark.long
+        ),
         ("python drone_env/server/app.py --host 0.0.0.0", signal.SIGINT, 0),
     ],
 )

@@ -14,26 +14,19 @@ from drone_env.client import DroneEnvClient
 from tests.api.serving import serving
 from tests.tools import ROOT, eventually, is_taken, ran
 
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
 
-@pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
-def test_workers_fly_one_session_and_end_with_the_first_process_however_that_ends(tmp_path: Path) -> None:
+
+@pytest.mark.long
+def test_they_end_when_the_first_process_is_killed(tmp_path: Path) -> None:
     with serving(tmp_path / "data", WORKERS="2") as server:
-        workers = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children").read_text().split()
+        workers = descendants(server.process.pid)
         assert len(workers) >= 2
-        assert sorted(concurrent_steps(server.client)) == list(range(1, 41))
         server.kill()
-        port = int(server.url.rpartition(":")[2])
-        try:
-            eventually(lambda: not is_taken(port))
-            # A process that is not yet waited for has ended, too.
-            eventually(lambda: all(state_of(worker) in ("", "Z") for worker in workers))
-        finally:
-            for worker in workers:
-                if state_of(worker) not in ("", "Z"):
-                    os.kill(int(worker), signal.SIGKILL)
+        eventually(lambda: not is_taken(int(server.url.rpartition(":")[2])))
+        eventually(lambda: not any(map(is_running, workers)))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
 @pytest.mark.parametrize(
     ("workers", "asked"),
     [
@@ -42,10 +35,11 @@ def test_workers_fly_one_session_and_end_with_the_first_process_however_that_end
         pytest.param(2, (signal.SIGTERM,), marks=pytest.mark.long),
     ],
 )
-def test_it_ends_quietly_when_all_its_processes_are_told_while_a_job_process_starts(
+def test_they_fly_one_session_and_end_quietly_when_all_are_told_while_a_job_process_starts(
     tmp_path: Path, workers: int, asked: tuple[signal.Signals, ...]
 ) -> None:
     with serving(tmp_path / "data", WORKERS=str(workers)) as server, ThreadPoolExecutor(1) as pool:
+        assert sorted(concurrent_steps(server.client)) == list(range(1, 41))
         job = pool.submit(httpx.get, server.url + "/maps/easy/7", timeout=60)
         eventually(lambda: any(map(is_importing, descendants(server.process.pid))))
         for number in asked:
@@ -102,9 +96,8 @@ def concurrent_steps(http: httpx.Client) -> list[int]:
         return [count for counts in pool.map(wait_ten_times, range(4)) for count in counts]
 
 
-def state_of(process: str) -> str:
-    """The state of a process, empty if there is none."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return ""
+def is_running(process: int) -> bool:
+    """Return whether a process has not ended, also if nobody waits for it."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False

@@ -13,6 +13,8 @@ from drone_env.core.episode import Episode
 from tests.cluster.serving import Cluster, Nginx
 from tests.tools import reserved_port
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
@@ -61,7 +63,6 @@ def test_new_sessions_are_opened_by_all_servers(running: Cluster) -> None:
     assert max(running.answered(port, "/reset", since) for port, since in before.items()) < 30
 
 
-@pytest.mark.long
 def test_a_killed_server_loses_no_step(running: Cluster) -> None:
     with ExitStack() as opened:
         clients = [opened.enter_context(DroneEnvClient(running.url)) for _ in range(12)]

@@ -57,6 +57,7 @@ def front_matter(page: Path) -> dict[str, object]:
     return yaml.safe_load(settings)
 
 
+@pytest.mark.long
 def test_openenv_takes_it_and_leaves_the_page_and_the_start_as_they_are(space: Path, pushed: Path) -> None:
     from openenv.cli.commands import push
     from openenv.validation import Level, run_validation
