@@ -59,12 +59,6 @@ def patience() -> None:
     store.PATIENCE = PATIENCE
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """For `-n auto` half as many processes again as cores: some wait for a browser or a server."""
-    return (os.cpu_count() or 1) * 3 // 2
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--one-case", action="store_true", help="of a test with several cases, run the first")
 

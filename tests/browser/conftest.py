@@ -1,5 +1,6 @@
 """One browser, one server with a history and one page per process; a complaint of the page fails the test."""
 
+import shutil
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,7 +31,8 @@ TRAINING = [
 @pytest.fixture(scope="package")
 def browser() -> Generator[Browser, None, None]:
     # No page lives long enough for optimised code to pay.
-    with launched(find_chromium() or missing_tool("chromium"), "--js-flags=--no-opt --no-maglev") as running:
+    path = shutil.which("chromium-headless-shell") or find_chromium() or missing_tool("chromium")  # a third less CPU
+    with launched(path, "--js-flags=--no-opt --no-maglev") as running:
         yield running
 
 

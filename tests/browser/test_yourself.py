@@ -10,7 +10,7 @@ from drone_env.planning.optimal import solve
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames, newest
-from tests.browser.shown import counter, expect_flying, expect_frame, expect_step, painted, pictures
+from tests.browser.shown import at, box, counter, expect_flying, expect_frame, expect_step, notes, painted, pictures
 from tests.browser.stage import (
     FASTEST,
     along,
@@ -71,9 +71,7 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     page.keyboard.press("ArrowUp")
     expect_frame(page, next(flight), 60)
     expect(speed).to_have_value("4")
-    bounds = slider(page).bounding_box()
-    assert bounds is not None
-    page.mouse.click(bounds["x"] + bounds["width"] - 2, bounds["y"] + bounds["height"] / 2)
+    slider(page).click(position=at(slider(page), 0.99))
     page.keyboard.press("ArrowRight")
     expect_frame(page, next(flight), 60)
 
@@ -183,15 +181,14 @@ def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_coul
     keys, side = page.locator(".hint strong"), page.locator(".side")
     expect(keys).to_have_text("Fly with the arrow keys.", use_inner_text=True)
     side.evaluate("side => side.scrollTo(0, 999)")
-    air = page.locator("#boards .map-air")
-    size = air.bounding_box()
+    size = box(page, "#boards .map-air")
     for key in ["ArrowLeft", "ArrowRight"] * 6:
         page.keyboard.press(key)
     expect(ended(page)).to_contain_text("Each step costs a unit; a pad was 4 cells away.")
     expect(keys).to_be_hidden()
     for part in ("#results-title", "#again", "#undoes", "#start-over"):
         expect(page.locator(part)).to_be_in_viewport(ratio=1)
-    assert air.bounding_box() == size
+    assert box(page, "#boards .map-air") == size
     expect(page.locator("#next")).to_be_hidden()
     press(page, "Try again from step 6")
     expect_step(page, 6, 60, "RIGHT")
@@ -206,6 +203,7 @@ def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_coul
     assert side.evaluate("side => side.scrollTop") == 0
     for key in ["ArrowLeft", "ArrowRight"] * 6:
         page.keyboard.press(key)
+    at_speed(page, FASTEST)
     press(page, "Watch Tournet")
     expect_flying(page, "Tournet")
     ended(page)
@@ -216,14 +214,9 @@ def test_cells_show_what_they_cost_beside_the_drone_and_under_the_pointer(page: 
     over(page, 152, "/?task=skyline_easy&seed=152&pilot=human")
     expect_step(page, 0, 60)
     # Beside the drone are a pad and an obstacle.
-    air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
+    air = page.locator("#boards .map-air")
     until(page, lambda: painted(air, "--good", "--bad") == ["--bad"])
-    box = air.bounding_box()
-    assert box
-    words: set[str] = set()
-    for column in range(16):
-        page.mouse.move(box["x"] + box["width"] * column / 16, box["y"] + box["height"] * 0.45)
-        words.add(note.inner_text() if note.is_visible() else "")
+    words = {line for lines in notes(page) for line in lines}
     assert {"Pad: costs 1 unit, each wait charges 4", "Obstacle: closed", "Road: costs 1 unit"} <= words
     # The charge is marked only above the pad.
     page.keyboard.press("ArrowLeft")
