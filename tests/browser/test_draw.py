@@ -8,7 +8,7 @@ from playwright.sync_api import Page, Route, expect
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
 from tests.browser.shown import box, expect_flying, expect_step, pictures, points
-from tests.browser.stage import choices, open_file, press, show, until, view
+from tests.browser.stage import choices, enter, keys, open_file, press, show, until, view
 from tests.browser.tabs import Tabs
 
 
@@ -45,12 +45,10 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(note).to_have_text("The parcel in 13 steps")
     # With the keyboard: a second parcel below the wall. It costs no step.
     page.locator("#drawing").focus()
-    for key in ("7", "ArrowDown", "ArrowDown", "ArrowRight", "Space"):
-        page.keyboard.press(key)
+    keys(page, "7", "ArrowDown", "ArrowDown", "ArrowRight", "Space")
     expect(note).to_have_text("Both parcels in 13 steps")
     battery = page.get_by_role("spinbutton", name="Battery")
-    battery.fill("14")
-    battery.press("Enter")
+    enter(battery, "14")
     expect(page.locator("#map-optimum.waiting")).to_have_count(0)
     shown = score.inner_text()
     with page.expect_download() as saving:

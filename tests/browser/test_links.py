@@ -8,7 +8,21 @@ from playwright.sync_api import Page, Route, expect
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, newest
 from tests.browser.shown import counter, expect_flying, expect_frame, expect_step
-from tests.browser.stage import along, at_speed, ended, fly, map_number, over, pilot, press, show, slider, until, view
+from tests.browser.stage import (
+    along,
+    at_speed,
+    ended,
+    fly,
+    keys,
+    map_number,
+    over,
+    pilot,
+    press,
+    show,
+    slider,
+    until,
+    view,
+)
 from tests.browser.tabs import Tabs
 
 PAGE_BYTES = 300_000
@@ -148,8 +162,7 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     expect(map_number(page)).to_have_value("9")
     pilot(page, "You").click()
     expect_flying(page, "You")
-    for _ in range(3):
-        page.keyboard.press(" ")
+    keys(page, *[" "] * 3)
     expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of=human&actions=WWW")
     view(page, "API")
     # Keys do not fly a flight that is hidden.
@@ -166,8 +179,7 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     page.reload()
     expect_step(page, 2, 60, "WAIT")
     # At the end the address leads to the stored flight.
-    for _ in range(58):
-        page.keyboard.press(" ")
+    keys(page, *[" "] * 58)
     expect(page).to_have_url(re.compile(r"/\?episode=\w+&task=easy&seed=9&pilot=human$"))
     expect_step(page, 60, 60, "WAIT")
     page.reload()
@@ -189,8 +201,7 @@ def test_after_a_reload_every_address_on_the_way_back_shows_what_it_showed(
     expect_flying(page, "Greedy")
     pilot(page, "You").click()
     expect_flying(page, "You")
-    for _ in range(2):
-        page.keyboard.press(" ")
+    keys(page, *[" "] * 2)
     expect(page).to_have_url(re.compile("actions=WW$"))
     last = page.url
     page.reload()

@@ -7,7 +7,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.conftest import lent
 from tests.browser.shown import box, expect_step, measured, pictures
-from tests.browser.stage import at_its_end, ended, fly, show, standings, view
+from tests.browser.stage import at_its_end, ended, enter, fly, show, standings, view
 from tests.browser.tabs import NARROW, Tabs
 
 PIXELS_PER_PIXEL = 2
@@ -126,12 +126,10 @@ def test_a_name_that_is_refused_stays_in_sight(phone: Page) -> None:
     expect_step(phone, 0, 60)
     name = phone.locator("#name")
     for refused in ("two words", "x" * 21):
-        name.fill(refused)
-        name.press("Enter")
+        enter(name, refused)
         expect(phone.get_by_role("alert").filter(has_text="at most 20 letters")).to_be_in_viewport(ratio=1)
         expect(name).to_be_focused()
-    name.fill("Ada")
-    name.press("Enter")
+    enter(name, "Ada")
     expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
 
 

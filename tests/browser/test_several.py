@@ -11,7 +11,7 @@ from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, get, posted
 from tests.browser.shown import expect_step, painted, points
-from tests.browser.stage import ended, fly, over, pilot, press, show, slider, standings, until
+from tests.browser.stage import ended, fly, keys, over, pilot, press, show, slider, standings, until
 
 SEED = 20
 """A map on which chance, too, delivers, after twelve steps."""
@@ -160,8 +160,7 @@ def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
     page.evaluate("localStorage['drone-env-name'] = 'Ada'")
     over(page, 64, "/?task=easy&seed=64&pilots=human,random")
     expect_step(page, 0, 60)
-    for action in best:
-        page.keyboard.press(KEYS[action])
+    keys(page, *(KEYS[action] for action in best))
     # Chance flies longer than the person, and goes on by itself.
     ended(page)
     last = len(flown("easy", 64, "random").actions)

@@ -17,6 +17,7 @@ from tests.browser.stage import (
     at_speed,
     choices,
     ended,
+    keys,
     map_number,
     moves,
     over,
@@ -114,8 +115,7 @@ def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Ser
     expect(arrows).to_be_checked()
     expect(possible).not_to_have_text(DASH)
     expect(thoughts.locator("tr.best")).not_to_have_count(0)
-    for key in way[1:]:
-        page.keyboard.press(key)
+    keys(page, *way[1:])
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 5)["agent"] == "human with values"
     page.keyboard.press("r")
@@ -139,8 +139,7 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     over(page, 8, "/?task=easy&seed=8&pilot=human")
     undo, way = page.get_by_role("button", name="Undo"), to_the_parcel(8)
     expect(undo).to_be_disabled()
-    for key in (way[0], way[1], way[1]):
-        page.keyboard.press(key)
+    keys(page, way[0], way[1], way[1])
     expect(moves(page)).to_have_count(3)
     expect(page.locator("#unlisted")).to_be_hidden()
     # Space is for the drone after a click, and for the button that the keyboard has reached.
@@ -165,8 +164,7 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
         expect_step(page, 1, 60)
         expect(map_number(page)).to_have_value("8")
         expect_flying(page, "You")
-    for key in way[1:]:
-        page.keyboard.press(key)
+    keys(page, *way[1:])
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 8)["agent"] == "human with undo"
     # A flight that has ended is stored: the page does not ask.
@@ -178,14 +176,13 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
 def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_could_be_won(page: Page) -> None:
     over(page, 7, "/?task=skyline_easy&seed=7&pilot=human")
     expect(page.locator(".hint")).to_contain_text("A step costs 1 battery unit, 3 above a building, 2 above a tree.")
-    keys, side = page.locator(".hint strong"), page.locator(".side")
-    expect(keys).to_have_text("Fly with the arrow keys.", use_inner_text=True)
+    told, side = page.locator(".hint strong"), page.locator(".side")
+    expect(told).to_have_text("Fly with the arrow keys.", use_inner_text=True)
     side.evaluate("side => side.scrollTo(0, 999)")
     size = box(page, "#boards .map-air")
-    for key in ["ArrowLeft", "ArrowRight"] * 6:
-        page.keyboard.press(key)
+    keys(page, *["ArrowLeft", "ArrowRight"] * 6)
     expect(ended(page)).to_contain_text("Each step costs a unit; a pad was 4 cells away.")
-    expect(keys).to_be_hidden()
+    expect(told).to_be_hidden()
     for part in ("#results-title", "#again", "#undoes", "#start-over"):
         expect(page.locator(part)).to_be_in_viewport(ratio=1)
     assert box(page, "#boards .map-air") == size
@@ -193,16 +190,14 @@ def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_coul
     press(page, "Try again from step 6")
     expect_step(page, 6, 60, "RIGHT")
     expect(page).to_have_url(re.compile("pilot=human&of=human%20with%20undo&actions=LRLRLR$"))
-    for key in ["ArrowLeft", "ArrowRight"] * 3:
-        page.keyboard.press(key)
+    keys(page, *["ArrowLeft", "ArrowRight"] * 3)
     ended(page)
     side.evaluate("side => side.scrollTo(0, 999)")
     page.locator("#start-over").dispatch_event("click")
     expect_step(page, 0, 60)
     expect(page).to_have_url(re.compile("pilot=human$"))
     assert side.evaluate("side => side.scrollTop") == 0
-    for key in ["ArrowLeft", "ArrowRight"] * 6:
-        page.keyboard.press(key)
+    keys(page, *["ArrowLeft", "ArrowRight"] * 6)
     at_speed(page, FASTEST)
     press(page, "Watch Tournet")
     expect_flying(page, "Tournet")
