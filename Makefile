@@ -5,6 +5,9 @@ TORCH ?= torch==2.13.0
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest
+# Half as many processes again as cores: some wait for a browser or a server.
+WORKERS ?= $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) * 3 / 2)))
+SIDE_BY_SIDE = -n $(WORKERS) --dist worksteal
 # Keep bytecode: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -47,11 +50,11 @@ serve: $(VENV)/.server
 
 # All tests but those marked long.
 test: $(VENV)/.dev
-	$(PYTEST) -n auto --dist worksteal
+	$(PYTEST) $(SIDE_BY_SIDE)
 
 # The tests marked long. Those that need Ray share one cluster, so they run one after another.
 test-long: $(VENV)/.dev
-	$(PYTEST) -m long -n auto --dist worksteal --ignore tests/cluster
+	$(PYTEST) -m long $(SIDE_BY_SIDE) --ignore tests/cluster
 	$(PYTEST) -m long tests/cluster
 
 # Node comes with the development tools, as a Python package; npm fetches the rest. No links: OpenEnv validates no folder with any.
@@ -88,18 +91,17 @@ format: $(VENV)/.dev
 docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
-# Tests on the lowest and the highest Python, without PyTorch: tests that need it are skipped. llm, parity and property
-# take too long for CI, and so does api twice; the other folders need a browser, a cluster or programs of this Python.
+# One case of each test on the lowest and the highest Python, without PyTorch: tests that need it are skipped. Folders that
+# are left out need a browser, a cluster or programs of this Python, or search at random what no Python changes.
 PYTHONS := python-lowest python-highest
-LEFT_OUT := browser cluster container docs llm package parity property
+LEFT_OUT := browser cluster container docs package parity property
 python-lowest: VERSIONS := 3.10
 python-highest: VERSIONS := 3.14 3.13
-python-highest: LEFT_OUT += api
 python: $(PYTHONS)
 $(PYTHONS): %: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $(VERSIONS)) && $$python -m venv $(VENV)/$@
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,$(LEFT_OUT))
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest --one-case $(SIDE_BY_SIDE) $(addprefix --ignore tests/,$(LEFT_OUT))
 
 # Every client and trainer that the docs name, each in an environment with its own packages.
 adapters: $(VENV)/.dev

@@ -2,9 +2,9 @@
 
 import re
 from decimal import ROUND_HALF_UP, Decimal
-from typing import Any
+from typing import Any, NamedTuple
 
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Position, expect
 
 
 def fixed(value: float, digits: int = 2) -> str:
@@ -26,6 +26,36 @@ def percent(share: float) -> str:
 def counter(page: Page) -> int:
     """The step that is shown."""
     return int(page.locator("#step-counter").inner_text().split()[1])
+
+
+def measured(page: Page, selector: str, expression: str) -> list[Any]:
+    """What a script makes of each element as `one`, found and measured in one call.
+
+    A locator finds first, and the page may draw the elements again before it measures them.
+    """
+    return page.evaluate(f"selector => [...document.querySelectorAll(selector)].map(one => {expression})", selector)
+
+
+class Box(NamedTuple):
+    """Where an element is in the window."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+
+def box(page: Page, selector: str) -> Box:
+    """The place of the one visible element of a selector."""
+    sides = "(({ x, y, width, height }) => [x, y, width, height])(one.getBoundingClientRect())"
+    (found,) = (Box(*one) for one in measured(page, selector, sides) if one[2])
+    return found
+
+
+def at(node: Locator, across: float, down: float = 0.5) -> Position:
+    """A place on an element, by shares of its width and height."""
+    width, height = node.evaluate("node => [node.clientWidth, node.clientHeight]")
+    return {"x": across * width, "y": down * height}
 
 
 def expect_step(page: Page, step: int, most: int, action: str = "") -> None:
@@ -69,6 +99,25 @@ def pictures(page: Page) -> list[str]:
 def changed(page: Page, before: list[str]) -> list[int]:
     """The canvases of the maps that differ from earlier pictures."""
     return [place for place, (now, then) in enumerate(zip(pictures(page), before, strict=True)) if now != then]
+
+
+def notes(page: Page) -> list[list[str]]:
+    """The lines of each note that a pointer brings up as it crosses the map."""
+    texts: list[str] = page.evaluate(
+        """() => {
+            const map = document.querySelector("#boards .map-air"), note = document.querySelector(".cell-note");
+            const { x, y, width, height } = map.getBoundingClientRect();
+            const said = new Set();
+            for (let place = 0; place < 256; place++) {
+                const [clientX, clientY] = [x + (width * (place % 16)) / 16, y + (height * (place >> 4)) / 16];
+                const moved = { pointerType: "mouse", bubbles: true, clientX, clientY };
+                map.dispatchEvent(new PointerEvent("pointermove", moved));
+                if (!note.hidden) said.add(note.innerText);
+            }
+            return [...said];
+        }"""
+    )
+    return [text.split("\n") for text in texts]
 
 
 def painted(canvas: Locator, *names: str, across: float | None = None) -> list[str]:

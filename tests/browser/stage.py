@@ -87,6 +87,18 @@ def press(page: Page, button: str) -> None:
     page.get_by_role("button", name=button, exact=True).click()
 
 
+def keys(page: Page, *names: str) -> None:
+    """Press keys one after another."""
+    for name in names:
+        page.keyboard.press(name)
+
+
+def enter(field: Locator, text: str) -> None:
+    """Write into a field, and confirm it."""
+    field.fill(text)
+    field.press("Enter")
+
+
 def fly(page: Page, button: str = "Start") -> None:
     """Start, or go on, at the highest speed."""
     at_speed(page, FASTEST)

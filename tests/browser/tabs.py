@@ -24,10 +24,10 @@ def find_chromium() -> str | None:
 
 
 @contextmanager
-def launched(path: str, *flags: str) -> Generator[Browser, None, None]:
+def launched(path: str) -> Generator[Browser, None, None]:
     """A browser without a window."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=[*FLAGS, *flags])
+        browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
         try:
             yield browser
         finally:

@@ -3,13 +3,14 @@
 import re
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.results.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown, get
-from tests.browser.shown import fixed, points
+from tests.browser.shown import fixed, measured, points
 from tests.browser.stage import press, show, view
 
 
@@ -34,11 +35,13 @@ def test_the_leaderboard_opens_down_to_a_flight_and_the_address_says_what_is_ope
     line = lines.filter(has_text="Random")
     expect(line).to_contain_text(f"{points(chances['score'])} [{points(low)}, {points(high)}]")
     # The whiskers end where the interval ends.
-    bar, whiskers = line.locator(".bar").bounding_box(), line.locator(".bar b").bounding_box()
-    assert bar
-    assert whiskers
-    assert abs((whiskers["x"] - bar["x"]) / bar["width"] - low) < 0.01
-    assert abs(whiskers["width"] / bar["width"] - (high - low)) < 0.01
+    ends = measured(
+        page,
+        "#view-compare .bar b",
+        """(([bar, ends]) => [(ends.left - bar.left) / bar.width, (ends.right - bar.left) / bar.width])(
+            [one.parentNode, one].map(part => part.getBoundingClientRect()))""",
+    )
+    assert pytest.approx((low, high), abs=0.01) in map(tuple, ends)
     chance = page.get_by_role("button", name="Random", exact=True)
     chance.click()
     expect(page).to_have_url(re.compile("task=easy&pilot=random$"))
@@ -73,10 +76,8 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     page.get_by_role("checkbox", name=f"Compare {MARKUP}").check()
     page.get_by_role("checkbox", name="Compare Random").check()
     # A long name is broken into lines within its column.
-    assert page.evaluate(
-        """[...document.querySelectorAll("#view-compare td .named")].every(
-            one => one.getBoundingClientRect().right <= one.closest("td").getBoundingClientRect().right)"""
-    )
+    inside = "one.getBoundingClientRect().right <= one.closest('td').getBoundingClientRect().right"
+    assert all(measured(page, "#view-compare td .named", inside))
     # The third pilot takes the place of the first.
     page.get_by_role("checkbox", name="Compare Greedy").check()
     expect(page.get_by_role("checkbox", name=f"Compare {MARKUP}")).not_to_be_checked()
@@ -99,11 +100,7 @@ def test_a_tick_moves_and_opens_nothing_and_a_name_ticks_nothing(page: Page, ser
     address = page.url
 
     def places() -> list[float]:
-        # Found and measured in one call: a locator finds first, and the table may be drawn again before it measures.
-        return page.evaluate(
-            """[...document.querySelectorAll("#view-compare input[type=checkbox]")].map(
-                one => one.getBoundingClientRect().top)"""
-        )
+        return measured(page, "#view-compare input[type=checkbox]", "one.getBoundingClientRect().top")
 
     before, ticked = places(), page.get_by_role("checkbox", checked=True)
     boxes.nth(0).click()
@@ -191,7 +188,7 @@ def test_the_flights_of_one_pilot_are_listed_in_pages(page: Page, server: Server
             press(page, button)
         expect(flights.first).to_have_attribute("data-episode", listed[0])
         expect(flights).to_have_count(len(listed))
-        assert flights.evaluate_all("all => all.map(one => one.dataset.episode)") == listed
+        assert measured(page, "[data-episode]", "one.dataset.episode") == listed
 
 
 def test_a_flight_that_ends_elsewhere_appears_by_itself(page: Page, server: Server) -> None:

@@ -13,7 +13,7 @@ from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving
 from tests.browser.flights import flown
 from tests.browser.shown import counter, expect_step
-from tests.browser.stage import FASTEST, at_speed, ended, press, show, until, view
+from tests.browser.stage import FASTEST, at_speed, ended, enter, press, show, until, view
 from tests.browser.tabs import Tabs
 from tests.tools import reserved_port
 
@@ -60,12 +60,10 @@ def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared
         expect(dialog).to_be_visible()
         page.keyboard.press("Escape")
         field = dialog.get_by_label("Token")
-        field.fill("wrong")
-        field.press("Enter")
+        enter(field, "wrong")
         expect(dialog).to_contain_text("The server rejected this token")
         expect(field).to_be_empty()
-        field.fill("let-me-in")
-        field.press("Enter")
+        enter(field, "let-me-in")
         where, dot = page.locator("#step-counter"), page.locator("#connection")
         expect(dot).to_contain_text("Live")
         expect_step(page, 1, 160)

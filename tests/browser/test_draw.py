@@ -1,23 +1,23 @@
 """Draw: a map is painted, its optimum follows, and its file has the same optimum everywhere else."""
 
+import re
 from pathlib import Path
 
 from playwright.sync_api import Page, Route, expect
 
 from drone_env.city.city_file import city_task
 from drone_env.planning.optimal import solve
-from tests.browser.shown import expect_flying, expect_step, pictures, points
-from tests.browser.stage import choices, open_file, press, show, until, view
+from tests.browser.shown import box, expect_flying, expect_step, pictures, points
+from tests.browser.stage import choices, enter, keys, open_file, press, show, until, view
 from tests.browser.tabs import Tabs
 
 
 def drag(page: Page, *cells: tuple[int, int]) -> None:
     """Press on the first cell and move over the others."""
     page.locator("#drawing").press("ArrowUp")  # shows the cursor in the corner
-    corner = page.locator(".draw-cursor").bounding_box()
-    assert corner
+    corner = box(page, ".draw-cursor")
     for i, (x, y) in enumerate(cells):
-        page.mouse.move(corner["x"] + (x + 0.5) * corner["width"], corner["y"] + (y + 0.5) * corner["height"])
+        page.mouse.move(corner.left + (x + 0.5) * corner.width, corner.top + (y + 0.5) * corner.height)
         if i == 0:
             page.mouse.down()
     page.mouse.up()
@@ -45,12 +45,10 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(note).to_have_text("The parcel in 13 steps")
     # With the keyboard: a second parcel below the wall. It costs no step.
     page.locator("#drawing").focus()
-    for key in ("7", "ArrowDown", "ArrowDown", "ArrowRight", "Space"):
-        page.keyboard.press(key)
+    keys(page, "7", "ArrowDown", "ArrowDown", "ArrowRight", "Space")
     expect(note).to_have_text("Both parcels in 13 steps")
     battery = page.get_by_role("spinbutton", name="Battery")
-    battery.fill("14")
-    battery.press("Enter")
+    enter(battery, "14")
     expect(page.locator("#map-optimum.waiting")).to_have_count(0)
     shown = score.inner_text()
     with page.expect_download() as saving:
@@ -71,7 +69,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(score).to_have_text(shown)
     press(page, "Fly it")
     expect_step(page, 0, 120)
-    assert f"task={file.stem}&seed=0&pilot=human" in page.url
+    expect(page).to_have_url(re.compile(f"task={file.stem}&seed=0&pilot=human"))
     expect(page.locator(".plan-head")).to_have_text(f"Drawn map {file.stem[6:10]} · You")
     expect(page.get_by_role("button", name="New map")).to_be_hidden()
     page.go_back()

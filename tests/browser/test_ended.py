@@ -13,13 +13,15 @@ from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, get, posted
 from tests.browser.shown import (
+    at,
+    box,
     expect_flying,
     expect_frame,
     expect_step,
     fixed,
+    measured,
     painted,
     percent,
-    pictures,
     points,
 )
 from tests.browser.stage import (
@@ -36,6 +38,7 @@ from tests.browser.stage import (
     slider,
     standings,
     task,
+    until,
     view,
 )
 from tests.browser.tabs import Tabs
@@ -97,10 +100,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
     # The graph leads to each moment.
     page.keyboard.press("Home")
-    slider(page).scroll_into_view_if_needed()
-    bounds = slider(page).bounding_box()
-    assert bounds
-    page.mouse.click(bounds["x"] + bounds["width"] * worst / last, bounds["y"] + bounds["height"] / 2)
+    slider(page).click(position=at(slider(page), worst / last))
     expect_frame(page, flight[worst], 60)
     # The keys of the page still work after a click on a move, which has the focus.
     page.keyboard.press("Home")
@@ -108,15 +108,16 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     expect(moves(page).nth(worst - 1)).to_have_attribute("aria-current", "step")
     expect_frame(page, flight[worst], 60)
     expect(page.locator("#move-detail")).to_have_text(f"{flight[worst]['message']} {lost}")
-    listed = page.locator("#moves").bounding_box()
-    assert listed
-    assert listed["height"] > 200, "most moves are seen without scrolling"
+    assert box(page, "#moves").height > 200, "most moves are seen without scrolling"
     page.keyboard.press("ArrowRight")  # the line of the moment is beside the mark
     expect_frame(page, flight[worst + 1], 60)
-    pictures(page)  # drawn
     graph = page.locator(".timeline-graph")
-    marked = {at for at in range(1, last) if painted(graph, "--bad", "--warn", "--accent", across=at / last)}
-    assert marked == {one["step"] for one in annotation["moves"] if one["label"] not in ("best", "good")} - {last}
+    wrong = {one["step"] for one in annotation["moves"] if one["label"] not in ("best", "good")} - {last}
+
+    def marked() -> set[int]:
+        return {step for step in range(1, last) if painted(graph, "--bad", "--warn", "--accent", across=step / last)}
+
+    until(page, lambda: marked() == wrong)
     assert painted(graph, "--map-box", across=1), "where the parcel is delivered"
     # The visitor flies on from before it.
     strip.get_by_role("button", name="Try from step").click()
@@ -169,7 +170,7 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(names[number - 1])
         expect(choice).to_have_value(re.compile(f"^{number}\\."))
     # A long name is broken into lines.
-    assert page.evaluate("[...document.querySelectorAll('.side, .middle')].every(e => e.scrollWidth <= e.clientWidth)")
+    assert all(measured(page, ".side, .middle", "one.scrollWidth <= one.clientWidth"))
     choice.select_option(index=8)
     expect(map_number(page)).to_have_value("1")
     expect(page.locator("#standings")).to_be_hidden()

@@ -18,7 +18,7 @@ from tests.browser.shown import (
     fixed,
     painted,
 )
-from tests.browser.stage import at_speed, choices, ended, fly, map_number, over, pilot, press, until
+from tests.browser.stage import at_speed, choices, ended, enter, fly, map_number, over, pilot, press, until
 
 
 @pytest.mark.feature("D1")
@@ -97,8 +97,7 @@ def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callabl
     until(page, lambda: bool(held))
     pilot(page, "You").click()
     choices(page)
-    map_number(page).fill("7")
-    map_number(page).press("Enter")
+    enter(map_number(page), "7")
     for _ in range(2):
         held.pop(0)()
         until(page, lambda: bool(held))

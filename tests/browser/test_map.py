@@ -3,9 +3,9 @@
 import json
 from collections.abc import Callable
 
-import pytest
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
+from tests.browser.shown import box as place_of
 from tests.browser.shown import changed, expect_step, painted, pictures, points
 from tests.browser.stage import ended, fly, press, show, until
 
@@ -58,7 +58,7 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
             until(page, lambda place=place: changed(page, bare) == [place])
             page.keyboard.press(key)
             expect(box(page, name)).not_to_be_checked()
-            assert changed(page, bare) == []
+            until(page, lambda: changed(page, bare) == [])
         assert asked == [0]
         # While the server computes, the values of the step before are dimmed, and the moves have none.
         page.keyboard.press("v")
@@ -97,19 +97,14 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     farther, nearer = (page.get_by_role("button", name=name) for name in ("Zoom out", "Zoom in"))
     show(page, "/?task=city&seed=7&pilots=greedy")
     expect(credit).to_have_attribute("href", "https://www.openstreetmap.org/copyright")
-    assert painted(page.locator(FIELD), *JOINED) == list(JOINED)
+    until(page, lambda: painted(page.locator(FIELD), *JOINED) == list(JOINED))
     for _ in range(3):
         nearer.click()
-    shift = page.locator(FIELD)
     pictures(page)  # drawn
-    before = shift.bounding_box()
+    before = place_of(page, FIELD)
     page.keyboard.press("Shift+ArrowRight")
-    pictures(page)  # drawn
-    after = shift.bounding_box()
-    assert before
-    assert after
-    assert after["x"] < before["x"]
-    assert after["y"] == before["y"]
+    until(page, lambda: place_of(page, FIELD).left < before.left)
+    assert place_of(page, FIELD).top == before.top
     expect(page.get_by_role("button", name="Follow the drone")).to_be_visible()
     # A person starts nearby; a map of the standard tasks has no blocks and nothing around it.
     show(page, "/?task=city&seed=7&pilots=human")
@@ -117,7 +112,7 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     show(page, "/?task=easy&seed=7&pilots=greedy")
     expect_step(page, 0, 60)
     expect(credit).to_be_hidden()
-    assert painted(page.locator(FIELD), *JOINED) == []
+    until(page, lambda: painted(page.locator(FIELD), *JOINED) == [])
     # These maps have no pads.
     ranges, thoughts = box(page, "Battery range"), box(page, "Network values")
     expect(ranges).to_be_hidden()
@@ -131,32 +126,30 @@ def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page
     expect(ranges).to_be_visible()
 
 
-@pytest.mark.parametrize(
-    ("width", "height"), [(1440, 900), (1024, 768), (390, 844), (360, 740), (844, 390), (720, 450)]
-)
-def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page], width: int, height: int) -> None:
-    page = beside()
-    page.set_viewport_size({"width": width, "height": height})
-    page.goto("/?task=skyline_easy&seed=7&pilot=human")
+def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page]) -> None:
+    page = beside("/?task=skyline_easy&seed=7&pilot=human")
     expect_step(page, 0, 60)
-    for shown in ("#battery", "#boards .map-air", "#undo", "[data-view=api]"):
-        expect(page.locator(shown)).to_be_in_viewport(ratio=1)
-    size = page.locator("#boards .map-air").bounding_box()
-    assert size
-    assert min(size["width"], size["height"]) ** 2 >= 0.4 * width * height
+    for width, height in ((1440, 900), (1024, 768), (390, 844), (360, 740), (844, 390), (720, 450)):
+        page.set_viewport_size({"width": width, "height": height})
+        for shown in ("#battery", "#boards .map-air", "#undo", "[data-view=api]"):
+            expect(page.locator(shown)).to_be_in_viewport(ratio=1)
+        pictures(page)  # drawn
+        size = place_of(page, "#boards .map-air")
+        assert min(size.width, size.height) ** 2 >= 0.4 * width * height
 
 
 def test_a_message_covers_no_button(beside: Callable[..., Page]) -> None:
     page = beside("/?view=learn")
-    for width, height in ((1440, 900), (1024, 768), (390, 844), (844, 390)):
-        page.set_viewport_size({"width": width, "height": height})
-        for path, sign in (
-            ("task=skyline_easy&seed=7&pilot=human", "#boards .map-air"),
-            ("task=easy&seed=5&pilots=greedy,random&step=999", ".strip"),
-            ("view=draw&task=skyline_easy&seed=7", "#drawing .map-air"),
-            ("view=compare&task=easy&pilots=greedy,random", "dl.paired"),
-        ):
-            show(page, f"/?{path}")
+    for path, sign in (
+        ("task=skyline_easy&seed=7&pilot=human", "#boards .map-air"),
+        ("task=easy&seed=5&pilots=greedy,random&step=999", ".strip"),
+        ("view=draw&task=skyline_easy&seed=7", "#drawing .map-air"),
+        ("view=compare&task=easy&pilots=greedy,random", "dl.paired"),
+    ):
+        show(page, f"/?{path}")
+        expect(page.locator(sign)).to_be_visible()
+        for width, height in ((1440, 900), (1024, 768), (390, 844), (844, 390)):
+            page.set_viewport_size({"width": width, "height": height})
             expect(page.locator(sign)).to_be_visible()
             pictures(page)  # drawn
             seen, covered = page.evaluate(

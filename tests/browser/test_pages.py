@@ -17,7 +17,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
-from tests.browser.stage import at_speed, ended, fly, press, slider, view
+from tests.browser.stage import at_speed, ended, fly, keys, press, slider, view
 from tests.browser.test_several import KEYS
 
 ALONE = ("easy", 18)
@@ -49,8 +49,7 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     best = solve(*ALONE).actions
     page.keyboard.press(KEYS[DIRECTIONS[best[0]]])
     expect(reached).to_have_text(["Reached: Make a move"])
-    for action in best[1:]:
-        page.keyboard.press(KEYS[DIRECTIONS[action]])
+    keys(page, *(KEYS[DIRECTIONS[action]] for action in best[1:]))
     expect(reached).to_have_count(3)
     # The button of the next task would leave the lesson.
     expect(ended(page)).to_contain_text("All parcels delivered")
@@ -81,8 +80,7 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     page.locator("#again").click()
     expect(page).to_have_url(re.compile("&lesson=2$"))
     expect_flying(page, "Greedy", "You")
-    for key in (" ", " ", *["ArrowLeft"] * 3):
-        page.keyboard.press(key)
+    keys(page, " ", " ", *["ArrowLeft"] * 3)
     expect(reached).to_have_count(3)
 
     bar.get_by_role("link", name="Back to Learn").click()

@@ -6,8 +6,8 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.conftest import lent
-from tests.browser.shown import expect_step, pictures
-from tests.browser.stage import at_its_end, ended, fly, show, standings, view
+from tests.browser.shown import box, expect_step, measured, pictures
+from tests.browser.stage import at_its_end, ended, enter, fly, show, standings, view
 from tests.browser.tabs import NARROW, Tabs
 
 PIXELS_PER_PIXEL = 2
@@ -58,10 +58,8 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
         show(phone, f"/?view=compare&task=easy&{chosen}")
         expect(phone.locator(sign).first).to_be_visible()
         expect_no_wider(phone)
-        wide = "all => all.filter(e => e.scrollWidth > e.clientWidth).map(e => e.ariaLabel)"
-        assert phone.locator(".scroller").evaluate_all(wide) == []
-        hidden = "all => all.filter(e => getComputedStyle(e).display === 'none').map(e => e.dataset.name)"
-        assert phone.locator("#view-compare td").evaluate_all(hidden) == []
+        assert all(measured(phone, "#view-compare .scroller", "one.scrollWidth <= one.clientWidth"))
+        assert "none" not in measured(phone, "#view-compare td", "getComputedStyle(one).display")
     show(phone, "/?view=draw")
     expect(phone.locator("#map-note")).to_contain_text("22 steps")
     expect_no_wider(phone)
@@ -73,16 +71,15 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
 def test_a_person_flies_by_touch_over_a_map_that_is_crisp(phone: Page) -> None:
     show(phone, "/?task=easy&seed=5&pilot=human")
     expect_step(phone, 0, 60)
-    canvases = phone.locator("#boards canvas")
     # A canvas may be half a pixel wider than its rounded `clientWidth`.
-    for width, shown in canvases.evaluate_all("all => all.map(c => [c.width, c.clientWidth])"):
+    for width, shown in measured(phone, "#boards canvas", "[one.width, one.clientWidth]"):
         assert width == pytest.approx(PIXELS_PER_PIXEL * shown, abs=PIXELS_PER_PIXEL / 2)
     phone.get_by_role("group", name="Fly").get_by_role("button", name="Down").tap()
     expect_step(phone, 1, 60, "DOWN")
     # A swipe on the map flies there.
     swipes = (((0, -50), "UP"), ((0, 50), "DOWN"), ((-50, 10), "LEFT"), ((50, 10), "RIGHT"))
     for step, (way, action) in enumerate(swipes, 2):
-        swipe(canvases.last, *way)
+        swipe(phone.locator("#boards canvas").last, *way)
         expect_step(phone, step, 60, action)
 
 
@@ -108,10 +105,8 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     for part in ("#boards .map-air", "#battery", ".pad", "#undo", "#copy-link"):
         expect(phone.locator(part)).to_be_in_viewport(ratio=1)
     # The buttons of the map cover none of its cells.
-    field, tools = (phone.locator(f"#view-fly {part}").bounding_box() for part in (".map", ".map-tools"))
-    assert field
-    assert tools
-    assert field["x"] + field["width"] <= tools["x"]
+    field, tools = box(phone, "#view-fly .map"), box(phone, "#view-fly .map-tools")
+    assert field.left + field.width <= tools.left
     flight = phone.get_by_text("Easy · map 18 · You")
     flight.click()
     expect(phone.locator(".plan-choices")).to_be_in_viewport(ratio=1)
@@ -119,11 +114,9 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     flight.click()
     show(phone, "/?view=draw&task=skyline_easy&seed=7")
     expect(phone.locator("#map-note")).to_contain_text("All 3 parcels")
-    drawn = phone.locator("#drawing .map-air")
-    expect(drawn).to_be_in_viewport(ratio=1)
-    box = drawn.bounding_box()
-    assert box
-    assert min(box["width"], box["height"]) > 0.75 * 390
+    expect(phone.locator("#drawing .map-air")).to_be_in_viewport(ratio=1)
+    drawn = box(phone, "#drawing .map-air")
+    assert min(drawn.width, drawn.height) > 0.75 * 390
     expect_no_wider(phone)
     phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
 
@@ -133,12 +126,10 @@ def test_a_name_that_is_refused_stays_in_sight(phone: Page) -> None:
     expect_step(phone, 0, 60)
     name = phone.locator("#name")
     for refused in ("two words", "x" * 21):
-        name.fill(refused)
-        name.press("Enter")
+        enter(name, refused)
         expect(phone.get_by_role("alert").filter(has_text="at most 20 letters")).to_be_in_viewport(ratio=1)
         expect(name).to_be_focused()
-    name.fill("Ada")
-    name.press("Enter")
+    enter(name, "Ada")
     expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
 
 
@@ -146,13 +137,11 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     def place() -> tuple[float, float, float]:
         """Left, top and width of the city."""
         pictures(phone)  # drawn
-        box = ground.bounding_box()
-        assert box
-        return box["x"], box["y"], box["width"]
+        city = box(phone, "#boards .map-ground")
+        return city.left, city.top, city.width
 
     show(phone, "/?task=easy&seed=11&pilot=greedy")
     expect_step(phone, 0, 60)
-    ground = phone.locator("#boards canvas").first
     whole = place()
     for _ in range(4):
         phone.get_by_role("button", name="Zoom in").tap()
@@ -165,7 +154,7 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     before = place()
     # The finger moves the map, not the page; the map then stays where the finger has left it.
     assert phone.locator("#boards .map").evaluate("map => getComputedStyle(map).touchAction") == "none"
-    swipe(ground, -20, -10)
+    swipe(phone.locator("#boards .map-ground"), -20, -10)
     moved = place()
     assert (moved[0] - before[0], moved[1] - before[1]) == pytest.approx((-20, -10), abs=1)
     phone.get_by_role("button", name="Step", exact=True).tap()
@@ -183,9 +172,6 @@ def test_a_city_fills_its_place_above_its_attribution(phone: Page) -> None:
     show(phone, "/?task=city_small&seed=142&pilot=human")
     expect_step(phone, 0, 160)
     expect(phone.get_by_role("button", name="Zoom out")).to_be_disabled()  # all parcels are in view
-    city = phone.locator("#boards .map-air").bounding_box()
-    credit = phone.get_by_role("link", name="© OpenStreetMap contributors").bounding_box()
-    assert city
-    assert credit
-    assert min(city["width"], city["height"]) > 300
-    assert credit["y"] >= city["y"] + city["height"]
+    city, credit = box(phone, "#boards .map-air"), box(phone, ".credit a")
+    assert min(city.width, city.height) > 300
+    assert credit.top >= city.top + city.height

@@ -11,7 +11,7 @@ from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, get, posted
 from tests.browser.shown import expect_step, painted, points
-from tests.browser.stage import ended, fly, over, pilot, press, show, slider, standings
+from tests.browser.stage import ended, fly, keys, over, pilot, press, show, slider, standings, until
 
 SEED = 20
 """A map on which chance, too, delivers, after twelve steps."""
@@ -54,7 +54,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     # Brackets in the colour of the pilot that is looked at surround its target.
     for number, agent in enumerate(NAMES, 1):
         page.keyboard.press(str(number))
-        assert painted(boards, *colours.values()) == [colours[agent]]
+        until(page, lambda agent=agent: painted(boards, *colours.values()) == [colours[agent]])
     for at in (1, 2):
         press(page, "Step")
         expect_ranked(at)
@@ -73,7 +73,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     # Alone, too, a pilot keeps its colour.
     pilot(page, "Random").click()
     expect(page.locator("#standings")).to_be_hidden()
-    assert painted(boards, *colours.values()) == [colours["random"]]
+    until(page, lambda: painted(boards, *colours.values()) == [colours["random"]])
     expect(page.locator(".pilot", has_text="Random")).to_have_attribute("style", f"--lane: var({colours['random']});")
     page.keyboard.press("q")
 
@@ -146,10 +146,7 @@ def test_while_a_race_is_on_parcels_count_not_promises(page: Page, server: Serve
     # A pilot that has not moved could still score most, but ranks behind one that has delivered.
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots=human,optimal")
     expect(names).to_have_text(["You", "Optimal"])
-    press(page, "Step")
-    press(page, "Step")
-    expect(names).to_have_text(["You", "Optimal"])
-    fly(page, "Resume")
+    fly(page)
     expect(names).to_have_text(["Optimal", "You"])
     expect(page.locator("#standings-note")).to_have_text(
         "Ranked by parcels delivered, then by who was first; at the end by score."
@@ -163,8 +160,7 @@ def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
     page.evaluate("localStorage['drone-env-name'] = 'Ada'")
     over(page, 64, "/?task=easy&seed=64&pilots=human,random")
     expect_step(page, 0, 60)
-    for action in best:
-        page.keyboard.press(KEYS[action])
+    keys(page, *(KEYS[action] for action in best))
     # Chance flies longer than the person, and goes on by itself.
     ended(page)
     last = len(flown("easy", 64, "random").actions)

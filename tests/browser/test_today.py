@@ -10,8 +10,8 @@ from drone_env.planning.optimal import solve
 from drone_env.server.map_choice import map_of_the_day
 from tests.api.serving import Server
 from tests.browser.flights import flown, get
-from tests.browser.shown import expect_step, points
-from tests.browser.stage import at_its_end, ended, over, until
+from tests.browser.shown import expect_step, notes, points
+from tests.browser.stage import at_its_end, ended, enter, keys, over, until
 from tests.browser.test_several import KEYS
 
 
@@ -32,14 +32,12 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     expect_step(page, 0, get_task(task).max_steps)
     refused = page.get_by_role("alert").filter(has_text="without spaces")
     for name, shown in (("Ada", 0), ("not a name", 1), (" undo ", 0)):
-        field.fill(name)
-        field.press("Enter")
+        enter(field, name)
         expect(refused).to_have_count(shown)
         # A name that is refused leaves none, not the one before.
         assert (page.evaluate("localStorage['drone-env-name']") == "Ada") == (name == "Ada")
     page.locator("#step-counter").click()
-    for action in best.actions:
-        page.keyboard.press(KEYS[DIRECTIONS[action]])
+    keys(page, *(KEYS[DIRECTIONS[action]] for action in best.actions))
     ended(page)
     expect(entry).to_have_text([f"undo {points(best.score)}, {best.steps} steps"])
     network = points(flown(task, seed, "tournet").score)
@@ -58,8 +56,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     assert figures(page) == {"Your best": score, "Possible": score, "Tournet": network, "Best today": score}
     # The page rejects the names of other pilots and shows an error.
     over(page, 7, "/?task=easy&seed=7&pilot=human")
-    field.fill("greedy")
-    field.press("Enter")
+    enter(field, "greedy")
     expect(page.get_by_role("alert").filter(has_text="name of a pilot")).to_be_visible()
     expect(entry).to_have_count(0)
 
@@ -75,9 +72,6 @@ def test_a_cell_shows_the_value_of_each_action_and_a_scale(page: Page, server: S
     page.keyboard.press("v")
     try:
         expect(page.locator(".scale")).to_have_text(f"best cell {points(max(rows))}worst {points(min(rows))}")
-        air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
-        box = air.bounding_box()
-        assert box
         signs, best = "↑↓←→•", values["value"]
         q_values = zip(signs, values["cells"]["q_values"][y][x], strict=True)
         lost = [
@@ -85,11 +79,6 @@ def test_a_cell_shows_the_value_of_each_action_and_a_scale(page: Page, server: S
             for sign, value in q_values
         ]
         wanted = [f"{sign} {points(value)}{loses}" for sign, value, loses in lost]
-        said: list[list[str]] = []
-        for row in range(16):
-            for column in range(16):
-                page.mouse.move(box["x"] + box["width"] * column / 16, box["y"] + box["height"] * row / 16)
-                said.append(note.inner_text().split("\n")[1:] if note.is_visible() else [])
-        assert wanted in said
+        until(page, lambda: wanted in [lines[1:] for lines in notes(page)])
     finally:
         page.keyboard.press("v")

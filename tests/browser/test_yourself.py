@@ -10,13 +10,14 @@ from drone_env.planning.optimal import solve
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames, newest
-from tests.browser.shown import counter, expect_flying, expect_frame, expect_step, painted, pictures
+from tests.browser.shown import at, box, counter, expect_flying, expect_frame, expect_step, notes, painted, pictures
 from tests.browser.stage import (
     FASTEST,
     along,
     at_speed,
     choices,
     ended,
+    keys,
     map_number,
     moves,
     over,
@@ -71,9 +72,7 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     page.keyboard.press("ArrowUp")
     expect_frame(page, next(flight), 60)
     expect(speed).to_have_value("4")
-    bounds = slider(page).bounding_box()
-    assert bounds is not None
-    page.mouse.click(bounds["x"] + bounds["width"] - 2, bounds["y"] + bounds["height"] / 2)
+    slider(page).click(position=at(slider(page), 0.99))
     page.keyboard.press("ArrowRight")
     expect_frame(page, next(flight), 60)
 
@@ -116,8 +115,7 @@ def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Ser
     expect(arrows).to_be_checked()
     expect(possible).not_to_have_text(DASH)
     expect(thoughts.locator("tr.best")).not_to_have_count(0)
-    for key in way[1:]:
-        page.keyboard.press(key)
+    keys(page, *way[1:])
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 5)["agent"] == "human with values"
     page.keyboard.press("r")
@@ -141,8 +139,7 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     over(page, 8, "/?task=easy&seed=8&pilot=human")
     undo, way = page.get_by_role("button", name="Undo"), to_the_parcel(8)
     expect(undo).to_be_disabled()
-    for key in (way[0], way[1], way[1]):
-        page.keyboard.press(key)
+    keys(page, way[0], way[1], way[1])
     expect(moves(page)).to_have_count(3)
     expect(page.locator("#unlisted")).to_be_hidden()
     # Space is for the drone after a click, and for the button that the keyboard has reached.
@@ -167,8 +164,7 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
         expect_step(page, 1, 60)
         expect(map_number(page)).to_have_value("8")
         expect_flying(page, "You")
-    for key in way[1:]:
-        page.keyboard.press(key)
+    keys(page, *way[1:])
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 8)["agent"] == "human with undo"
     # A flight that has ended is stored: the page does not ask.
@@ -180,32 +176,29 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
 def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_could_be_won(page: Page) -> None:
     over(page, 7, "/?task=skyline_easy&seed=7&pilot=human")
     expect(page.locator(".hint")).to_contain_text("A step costs 1 battery unit, 3 above a building, 2 above a tree.")
-    keys, side = page.locator(".hint strong"), page.locator(".side")
-    expect(keys).to_have_text("Fly with the arrow keys.", use_inner_text=True)
+    told, side = page.locator(".hint strong"), page.locator(".side")
+    expect(told).to_have_text("Fly with the arrow keys.", use_inner_text=True)
     side.evaluate("side => side.scrollTo(0, 999)")
-    air = page.locator("#boards .map-air")
-    size = air.bounding_box()
-    for key in ["ArrowLeft", "ArrowRight"] * 6:
-        page.keyboard.press(key)
+    size = box(page, "#boards .map-air")
+    keys(page, *["ArrowLeft", "ArrowRight"] * 6)
     expect(ended(page)).to_contain_text("Each step costs a unit; a pad was 4 cells away.")
-    expect(keys).to_be_hidden()
+    expect(told).to_be_hidden()
     for part in ("#results-title", "#again", "#undoes", "#start-over"):
         expect(page.locator(part)).to_be_in_viewport(ratio=1)
-    assert air.bounding_box() == size
+    assert box(page, "#boards .map-air") == size
     expect(page.locator("#next")).to_be_hidden()
     press(page, "Try again from step 6")
     expect_step(page, 6, 60, "RIGHT")
     expect(page).to_have_url(re.compile("pilot=human&of=human%20with%20undo&actions=LRLRLR$"))
-    for key in ["ArrowLeft", "ArrowRight"] * 3:
-        page.keyboard.press(key)
+    keys(page, *["ArrowLeft", "ArrowRight"] * 3)
     ended(page)
     side.evaluate("side => side.scrollTo(0, 999)")
     page.locator("#start-over").dispatch_event("click")
     expect_step(page, 0, 60)
     expect(page).to_have_url(re.compile("pilot=human$"))
     assert side.evaluate("side => side.scrollTop") == 0
-    for key in ["ArrowLeft", "ArrowRight"] * 6:
-        page.keyboard.press(key)
+    keys(page, *["ArrowLeft", "ArrowRight"] * 6)
+    at_speed(page, FASTEST)
     press(page, "Watch Tournet")
     expect_flying(page, "Tournet")
     ended(page)
@@ -216,14 +209,9 @@ def test_cells_show_what_they_cost_beside_the_drone_and_under_the_pointer(page: 
     over(page, 152, "/?task=skyline_easy&seed=152&pilot=human")
     expect_step(page, 0, 60)
     # Beside the drone are a pad and an obstacle.
-    air, note = page.locator("#boards .map-air"), page.locator(".cell-note")
+    air = page.locator("#boards .map-air")
     until(page, lambda: painted(air, "--good", "--bad") == ["--bad"])
-    box = air.bounding_box()
-    assert box
-    words: set[str] = set()
-    for column in range(16):
-        page.mouse.move(box["x"] + box["width"] * column / 16, box["y"] + box["height"] * 0.45)
-        words.add(note.inner_text() if note.is_visible() else "")
+    words = {line for lines in notes(page) for line in lines}
     assert {"Pad: costs 1 unit, each wait charges 4", "Obstacle: closed", "Road: costs 1 unit"} <= words
     # The charge is marked only above the pad.
     page.keyboard.press("ArrowLeft")

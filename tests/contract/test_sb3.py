@@ -108,6 +108,7 @@ def test_what_does_not_exist_is_refused_with_what_is_allowed() -> None:
         DroneDeliveryVecEnv("easy", N, reward_profile="generous")
 
 
+@pytest.mark.long
 def test_the_page_about_it_runs_as_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

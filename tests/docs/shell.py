@@ -19,7 +19,19 @@ from tests.docs.pages import ROOT, Block
 from tests.tools import ran
 
 # Outputs and large files.
-LEFT_OUT = (".*", "__pycache__", "*.egg-info", "build", "data", "demo", "dist", "htmlcov", "results", "runs")
+LEFT_OUT = (
+    ".*",
+    "__pycache__",
+    "*.egg-info",
+    "build",
+    "data",
+    "demo",
+    "dist",
+    "htmlcov",
+    "node_modules",
+    "results",
+    "runs",
+)
 SERVERS = ("drone-env serve", "python drone_env/server/app.py")
 SCRIPTS = {"train.py": "train", "inference.py": "infer"}
 # As in the installed command, modules are not imported from the working directory.

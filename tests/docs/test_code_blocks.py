@@ -82,11 +82,13 @@ class Page:
     Attributes:
         folder: Folder in which the blocks run.
         request: Provides servers if the page needs them.
+        shown: The commands whose output the page shows, without filters: they run only there.
         names: Namespace of its Python blocks.
     """
 
     folder: Path
     request: pytest.FixtureRequest
+    shown: set[str]
     names: dict[str, Any] = field(default_factory=lambda: {"__name__": "__main__"})
 
     def run(self, block: Block) -> None:
@@ -94,7 +96,8 @@ class Page:
         if block.output_of:
             assert self._shell([block.output_of], block).stdout == block.text, block.where
         elif block.language in SHELL:
-            if chosen := shell.commands_to_run(block):
+            typed = shell.commands_to_run(block)
+            if chosen := [command for command in typed if command.partition("#")[0].strip() not in self.shown]:
                 self._shell(chosen, block)
         elif block.language == "python" and not block.not_run:
             self._python(block)
@@ -148,7 +151,7 @@ def test_its_code_blocks_run(
         if block.file:
             (folder / block.file).write_text(block.text, encoding="utf-8")
             monkeypatch.syspath_prepend(folder)  # Python blocks find it as well
-    run = Page(folder, request)
+    run = Page(folder, request, {block.output_of.partition(" | ")[0] for block in found if block.output_of})
     for block in found:
         run.run(block)
     del run

@@ -25,6 +25,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {path.suffix: path for path in build(tmp_path_factory.mktemp("built"))}
 
 
+@pytest.mark.long
 def test_the_wheel_holds_the_package_and_nothing_else(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:
         names = set(wheel.namelist())
@@ -35,6 +36,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: dict[str, Path]) ->
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_source_distribution_holds_what_a_wheel_is_built_from(built: dict[str, Path]) -> None:
     with tarfile.open(built[".gz"]) as archive:
         names = {member.name.removeprefix(f"{NAME}/") for member in archive.getmembers() if member.isfile()}
@@ -43,6 +45,7 @@ def test_the_source_distribution_holds_what_a_wheel_is_built_from(built: dict[st
     assert names - made == {*sources}
 
 
+@pytest.mark.long
 def test_the_description_renders_and_names_every_python(built: dict[str, Path]) -> None:
     command = [sys.executable, "-m", "twine", "check", "--strict", *map(str, built.values())]
     checked = subprocess.run(command, capture_output=True, text=True, check=False)
