@@ -4,8 +4,8 @@
     python examples/llm_evaluation.py                                                 # a scripted model, no network
     python examples/llm_evaluation.py --base-url http://127.0.0.1:8080/v1 --model my-model --maps 100
 
-Measured: score 0.9773, optimum of the same 20 maps 0.9773; 149 requests, 121 answers usable at once, 14 after the repair
-prompt. 3 seconds of CPU time.
+Measured: score 0.9773, optimum of the same 20 maps 0.9773; 149 requests, 121 answers usable at once, 14 after the
+repair prompt. 3 seconds of CPU time.
 
 Without `--base-url` the endpoint is the one below: an OpenAI-compatible server of thirty lines that reads the prompt,
 as any model does, and flies to the first parcel that it names. It answers every tenth call with prose, so that the
