@@ -15,9 +15,9 @@ import pytest
 
 MEMORY = 80 * 2**20
 TOKEN = secrets.token_hex(32)
+# Ray reads these when it is imported, which happens when the tests are collected.
+os.environ.update({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": TOKEN})
 STARTING = {
-    "RAY_AUTH_MODE": "token",
-    "RAY_AUTH_TOKEN": TOKEN,
     "RAY_USAGE_STATS_ENABLED": "0",
     # Ray's own is 15: on a machine that has other things to do its workers would hardly start.
     "RAY_worker_niceness": "0",
