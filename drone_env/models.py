@@ -104,12 +104,13 @@ class DroneObservation(StrictModel):
 
 def observation_fields(episode: Episode) -> dict[str, Any]:
     """Return the fields of `DroneObservation.of(episode)` without validation, which takes a third of a step's time."""
+    numbers = observation_numbers(episode)
     width, cells = episode.task.width, episode.grid().tobytes()
     rows = [row_as_emoji(cells[start : start + width]) for start in range(0, len(cells), width)]
     return {
         "grid": [emoji for emoji, _ in rows],
         "cell_types": [list(names) for _, names in rows],
-        **observation_numbers(episode),
+        **numbers,
         "legend": LEGEND,
     }
 

@@ -19,8 +19,8 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
 from drone_env.errors import install_command
+from drone_env.flights import store
 from drone_env.graders import GRADERS
-from drone_env.results import store
 from tests.tools import PATIENCE, missing_in, missing_package
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)

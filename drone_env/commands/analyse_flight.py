@@ -42,8 +42,8 @@ def analyse_flight(
         json: Print JSON instead: positions are [x, y].
     """
     # Imported lazily: Pydantic and Numba are slow to load.
+    from drone_env.flights.record import load_record
     from drone_env.results import analysis
-    from drone_env.results.record import load_record
 
     if file is not None and (task, agent, seed) == (None, None, None):
         analysed = analysis.analyse_flight(load_record(file))

@@ -48,8 +48,8 @@ def audit(
         jobs: Number of threads; by default one per core.
     """
     # Imported lazily: they load a compiler.
+    from drone_env.flights.record import record_of, save_record
     from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
-    from drone_env.results.record import record_of, save_record
 
     config = get_task(task)
     profile = audited_profile(reward, gamma, shaping_gamma)

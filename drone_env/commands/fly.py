@@ -54,7 +54,7 @@ def fly(
         print(f"picture: {picture}", file=sys.stderr)
     if record is not None:
         # Loads Pydantic, which only a record needs.
-        from drone_env.results.record import record_of, save_record
+        from drone_env.flights.record import record_of, save_record
 
         save_record(record_of(episode, agent), record)
         print(f"record: {record}", file=sys.stderr)

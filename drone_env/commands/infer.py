@@ -122,7 +122,7 @@ def infer(
     import asyncio
 
     from drone_env.files import data_folder
-    from drone_env.results.store import Store
+    from drone_env.flights.store import Store
 
     with needs("llm"):
         from drone_env.llm import report as reports

@@ -13,7 +13,7 @@ from drone_env.core.rewards import get_reward_profile
 from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
 
 if TYPE_CHECKING:
-    from drone_env.results.record import EpisodeRecord
+    from drone_env.flights.record import EpisodeRecord
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|ID")]
 
@@ -40,7 +40,7 @@ def replay(
         reward: Pay by another profile, or by a TOML file with one. Its rewards are not compared with the record.
     """
     # Loads Pydantic, which only records need.
-    from drone_env.results import record as records
+    from drone_env.flights import record as records
 
     profile = None if reward is None else get_reward_profile(reward)
     failed = False
@@ -69,14 +69,14 @@ def replay(
 def _records(source: str) -> "Iterable[tuple[str, EpisodeRecord]]":
     """Return each record with its name for messages."""
     from drone_env.files import data_folder
-    from drone_env.results.record import load_record, read_records
-    from drone_env.results.sessions import EPISODE_ID
-    from drone_env.results.store import FILE_NAME, Store
+    from drone_env.flights.flight import FLIGHT_ID
+    from drone_env.flights.record import load_record, read_records
+    from drone_env.flights.store import FILE_NAME, Store
 
     path = Path(source)
     if path.suffix == ".jsonl":
         return ((f"line {number} of {path}", record) for number, record in enumerate(read_records(path), 1))
-    if path.exists() or not EPISODE_ID.fullmatch(source):
+    if path.exists() or not FLIGHT_ID.fullmatch(source):
         return [(str(path), load_record(path))]
     folder = data_folder()
     if not (folder / FILE_NAME).is_file():

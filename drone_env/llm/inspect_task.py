@@ -15,13 +15,13 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
+from drone_env.flights.record import record_of
 from drone_env.llm.answers import Answer, ChatMessage, Unusable
 from drone_env.llm.progress import last_line, log_lines
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import FlightResult
 from drone_env.llm.runner import MAX_ERRORED
 from drone_env.llm.text_episode import EpisodeRun, TextEpisode
-from drone_env.results.record import record_of
 
 with needs("inspect"):
     import anyio

@@ -10,12 +10,12 @@ from typing_extensions import Self
 
 from drone_env.errors import InvalidValueError
 from drone_env.files import differences, is_begun, locked, read_file, read_lines, write_text
+from drone_env.flights.record import record_of
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.text_episode import EpisodeRun, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Score, StrictModel
-from drone_env.results.record import record_of
 from drone_env.results.result import EpisodesKey, Results
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"

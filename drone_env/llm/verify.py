@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.flights.record import EpisodeRecord, read_records, record_of, replay
 from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import Prompt
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent, requests_of
-from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
 @dataclass(frozen=True)

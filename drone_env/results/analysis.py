@@ -20,7 +20,7 @@ from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.results.record import EpisodeRecord, replay
+from drone_env.flights.record import EpisodeRecord, replay
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver

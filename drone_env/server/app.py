@@ -30,7 +30,20 @@ from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.process import end_with_parent, run
-from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs
+from drone_env.server.routes import (
+    annotate,
+    catalogue,
+    compare,
+    flight,
+    history,
+    maps,
+    openenv,
+    page,
+    predict,
+    replay,
+    runs,
+    values,
+)
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import AppState
@@ -63,21 +76,21 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     settings = settings or load_settings()
     for file in settings.reward_profiles:
         register_reward_file(file)
-    shared = AppState(settings, clock)
-    live = LiveSocket(shared)
-    socket = OpenEnvSocket(shared, clock or time.monotonic)
+    app_state = AppState(settings, clock)
+    live = LiveSocket(app_state)
+    socket = OpenEnvSocket(app_state, clock or time.monotonic)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
-        await asyncio.gather(run_in_threadpool(shared.open), run_in_threadpool(_describe, app))
-        sweeper = asyncio.create_task(_sweep(shared, socket, live))
+        await asyncio.gather(run_in_threadpool(app_state.open), run_in_threadpool(_describe, app))
+        sweeper = asyncio.create_task(_sweep(app_state, socket, live))
         try:
             yield
         finally:
             sweeper.cancel()
             with suppress(asyncio.CancelledError):
                 await sweeper
-            await run_in_threadpool(shared.close)
+            await run_in_threadpool(app_state.close)
 
     app = FastAPI(
         title="Drone Delivery Env",
@@ -91,13 +104,13 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         redoc_url=None,
         openapi_url=None,
     )
-    app.state.shared = shared
+    app.state.shared = app_state
     app.state.socket = socket
     app.state.live = live
     install(app)
-    app.add_middleware(Security, settings=settings, log=shared.requests)
+    app.add_middleware(Security, settings=settings, log=app_state.requests)
     app.include_router(flight.stepping)
-    for routes in (flight, catalogue, history, compare, runs, replay, maps, page, openenv):
+    for routes in (flight, predict, catalogue, history, compare, runs, replay, annotate, values, maps, page, openenv):
         app.include_router(routes.router)
     for path in ("/ws", "/mcp"):
         app.router.routes.append(WebSocketRoute(path, socket))
@@ -128,15 +141,15 @@ def _describe(app: FastAPI) -> None:
         SCHEMA.append(to_json(app.openapi()))
 
 
-async def _sweep(shared: AppState, socket: OpenEnvSocket, live: LiveSocket) -> None:
+async def _sweep(app_state: AppState, socket: OpenEnvSocket, live: LiveSocket) -> None:
     """End idle sessions and sockets periodically."""
-    interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
+    interval = min(SWEEP_SECONDS, app_state.settings.idle_seconds / 4)
     while True:
         await asyncio.sleep(interval)
         try:
             await socket.close_idle()
             await run_in_threadpool(live.keep_sessions)
-            await run_in_threadpool(shared.sessions.expire)
+            await run_in_threadpool(app_state.sessions.expire)
         except DroneEnvError as error:
             log.error("cannot end idle sessions, next attempt in %g s: %s", interval, error)
 

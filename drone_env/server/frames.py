@@ -11,6 +11,8 @@ from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
 from drone_env.errors import EpisodeError
+from drone_env.flights.provenance import HUMAN, AgentLabel, Parent, PersonName, Provenance
+from drone_env.flights.record import fly_directions
 from drone_env.models import (
     DIRECTIONS,
     NAMES,
@@ -23,20 +25,21 @@ from drone_env.models import (
     Score,
     StrictModel,
 )
-from drone_env.results.record import fly_directions
 from drone_env.server.jobs import job_context
-from drone_env.server.pilots import HUMAN, Provenance, all_pilots
+from drone_env.server.pilots import display_name
 
 
 class FlightHeader(StrictModel):
     """The pilot, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
-    pilot: str = Field(description="Id of the pilot; the agent of the record if it is not a pilot.")
-    by: str = Field(
-        description="The pilot, or `human (NAME)`; then ` with values`, ` with undo` or ` with values and undo` if a "
-        "person used them; then, for a fork, ` from step N of ` and the pilot of the first N steps."
-    )
+    pilot: AgentLabel = Field(description="Id of the pilot, or the agent of the record.")
+    person: PersonName | None = Field(description="The name that a person chose.")
+    values_used: bool = Field(description="Whether a person turned on values in flight.")
+    undo_used: bool = Field(description="Whether a person took back steps.")
+    parent: Parent | None = Field(description="The flight that this one continues; null if this is not a fork.")
+    by: str = Field(description="These five in words: `human (NAME) with undo from step 20 of pathqnet`.")
+    name: str = Field(description="The same for people.")
     forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")
     short_name: str = Field(description="Short name of the task.")
@@ -51,17 +54,18 @@ class FlightHeader(StrictModel):
     start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
-    def of(cls, episode: Episode, by: str, session: str | None = None) -> "FlightHeader":
-        """The header of an episode at its start; `by` is the agent of its session or record."""
-        task, provenance = episode.task, Provenance.parse(by)
+    def of(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
+        """The header of an episode at its start."""
+        task, parent = episode.task, provenance.parent
         x, y = episode.position
         cells = episode.grid().tolist()
         cells[y][x] = episode.under
         return cls(
             session=session,
-            pilot=provenance.pilot if provenance.pilot in all_pilots() else by,
-            by=by,
-            forked_at=provenance.forked_at,
+            **{name: getattr(provenance, name) for name in Provenance.model_fields},
+            by=provenance.label,
+            name=display_name(provenance),
+            forked_at=None if parent is None else parent.step,
             task=task.id,
             short_name=task.short_name,
             seed=episode.seed,
@@ -171,7 +175,7 @@ def frame_of(
 
 def shows_values(provenance: Provenance, episode: Episode) -> bool:
     """Whether values are shown: they are hidden from a person in flight until the person turns them on."""
-    return provenance.pilot != HUMAN or provenance.values or episode.ended
+    return provenance.pilot != HUMAN or provenance.values_used or episode.ended
 
 
 def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check: bool = False) -> list[int]:
@@ -223,18 +227,17 @@ def values_along(episode: Episode, actions: Sequence[int]) -> list[float]:
     return values
 
 
-def frames_json(episode: Episode, by: str, directions: Sequence[Direction]) -> str:
+def frames_json(episode: Episode, provenance: Provenance, directions: Sequence[Direction]) -> str:
     """The frames of a flight, frame 0 included, as a JSON array.
 
     Args:
         episode: The episode at its start; it is flown.
-        by: The agent of its session.
+        provenance: Who flew it.
         directions: The actions of the flight.
 
     Raises:
         InvalidValueError: if there are actions after the end.
     """
-    provenance = Provenance.parse(by)
     network = job_context().networks.shown_network(provenance.pilot, episode.task)
 
     def frame() -> Frame:
@@ -247,12 +250,12 @@ Beginning = tuple[list[int], str, list[int] | None]
 """The first actions of a flight, their frames as a JSON array, and all actions of its pilot; None for a person."""
 
 
-def begin(episode: Episode, by: str, forked: list[Direction] | None, steps: int) -> Beginning:
+def begin(episode: Episode, provenance: Provenance, forked: list[Direction] | None, steps: int) -> Beginning:
     """The beginning of a flight: the actions of a fork, or else the first steps of its pilot.
 
     Args:
         episode: The episode at its start.
-        by: The agent of its session.
+        provenance: Who flies it.
         forked: The actions of a fork.
         steps: The number of first steps, unless `forked` is given.
 
@@ -260,13 +263,13 @@ def begin(episode: Episode, by: str, forked: list[Direction] | None, steps: int)
         InvalidValueError: if there are actions after the end.
         DroneEnvError: as `plan`.
     """
-    provenance = Provenance.parse(by)
     if forked is None:
         planned = plan(episode.copy(), provenance.pilot, (), 0)
         actions = planned[:steps]
-        return actions, frames_json(episode, by, [DIRECTIONS[action] for action in actions]), planned
+        return actions, frames_json(episode, provenance, [DIRECTIONS[action] for action in actions]), planned
     actions = [int(Action[direction]) for direction in forked]
-    frames = frames_json(episode.copy(), by, forked)  # raises if there are actions after the end
+    frames = frames_json(episode.copy(), provenance, forked)  # raises if there are actions after the end
     if provenance.pilot == HUMAN:
         return actions, frames, None
-    return actions, frames, plan(episode, provenance.pilot, actions, provenance.forked_at or 0, check=True)
+    first = 0 if provenance.parent is None else provenance.parent.step
+    return actions, frames, plan(episode, provenance.pilot, actions, first, check=True)

@@ -22,9 +22,9 @@ from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.models import DroneState, observation_fields
-from drone_env.server.map_choice import DEFAULT_TASK, TaskApi, start_episode
 from drone_env.server.openenv_session import openenv_fields
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, OpenEnvReset, RouteAction, WireObservation, fly_route
+from drone_env.server.task_api import DEFAULT_TASK, TaskApi, start_episode
 
 
 class DroneEnvAction(RouteAction, Action):

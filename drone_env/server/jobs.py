@@ -21,7 +21,7 @@ from drone_env.files import MAPS
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.exceptions import FAILED, RequestError
 from drone_env.server.model_runs import StoredRuns
-from drone_env.server.pilots import Networks
+from drone_env.server.networks import Networks
 from drone_env.server.settings import Settings
 
 if TYPE_CHECKING:

@@ -9,11 +9,13 @@ from starlette.datastructures import Headers
 
 from drone_env import __version__
 from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, NoSessionError, text_of
+from drone_env.flights.sessions import ANONYMOUS
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
 from drone_env.models import StrictModel
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState
+from drone_env.server.task_api import start_episode
 
 SESSION_HEADER, VERSION_HEADER = "Mcp-Session-Id", "MCP-Protocol-Version"
 INVALID_REQUEST, NO_METHOD, INVALID, FAILED = -32600, -32601, -32602, -32603
@@ -117,7 +119,7 @@ async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[
     return {"observation": observation, "reward": data["reward"], "done": data["done"]}
 
 
-async def named_session(shared: AppState, headers: Headers) -> str | None:
+async def named_session(app_state: AppState, headers: Headers) -> str | None:
     """Return the session that the headers of a request name.
 
     Raises:
@@ -130,14 +132,14 @@ async def named_session(shared: AppState, headers: Headers) -> str | None:
         raise ToolError("invalid_request", message, INVALID_REQUEST)
     if named is not None:
         try:
-            await asyncio.to_thread(shared.store.read_session, named)
+            await asyncio.to_thread(app_state.sessions.check, named)
         except NoSessionError as error:
             raise ToolError("invalid_request", f"Session not found: {error}", NO_SESSION, 404) from None
     return named
 
 
 async def rpc(
-    shared: AppState,
+    app_state: AppState,
     request: Any,
     session: OpenEnvSession | None = None,
     named: str | None = None,
@@ -146,7 +148,7 @@ async def rpc(
     """Return the JSON-RPC response to a request.
 
     Args:
-        shared: The parts of the server.
+        app_state: The parts of the server.
         request: The request.
         session: The session of a connection; None over HTTP, where each request names one.
         named: The session that the header of the request names, as clients of MCP do.
@@ -160,14 +162,14 @@ async def rpc(
             raise ToolError("invalid_request", message, INVALID_REQUEST)
         if not isinstance(params, dict | None):
             raise ToolError("invalid_args", "params must be an object")
-        result = await _call(shared, method, cast(dict[str, Any], params or {}), session, named, owner)
+        result = await _call(app_state, method, cast(dict[str, Any], params or {}), session, named, owner)
         return {**_numbered(number), "result": result}
     except ToolError as error:
         return error.answer(number)
 
 
 async def _call(
-    shared: AppState,
+    app_state: AppState,
     method: str,
     params: dict[str, Any],
     session: OpenEnvSession | None,
@@ -181,14 +183,15 @@ async def _call(
     try:
         if method in ("initialize", "openenv/session/create"):
             if session is None:
-                named, _ = await asyncio.to_thread(shared.sessions.reset, None, SessionReset(), owner=owner)
+                episode = start_episode(SessionReset(), None)
+                named = await asyncio.to_thread(app_state.sessions.open, episode, ANONYMOUS, owner=owner)
             opened = {"session_id": named if session is None else session.episode_id}
             return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
         by_header, named = "session_id" not in params and named is not None, params.get("session_id", named)
         if method in ("tools/call", "openenv/session/close") and session is None and not isinstance(named, str):
             raise InvalidValueError("session_id: send the one from openenv/session/create")
         if method == "tools/call":
-            session = session or OpenEnvSession(shared, named)
+            session = session or OpenEnvSession(app_state, named)
             try:
                 return _result(await call_tool(session, params.get("name"), params.get("arguments")))
             except ToolError as error:
@@ -198,7 +201,7 @@ async def _call(
                 return {"content": [{"type": "text", "text": str(error)}], "isError": True}
         # That of a connection ends with it.
         if method == "openenv/session/close" and session is None:
-            await asyncio.to_thread(shared.store.end_session, str(named))
+            await asyncio.to_thread(app_state.sessions.end, str(named))
             return {"session_id": named, "closed": True}
     except CapacityError as error:
         raise ToolError("execution_error", str(error), SERVER_ERROR) from None

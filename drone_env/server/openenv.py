@@ -18,8 +18,8 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
+from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
-from drone_env.results.sessions import in_share
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.mcp import rpc, step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
@@ -55,12 +55,12 @@ class OpenEnvSocket:
     """The WebSocket endpoint, an ASGI application. It closes idle sockets.
 
     Args:
-        shared: The parts of the server.
+        app_state: The parts of the server.
         clock: Returns the time in seconds.
     """
 
-    def __init__(self, shared: AppState, clock: Callable[[], float] = time.monotonic) -> None:
-        self.shared = shared
+    def __init__(self, app_state: AppState, clock: Callable[[], float] = time.monotonic) -> None:
+        self.app_state = app_state
         self._clock = clock
         self.touched: dict[WebSocket, float] = {}
         """Time of the last use of each open socket."""
@@ -71,7 +71,7 @@ class OpenEnvSocket:
         # Clients may disconnect at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept()
-            capacity = self.shared.settings.capacity
+            capacity = self.app_state.settings.capacity
             try:
                 own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
                 if not in_share(own, len(self.touched), capacity):
@@ -90,7 +90,7 @@ class OpenEnvSocket:
     async def _open(self, socket: WebSocket) -> OpenEnvSession:
         """Return the session of a connection: its own, or the stored one that the URL names."""
         stored = socket.query_params.get("session_id")
-        session = OpenEnvSession(self.shared, stored)
+        session = OpenEnvSession(self.app_state, stored)
         if stored is not None:
             try:
                 await session.look()
@@ -119,7 +119,7 @@ class OpenEnvSocket:
     async def _mcp_answer(self, session: OpenEnvSession, data: bytes | None) -> str:
         """Return the response to a request of MCP."""
         try:
-            return to_json(await rpc(self.shared, parse_json(data), session)).decode()
+            return to_json(await rpc(self.app_state, parse_json(data), session)).decode()
         except InvalidValueError as error:
             problem = {"code": PARSE_ERROR, "message": str(error)}
             return to_json({"jsonrpc": "2.0", "id": None, "error": problem}).decode()
@@ -163,12 +163,12 @@ class OpenEnvSocket:
         if kind == "close":
             return None
         if kind == "mcp":
-            return _frame("mcp", to_json(await rpc(self.shared, data, session)).decode())
+            return _frame("mcp", to_json(await rpc(self.app_state, data, session)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
     async def close_idle(self) -> None:
         """Close idle sockets."""
-        limit = self._clock() - self.shared.settings.idle_seconds
+        limit = self._clock() - self.app_state.settings.idle_seconds
         idle = [socket for socket, touched in self.touched.items() if touched < limit]
         for socket in idle:
             del self.touched[socket]
@@ -177,7 +177,7 @@ class OpenEnvSocket:
 
     async def _close_idle(self, socket: WebSocket) -> None:
         try:
-            await socket.close(GOING_AWAY, f"idle for {self.shared.settings.idle_seconds:g} s: connect again")
+            await socket.close(GOING_AWAY, f"idle for {self.app_state.settings.idle_seconds:g} s: connect again")
         except (RuntimeError, WebSocketDisconnect, OSError):
             log.debug("an idle socket was closed already")
 

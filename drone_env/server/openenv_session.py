@@ -7,14 +7,15 @@ from typing import Any
 
 from drone_env.core.episode import NOT_STARTED, Episode
 from drone_env.errors import EpisodeError
+from drone_env.flights.flight import new_id
+from drone_env.flights.provenance import Provenance
+from drone_env.flights.sessions import ANONYMOUS, Session
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.llm.text_episode import status_text
 from drone_env.models import openenv_json
-from drone_env.results.sessions import Session, advance, flight_of
-from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
-from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import AppState
+from drone_env.server.task_api import is_drawn, start_episode
 
 
 def full_text(prompt: Prompt, episode: Episode) -> str:
@@ -45,12 +46,12 @@ class OpenEnvSession:
     """A session in memory, or a stored one that all server processes share. One request at a time uses it.
 
     Args:
-        shared: The parts of the server.
+        app_state: The parts of the server.
         stored: Id of the stored session; None for one in memory, which starts with its first reset.
     """
 
-    def __init__(self, shared: AppState, stored: str | None = None) -> None:
-        self._shared = shared
+    def __init__(self, app_state: AppState, stored: str | None = None) -> None:
+        self._app_state = app_state
         self._stored = stored
         self._session: Session | None = None
         self._prompt: Prompt | None = None
@@ -69,11 +70,16 @@ class OpenEnvSession:
         prompt = None if named is None else await asyncio.to_thread(get_prompt, named)
         agent = options.agent or ANONYMOUS
         if self._stored is None:
-            last = None if self._session is None else self._session.seed
-            episode = start_episode(options, last)
-            self._session = Session("", *flight_of(episode), agent, episode=episode)
+            last = None if self._session is None else self._session.episode.seed
+            if is_drawn(options):  # reading one takes milliseconds
+                episode = await asyncio.to_thread(start_episode, options, last)
+            else:
+                episode = start_episode(options, last)
+            self._session = Session("", new_id(), episode, Provenance.of(agent))
         else:
-            episode = await self._use(lambda session: session.begin(start_episode(options, session.seed), agent))
+            episode = await self._use(
+                lambda session: session.begin(start_episode(options, session.episode.seed), agent)
+            )
         self.episode_id = str(uuid.uuid4()) if options.episode_id is None else options.episode_id
         self._prompt = prompt
         return episode
@@ -87,8 +93,8 @@ class OpenEnvSession:
 
         def fly(session: Session) -> None:
             # If storing the ended episode failed, the client repeats the last step, and gets the same response.
-            if not session.finished:
-                self._last = fly_route(route, session.fly(), lambda action: advance(session, action))
+            if not session.has_ended:
+                self._last = fly_route(route, session.episode, session.fly)
 
         return await self._use(fly), *self._last
 
@@ -110,17 +116,21 @@ class OpenEnvSession:
 
     async def _use(self, change: Callable[[Session], object]) -> Episode:
         """Call a function with the session, store what ended, and return the episode."""
-        loop, shared = asyncio.get_running_loop(), self._shared
+        loop, app_state = asyncio.get_running_loop(), self._app_state
         if self._stored is not None:
-            return await loop.run_in_executor(shared.steps, self._use_stored, self._stored, change)
+            return await loop.run_in_executor(app_state.steps, self._use_stored, self._stored, change)
         if self._session is None:
             raise EpisodeError(NOT_STARTED)
         change(self._session)
-        if self._session.finished:
-            await loop.run_in_executor(shared.steps, shared.store.keep, self._session)
-        return self._session.fly()
+        if self._session.has_ended:
+            flown = self._session.episode, self._session.provenance, self._session.flight_id
+            await loop.run_in_executor(app_state.steps, app_state.store.add_episode, *flown)
+            self._session.has_ended = False
+        return self._session.episode
 
     def _use_stored(self, stored: str, change: Callable[[Session], object]) -> Episode:
-        with self._shared.sessions.changing(stored) as session:
+        def use(session: Session) -> Episode:
             change(session)
-            return session.fly()
+            return session.episode.copy()
+
+        return self._app_state.sessions.use(stored, use)

@@ -16,7 +16,7 @@ from pathlib import Path
 from drone_env import __version__
 from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
-from drone_env.results.store import Store
+from drone_env.flights.store import Store
 from drone_env.server.json_routes import LARGE
 from drone_env.server.settings import load_settings
 

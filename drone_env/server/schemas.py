@@ -3,16 +3,16 @@
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, cast
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, JsonValue, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.errors import InvalidValueError
+from drone_env.flights.provenance import AgentLabel
 from drone_env.llm.answers import Answer, actions_named, read_answer
 from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Seed, StrictModel
-from drone_env.results.finished import check_agent
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 ENV_NAME = "drone-env"
@@ -29,10 +29,6 @@ MAX_ROUTE = 1000
 def examples(values: list[JsonValue]) -> Any:
     """Return the OpenAPI examples of a body."""
     return {str(value): {"value": value} for value in values}
-
-
-# Checked here, because the store checks it again when the episode has ended.
-AgentName = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(check_agent)]
 
 
 class ResetOptions(StrictModel):
@@ -52,7 +48,7 @@ class ResetOptions(StrictModel):
         description=f"Reward profile: {', '.join(REWARD_PROFILES)}. Default: `{ORIGINAL_PROFILE}`; in OpenEnv sessions "
         f"`{OPENENV_PROFILE}`.",
     )
-    agent: AgentName | None = Field(default=None, description="Name of the agent in the records: one printable line.")
+    agent: AgentLabel | None = Field(default=None, description="Name of the agent in the records: one printable line.")
     episode_id: str | None = Field(default=None, max_length=255, description="Id of the episode in OpenEnv's state.")
     split: str | None = Field(
         default=None,

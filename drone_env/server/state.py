@@ -1,22 +1,23 @@
 """The state of the application, at `app.state.shared`, and the dependencies of the routes."""
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, TypeVar
 
-from fastapi import Depends, Header, Request, Response
+from fastapi import Depends, Request, Response
 from starlette.requests import HTTPConnection
 
 from drone_env.core.tasks import TASK_FINDERS
 from drone_env.files import MAPS
-from drone_env.results.store import Store
+from drone_env.flights.sessions import Sessions
+from drone_env.flights.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.logs import RequestLog
 from drone_env.server.model_runs import StoredRuns
-from drone_env.server.pilots import Networks
-from drone_env.server.sessions import HEADER, LONGEST_ID, Caller, Sessions
+from drone_env.server.networks import Networks
 from drone_env.server.settings import Settings
 from drone_env.server.workers import Workers
 
@@ -29,7 +30,7 @@ class AppState:
 
     Args:
         settings: The settings.
-        clock: Returns the time in seconds since 1970; None for the store's clock.
+        clock: Returns seconds on a clock that nobody sets, for idle times; None for that of the machine.
     """
 
     store: Store
@@ -40,7 +41,7 @@ class AppState:
 
     def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
         self.settings = settings
-        self._clock = clock
+        self.clock = clock or time.monotonic
         self.requests = RequestLog()
         self.networks = Networks(settings.weights, settings.data)
         self.runs = StoredRuns(settings.data)
@@ -87,9 +88,11 @@ class AppState:
             OSError: if the data folder cannot be opened.
         """
         self.workers = Workers(self.settings)
-        self.store = Store(self.settings.data, self._clock, submit=self.workers.solve)
+        self.store = Store(self.settings.data, submit=self.workers.solve)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
-        self.sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds)
+        self.sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds, self.clock)
+        # The clock may have begun anew with the machine.
+        self.sessions.touch()
         TASK_FINDERS.append(self.maps.find)
 
     def close(self) -> None:
@@ -110,25 +113,13 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
+LONGEST_ID = 200
+"""Maximum length of a session id."""
+
+
 async def get_app_state(request: Request) -> AppState:
     """The parts of the server that handles a request."""
     return request.app.state.shared
 
 
-async def get_caller(
-    request: Request,
-    _: Annotated[
-        str | None,
-        Header(
-            alias=HEADER,
-            max_length=LONGEST_ID,
-            description="The session id from `/reset`; overrides the cookie. With `new`, a reset opens a session.",
-        ),
-    ] = None,
-) -> Caller:
-    """The caller of a request."""
-    return Caller.of(request)
-
-
 AppStateDep = Annotated[AppState, Depends(get_app_state)]
-CallerDep = Annotated[Caller, Depends(get_caller)]

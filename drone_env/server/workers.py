@@ -22,13 +22,13 @@ from typing import Any, TypeVar
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
-from drone_env.results.optima import Scores, solve_maps
-from drone_env.results.sessions import in_share
+from drone_env.flights.optima import Scores, solve_maps
+from drone_env.flights.sessions import in_share
 from drone_env.server.exceptions import FAILED, RequestError
 from drone_env.server.jobs import serve, too_long, too_much
-from drone_env.server.map_choice import DEFAULT_TASK, is_registered
 from drone_env.server.process import leave_ctrl_c
 from drone_env.server.settings import Settings
+from drone_env.server.task_api import DEFAULT_TASK, is_registered
 
 log = logging.getLogger(__name__)
 PROCESSES = max(2, (os.cpu_count() or 1) // 2)

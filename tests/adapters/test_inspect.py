@@ -8,9 +8,9 @@ import pytest
 
 import drone_env
 from drone_env.core.seeds import SPLITS
+from drone_env.flights.record import EpisodeRecord, replay
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.record import EpisodeRecord, replay
 from tests.llm.conftest import Endpoint, Start
 from tests.tools import ran
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from drone_env.flights.record import EpisodeRecord, replay
 from drone_env.planning.optimal import solve
-from drone_env.results.record import EpisodeRecord, replay
 from tests.api.serving import serving
 from tests.llm.conftest import Endpoint, Start, environment, json_lines
 

@@ -16,6 +16,9 @@ COMMANDS = FRAMES // 4
 FLOWN = list(TASKS)[: 4 if FRAMES > 1000 else 1]
 
 
+OWN_FORK = {"pilot": "human", "undo_used": True, "parent": {"pilot": "greedy", "step": 3}}
+
+
 def commands(source: random.Random, sessions: list[str]) -> Any:
     """A command that is right, or nearly so."""
     flown = {"direction": source.choice(["UP", "WAIT", "up"]), "flight": source.randrange(-1, 5)}
@@ -23,7 +26,7 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
     fork = {
         "actions": source.choices(["UP", "LEFT", "WAIT"], k=source.randrange(80)),
         "step": source.randrange(-1, 9),
-        "of": source.choice(["human", "greedy", "human from step 3 of greedy", "x" * 200, "a\nb"]),
+        "of": source.choice([*({"pilot": one} for one in ("human", "greedy", "x" * 200, "a\nb")), OWN_FORK, "greedy"]),
     }
     return source.choice(
         [

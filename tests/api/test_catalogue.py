@@ -20,8 +20,8 @@ from drone_env.errors import CheckpointError
 from drone_env.models import NAMES, DroneObservation
 from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
-from drone_env.server.routes.flight import Prediction, arrays_of
 from drone_env.server.routes.history import LINES
+from drone_env.server.routes.predict import Prediction, arrays_of
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import POINTS, TrainLog
 from tests.api.networks import put_network, put_tour, put_trained

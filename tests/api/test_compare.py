@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from drone_env.flights.provenance import Provenance
+from drone_env.flights.store import Store
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
 from drone_env.planning.optimal import solve
-from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown
@@ -21,6 +22,10 @@ from tests.llm.stored_run import put_run
 
 TASK = "easy_delivery"
 FORK = "human from step 2 of greedy"
+BY = {
+    "human with values": Provenance(pilot="human", values_used=True),
+    FORK: Provenance(pilot="greedy").forked(2, "human"),
+}
 LABELS = [
     *[("greedy", seed, "greedy") for seed in range(6)],
     *[("random", seed, "random") for seed in range(2, 9)],
@@ -35,7 +40,7 @@ LABELS = [
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data folder with flights by several agents and runs of language models, one of them over another task."""
     folder = tmp_path_factory.mktemp("compared") / "data"
-    fill(folder, [flown("easy", seed, agent, label) for agent, seed, label in LABELS])
+    fill(folder, [flown("easy", seed, agent, BY.get(label, label)) for agent, seed, label in LABELS])
     fill(folder, [flown("medium", 3, "greedy")])
     put_run(folder, "good", "greedy", range(14, 16), repeats=2)
     put_run(folder, "bad", "WAIT", range(14, 16), model="scripted/waits")

@@ -9,9 +9,11 @@ from drone_env.core.episode import Episode
 from drone_env.models import DIRECTIONS, Direction
 from tests.api.live_page import directions, flown, open_page
 
+ADA = {"pilot": "human", "person": "Ada"}
+
 
 def fork(of: Episode, step: int, by: str, *moves: Direction) -> dict[str, Any]:
-    return {"actions": [*directions(of)[:step], *moves], "step": step, "of": by}
+    return {"actions": [*directions(of)[:step], *moves], "step": step, "of": {"pilot": by}}
 
 
 def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> None:
@@ -33,7 +35,7 @@ def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> N
 
 def test_a_person_goes_on_with_a_flight_of_his_own_as_he_left_it(client: TestClient) -> None:
     way = flown("easy", "random", 4)
-    left = {"actions": directions(way), "step": 0, "of": "human with values"}
+    left = {"actions": directions(way), "step": 0, "of": {"pilot": "human", "values_used": True}}
     with open_page(client) as page:
         own, beside = page.start("human", "greedy", fork=left)
         assert [frame["action"] for frame in own["frames"]] == [None, *directions(way)]
@@ -63,7 +65,7 @@ def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: Te
     assert [frame["action"] for frame in frames] == expected
     # Its moves are known to be its own where a link has brought them.
     with open_page(client) as page:
-        brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": "random"}
+        brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": {"pilot": "random"}}
         assert len(page.start(pilot, task="hard", fork=brought)[0]["frames"]) == 21
         wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
         page.send("start", task="hard", seed=7, pilots=[pilot], fork={**brought, "actions": [*expected[:14], wrong]})
@@ -101,14 +103,14 @@ def test_flights_that_have_ended_are_kept_once_however_often_their_link_is_opene
 
 
 def test_a_race_that_is_over_is_opened_to_all_its_ends_and_stays_the_flight_of_who_flew_it(client: TestClient) -> None:
-    whole = {"actions": ["WAIT"] * 60, "step": 0, "of": "human (Ada) with undo"}
+    whole = {"actions": ["WAIT"] * 60, "step": 0, "of": {**ADA, "undo_used": True}}
     with open_page(client) as page:
         own, greedy = page.start("human", "greedy", fork=whole, step=60, name="Bob")
         assert own["frames"][-1]["done"]
         assert own["opening"]["by"] == "human (Ada) with undo"
         assert greedy["frames"][-1]["done"]
         # A flight that goes on is that of who goes on; the others have flown as far as the link says.
-        left = {"actions": ["WAIT"], "step": 0, "of": "human (Ada)"}
+        left = {"actions": ["WAIT"], "step": 0, "of": ADA}
         own, greedy = page.start("human", "greedy", fork=left, step=3, name="Bob")
         assert own["opening"]["by"] == "human (Bob)"
         assert [len(flight["frames"]) - 1 for flight in (own, greedy)] == [1, 3]
@@ -149,7 +151,8 @@ def test_a_person_takes_steps_back_and_the_record_says_so(client: TestClient) ->
         for step in (4, 3, 2):
             page.send("undo", flight=0)
             by = "human with undo from step 2 of greedy"
-            assert page.until("undone") == {"type": "undone", "flight": 0, "step": step, "by": by}
+            undone = {"flight": 0, "step": step, "by": by, "undo_used": True, "values_used": False}
+            assert page.until("undone") == {"type": "undone", **undone}
             assert client.get("/state", headers=header).json()["step_count"] == step
         page.send("undo", flight=0)
         assert page.until("error")["code"] == "wrong_moment"

@@ -15,10 +15,10 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
+from drone_env.flights.store import Store
 from drone_env.llm.budget import Options
 from drone_env.llm.report import report, write_report
 from drone_env.llm.verify import verified_run
-from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown, put_evaluation

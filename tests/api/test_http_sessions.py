@@ -8,11 +8,8 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.core.actions import Action
-from drone_env.results.store import FILE_NAME, Store
+from drone_env.flights.store import FILE_NAME
 from drone_env.server.app import create_app
-from drone_env.server.schemas import ResetOptions
-from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.unit.stores import failing
@@ -50,49 +47,17 @@ class TestSessions:
         assert (gone.status_code, gone.json()["code"]) == (410, "session_gone")
         assert "POST /reset opens a session" in gone.json()["detail"]
 
-    def test_no_more_episodes_are_kept_in_memory_than_sessions_may_be_open(self, tmp_path: Path) -> None:
-        with Store(tmp_path) as store:
-            sessions = Sessions(store, capacity=2, idle_seconds=900)
-            for number in range(5):
-                session, _ = sessions.reset(None, ResetOptions(seed=number))
-                sessions.advance(session, Action.WAIT)
-                assert len(sessions._cache) <= 2
-                store.end_session(session)  # as another process would, which tells nobody
-            first, second = (sessions.reset(None, ResetOptions(seed=7))[0] for _ in range(2))
-            for session in (first, second, first):
-                sessions.advance(session, Action.WAIT)
-            read = sessions.read(first)
-            sessions.advance(first, Action.WAIT)
-            assert read.fly().steps == 2, "others read it without a lock"
-
-    def test_an_idle_session_makes_room_and_reading_does_not_keep_it(self, tmp_path: Path, clock: Clock) -> None:
-        with TestClient(create_app(Settings(data=tmp_path, capacity=1), clock)) as client:
-            session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
-            client.cookies.clear()
-            clock.now += 800
-            assert client.post("/step", json={"direction": "WAIT"}, headers=session).status_code == 200
-            clock.now += 899
-            assert client.get("/state", headers=session).status_code == 200
-            assert client.post("/reset").status_code == 503
-            clock.now += 1
-            assert client.post("/reset").status_code == 200
-            assert client.get("/state", headers=session).status_code == 410
-
-    def test_two_servers_on_one_folder_fly_one_session(self, tmp_path: Path) -> None:
-        with (
-            TestClient(create_app(Settings(data=tmp_path))) as one,
-            TestClient(create_app(Settings(data=tmp_path))) as two,
-        ):
+    def test_two_servers_on_one_folder_fly_one_session(self, tmp_path: Path, clock: Clock) -> None:
+        app = create_app(Settings(data=tmp_path, capacity=1), clock)
+        with TestClient(app) as one, TestClient(create_app(Settings(data=tmp_path, capacity=1), clock)) as two:
             session = {"X-Session-Id": one.post("/reset", json={"task_name": "hard", "seed": 1}).json()["session_id"]}
             steps = [client.post("/step", json=UP, headers=session).json() for client in (one, two, one)]
             assert [answer["step_count"] for answer in steps] == [1, 2, 3]
-            assert one.post("/reset", json={"seed": 1}, headers=session).status_code == 200
-            assert two.get("/state", headers=session).json()["step_count"] == 0
-            # Begun anew on the same map, and flown as far, but otherwise.
-            one.post("/step", json={"direction": "UP"}, headers=session)
-            two.post("/reset", json={"seed": 1}, headers=session)
-            two.post("/step", json={"direction": "LEFT"}, headers=session)
-            assert [point["action"] for point in one.get("/state", headers=session).json()["path_history"]] == ["LEFT"]
+            assert one.post("/reset", headers=NEW).status_code == 503
+            # An idle one makes room for another.
+            clock.now += 900
+            assert two.post("/reset", headers=NEW).status_code == 200
+            assert one.get("/state", headers=session).status_code == 410
 
 
 def test_a_session_that_is_ended_is_gone_and_its_place_free(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The WebSocket of the page: flights that fly by themselves or by hand, and come back after a loss."""
 
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from starlette.testclient import TestClient
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
+from drone_env.flights.store import FILE_NAME
 from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
@@ -163,7 +165,8 @@ def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock) -> N
                 clock.now += 0.9
 
                 def is_kept() -> bool:
-                    used = app.state.shared.store.read_session(session).touched_at
+                    with sqlite3.connect(tmp_path / FILE_NAME) as file:
+                        ((used,),) = file.execute("SELECT touched_at FROM sessions")
                     return used == pytest.approx(clock.now, abs=0.001)
 
                 eventually(is_kept)

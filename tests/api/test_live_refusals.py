@@ -19,7 +19,7 @@ from tests.api.live_page import Page, open_page
 
 
 def forking(pilot: str, **fork: Any) -> Any:
-    fork = {"actions": ["WAIT"], "step": 1, "of": "greedy", **fork}
+    fork = {"actions": ["WAIT"], "step": 1, "of": {"pilot": "greedy"}, **fork}
     return {"type": "start", "task": "easy", "seed": 7, "pilots": ["random", pilot], "fork": fork}
 
 
@@ -36,7 +36,7 @@ def forking(pilot: str, **fork: Any) -> Any:
         ({"type": "undo", "flight": 3}, "unknown_name"),
         ({"type": "help"}, "wrong_moment"),
         ({"type": "play", "speed": 1e9}, "invalid_request"),
-        (forking("human", of="a\nb"), "one printable line of 1 to 200 characters"),
+        (forking("human", of={"pilot": "a\nb"}), "one printable line of 1 to 200 characters"),
         (forking("human", actions=["WAIT"] * 61), "ends after 60 steps, but there are 61 actions"),
         (forking("greedy"), "not an action of greedy"),
     ],
@@ -45,13 +45,13 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestCl
     with open_page(shared_client) as page:
         (shown,) = page.start("greedy")
         page.until("values")
-        store = shared_client.app.state.shared.store  # type: ignore[attr-defined]
-        opened = store.count_sessions()
+        sessions = shared_client.app.state.shared.sessions  # type: ignore[attr-defined]
+        opened = sessions.count()
         page.socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
         message = page.until("error")
         assert message["detail"]
         assert told in f"{message['code']}: {message['detail']}"
-        assert store.count_sessions() == opened
+        assert sessions.count() == opened
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 1
         state = shared_client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).json()

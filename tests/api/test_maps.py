@@ -1,6 +1,8 @@
 """Maps that are drawn: what they are worth, and how they are kept."""
 
+import asyncio
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -148,3 +150,22 @@ def test_maps_of_strangers_are_kept_only_if_a_setting_says_so(
         if expected == 403:
             assert answered.json()["code"] == "maps_off"
             assert "this server keeps no drawn maps: save yours as a file" in answered.json()["detail"]
+
+
+def test_a_reset_reads_a_drawn_map_off_the_event_loop(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = answer(client, "/maps", YARD)["task"]["id"]
+    on_loop: list[bool] = []
+    maps = client.app.state.shared.maps  # type: ignore[attr-defined]
+
+    def find(file: Path, find: Any = maps._read) -> Any:
+        with suppress(RuntimeError):
+            on_loop.append(asyncio.get_running_loop() is not None)
+        return find(file)
+
+    monkeypatch.setattr(maps, "_read", find)
+    with client.websocket_connect("/ws") as socket:
+        for data in ({"task_name": name, "seed": 0}, {"split": f"{name}/train", "index": 0}):
+            socket.send_json({"type": "reset", "data": data})
+            assert socket.receive_json()["type"] == "observation"
+    assert client.post("/drone-env/num_tasks", json={"split": f"{name}/test"}).status_code == 200
+    assert on_loop == []

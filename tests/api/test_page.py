@@ -7,7 +7,7 @@ from starlette.testclient import TestClient
 
 from drone_env.planning.optimal import solve
 from drone_env.server import page_files
-from drone_env.server.map_choice import today
+from drone_env.server.daily import today
 from drone_env.server.page_files import PAGE
 from tests.api.live_page import flown
 

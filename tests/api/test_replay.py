@@ -11,10 +11,10 @@ from drone_env.core.actions import Action, Outcome
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
+from drone_env.flights.record import EpisodeRecord, record_of
+from drone_env.flights.store import Store
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.results.analysis import analyse_flight
-from drone_env.results.record import EpisodeRecord, record_of
-from drone_env.results.store import Store
 from tests.api.live_page import flown
 
 JSON = {"Content-Type": "application/json"}

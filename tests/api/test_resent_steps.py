@@ -7,7 +7,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient, ServerError
-from drone_env.server.sessions import COOKIE
+from drone_env.server.routes.flight import COOKIE
 
 Header = dict[str, str]
 

@@ -186,7 +186,7 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
         ask(socket, {"type": "reset", "data": {"seed": 7}})
         for direction in flight:
             ask(socket, {"type": "step", "data": {"direction": direction}})
-        with failing(settings["data"], "INSERT ON episodes"):
+        with failing(settings["data"], "INSERT ON flights"):
             for _ in range(2):
                 failed = ask(socket, {"type": "step", "data": {"direction": last}})
                 assert (failed["type"], failed["data"]["code"]) == ("error", "EXECUTION_ERROR")

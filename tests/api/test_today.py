@@ -9,8 +9,9 @@ from starlette.testclient import TestClient
 
 from drone_env.core.actions import Action
 from drone_env.core.seeds import SPLITS
+from drone_env.flights.provenance import Provenance
 from drone_env.planning.optimal import solve
-from drone_env.server.map_choice import DAILY, map_of_the_day
+from drone_env.server.daily import DAILY, map_of_the_day
 from tests.api.live_page import directions, flown, open_page
 
 NOON = datetime(2020, 11, 26, 12, tzinfo=timezone.utc)
@@ -19,7 +20,7 @@ NOON = datetime(2020, 11, 26, 12, tzinfo=timezone.utc)
 
 @pytest.fixture(autouse=True)
 def _same_day(monkeypatch: pytest.MonkeyPatch) -> None:  # pyright: ignore[reportUnusedFunction]
-    monkeypatch.setattr("drone_env.server.map_choice.today", NOON.date)
+    monkeypatch.setattr("drone_env.server.daily.today", NOON.date)
 
 
 def best(client: TestClient) -> list[tuple[Any, ...]]:
@@ -49,25 +50,25 @@ def test_the_list_has_the_best_flight_of_each_name_flown_without_help(client: Te
     with open_page(client) as page:
         for name, actions in (("Ada", directions(weak)), ("Ada", moves), ("Grace", moves), (None, moves)):
             # The last move is flown by hand.
-            own = {"actions": actions[:-1], "step": 0, "of": "human (Eve)"}
+            own = {"actions": actions[:-1], "step": 0, "of": {"pilot": "human", "person": "Eve"}}
             page.start("human", task=task, seed=seed, fork=own, name=name)
             page.send("fly", direction=actions[-1])
             agent = page.until("ended")["episode"]["agent"]
             assert agent == (f"human ({name})" if name else "human")
     first, unnamed = (optimum.score, optimum.steps), (None, optimum.score, optimum.steps)
     assert best(client) == [("Ada", *first), ("Grace", *first), unnamed]
+    human = Provenance(pilot="human")
     helped = (
-        "human with values",
-        "human (Bob) with undo",
-        "human (Bob) from step 3 of human (Ada)",
-        "human (Bob) (Ada)",
+        Provenance(pilot="human", values_used=True),
+        Provenance(pilot="human", person="Bob", undo_used=True),
+        human.named("Ada").forked(3, "greedy").forked(5, "human"),
     )
-    for agent in (*helped, "optimal", "humans", *(f"human (n{number})" for number in range(20))):
+    for agent in (*helped, "optimal", "humans", "human (Bob)", *(human.named(f"n{number}") for number in range(20))):
         store.add_episode(weak, agent)
-    store.add_episode(flown(task, "greedy", seed=seed + 1), "human (Other)")
+    store.add_episode(flown(task, "greedy", seed=seed + 1), human.named("Other"))
     assert best(client)[:3] == [("Ada", *first), ("Grace", *first), unnamed]
     assert best(client)[3:] == [(f"n{number}", weak.score, weak.steps) for number in range(7)]
-    assert store.best(task, seed, "human", datetime.now(timezone.utc).timestamp() + 60, 10) == []
+    assert store.best(task, seed, datetime.now(timezone.utc).timestamp() + 60, 10) == []
 
 
 HOSTILE = [

@@ -3,17 +3,21 @@
 import json
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from drone_env.files import EVALUATIONS
+from drone_env.flights.provenance import Provenance
+from drone_env.flights.record import EpisodeRecord, record_of
+from drone_env.flights.store import Store
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
 from drone_env.results.folder import ResultsFolder
-from drone_env.results.record import EpisodeRecord, record_of
-from drone_env.results.store import Store
 from tests.api import live_page
 from tests.api.serving import Server
 
 
-def flown(task: str, seed: int, agent: str, label: str | None = None, profile: str = "tiered") -> EpisodeRecord:
+def flown(
+    task: str, seed: int, agent: str, label: str | Provenance | None = None, profile: str = "tiered"
+) -> EpisodeRecord:
     """The record of a whole flight, under the agent's own name or another."""
     return record_of(live_page.flown(task, agent, seed=seed, profile=profile), label or agent)
 
@@ -37,6 +41,11 @@ def put_evaluation(data: Path, name: str, agent: str, maps: range, task: str = "
 def get(server: Server, path: str, **query: Any) -> Any:
     """What a server answers to a question."""
     return server.client.get(f"/{path}", params=query).raise_for_status().json()
+
+
+def in_link(**provenance: object) -> str:
+    """Who flew, as links write it if it is more than a pilot."""
+    return quote(json.dumps(provenance, separators=(",", ":")), safe="")
 
 
 def newest(server: Server, seed: int, task: str = "easy") -> dict[str, Any]:

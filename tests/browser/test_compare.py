@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from drone_env.results.store import Store
+from drone_env.flights.provenance import Provenance
+from drone_env.flights.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown, get
@@ -126,8 +127,8 @@ def test_a_tick_moves_and_opens_nothing_and_a_name_ticks_nothing(page: Page, ser
 
 def test_many_people_leave_the_leaderboard_readable(page: Page, server: Server) -> None:
     flight = flown("city_small", 5, "greedy")
-    people = [f"human (Person-{number})" for number in range(30)]
-    fill(server.data, [flight, *(flight.model_copy(update={"agent": one}) for one in people)])
+    people = [Provenance(pilot="human", person=f"Person-{number}") for number in range(30)]
+    fill(server.data, [flight, *(flown("city_small", 5, "greedy", one) for one in people)])
     compare(page, "city_small")
     lines = rows(page, "Leaderboard")
     expect(lines).to_have_count(4)

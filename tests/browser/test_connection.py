@@ -7,7 +7,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from drone_env.results.store import Store
+from drone_env.flights.store import Store
 from drone_env.server.json_routes import TRY_LATER
 from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving

@@ -9,7 +9,7 @@ from playwright.sync_api import Page, Route, expect
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rules import HIGHEST, LOWEST
-from drone_env.results.record import record_of
+from drone_env.flights.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, get, posted
 from tests.browser.shown import (

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from drone_env.results.record import parse_record
+from drone_env.flights.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames
 from tests.browser.shown import (

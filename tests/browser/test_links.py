@@ -6,7 +6,7 @@ from collections.abc import Callable
 from playwright.sync_api import Page, Route, expect
 
 from tests.api.serving import Server
-from tests.browser.flights import fill, flown, frames, newest
+from tests.browser.flights import fill, flown, frames, in_link, newest
 from tests.browser.shown import counter, expect_flying, expect_frame, expect_step
 from tests.browser.stage import (
     along,
@@ -175,7 +175,8 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     expect_step(page, 3, 60, "WAIT")
     expect_flying(page, "You")
     press(page, "Undo")
-    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of=human%20with%20undo&actions=WW")
+    undone = in_link(pilot="human", undo_used=True)
+    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of={undone}&actions=WW")
     page.reload()
     expect_step(page, 2, 60, "WAIT")
     # At the end the address leads to the stored flight.

@@ -7,7 +7,7 @@ from playwright.sync_api import Page, expect
 from drone_env.core.tasks import get_task
 from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
-from drone_env.server.map_choice import map_of_the_day
+from drone_env.server.daily import map_of_the_day
 from tests.api.serving import Server
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_step, notes, points

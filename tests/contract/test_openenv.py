@@ -18,8 +18,8 @@ from drone_env.graders import GRADERS
 from drone_env.models import DroneAction, DroneObservation, DroneState
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.map_choice import TaskApi
 from drone_env.server.settings import Settings
+from drone_env.server.task_api import TaskApi
 from tests.api.serving import Server
 from tests.package.installed import copy_tracked
 from tests.tools import PATIENCE, ROOT, ran

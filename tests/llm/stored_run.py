@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.files import RUNS
+from drone_env.flights.store import Store
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig, Sampling
@@ -19,7 +20,6 @@ from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import locked_run
 from drone_env.llm.runner import RunResult, run_flights
 from drone_env.llm.transcript import Call, read_calls
-from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
 
 T = TypeVar("T")

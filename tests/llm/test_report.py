@@ -10,6 +10,7 @@ import pytest
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
+from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Options
 from drone_env.llm.config import Sampling
@@ -17,7 +18,6 @@ from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import summary_lines, verdict_of
 from drone_env.llm.verify import verified_run
-from drone_env.results.record import EpisodeRecord, record_of
 
 from .scripted_server import reply
 from .stored_run import Scripted, fly, put_run

@@ -11,9 +11,9 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
+from drone_env.flights.store import FILE_NAME, Store
 from drone_env.llm.budget import Options
 from drone_env.llm.follow import following
-from drone_env.results.store import FILE_NAME, Store
 from tests.api.serving import serving
 from tests.tools import reserved_port
 
@@ -45,7 +45,7 @@ def test_the_store_contains_each_finished_flight_once(tmp_path: Path) -> None:
         assert (stored.agent, stored.seed, stored.steps, stored.success) == ("scripted", 14, 3, True)
         # As if the run had been killed before it could store the flight.
         with closing(sqlite3.connect(tmp_path / "data" / FILE_NAME)) as file:
-            file.execute("DELETE FROM episodes")
+            file.execute("DELETE FROM flights")
             file.commit()
         for _ in range(2):
             fly(Scripted(), run, store=store, **two)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from drone_env.agents.weights_file import write_weights
-from drone_env.results.store import Store
+from drone_env.flights.store import Store
 
 
 @pytest.fixture

@@ -2,14 +2,14 @@
 
 import json
 import sqlite3
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 from drone_env.core.episode import Episode
+from drone_env.flights.sessions import Session, Sessions
+from drone_env.flights.store import FILE_NAME, Store, StoredEpisode
 from drone_env.planning.optimal import solve
-from drone_env.results.sessions import Session, advance
-from drone_env.results.store import FILE_NAME, Store, StoredEpisode
 
 
 def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile: str = "tiered") -> Episode:
@@ -21,22 +21,20 @@ def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile
     return episode
 
 
-def opened(
-    store: Store, task: str = "easy_delivery", seed: int = 7, capacity: int = 256, owner: str = "", steps: int = 0
-) -> str:
-    session_id = store.open_session(Episode(task, "tiered", seed), "someone", capacity, owner=owner)
-    if steps:
-        with store.session(session_id) as row:
-            for _ in range(steps):
-                advance(row, 4)
-    return session_id
+def sessions_of(
+    store: Store, capacity: int = 256, idle_seconds: float = 60, clock: Callable[[], float] = lambda: 0.0
+) -> Sessions:
+    """The sessions of a store, as a server process has them."""
+    return Sessions(store, capacity, idle_seconds, clock)
 
 
-def finish_in(row: Session, episode: Episode) -> None:
-    if row.task != episode.task.id:
-        row.begin(Episode(episode.task, "tiered", episode.seed))
-    for action in episode.actions:
-        advance(row, action)
+def opened(sessions: Sessions, task: str = "easy", seed: int = 7, owner: str = "", steps: int = 0) -> str:
+    """A session that has waited for some steps."""
+    return sessions.open(Episode(task, "tiered", seed).fly([4] * steps), "someone", owner=owner)
+
+
+def actions(session: Session) -> list[int]:
+    return session.episode.actions
 
 
 @contextmanager
@@ -57,3 +55,9 @@ def view(folder: Path) -> list[StoredEpisode]:
     content = json.loads((folder / "memory.json").read_bytes())
     assert (content["format"], content["format_version"]) == ("drone_env/memory", 1)
     return [StoredEpisode.model_validate_json(json.dumps(episode)) for episode in content["episodes"]]
+
+
+def rows(folder: Path) -> dict[str, tuple[str, str, int | None]]:
+    """The flights of a folder: agent, actions and number, by id."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as file:
+        return {row[0]: row[1:] for row in file.execute("SELECT id, agent, actions, number FROM flights")}

@@ -8,6 +8,7 @@ import pytest
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
+from drone_env.flights.record import record_of
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import (
@@ -17,7 +18,6 @@ from drone_env.results.analysis import (
     label_of,
     parcel_value,
 )
-from drone_env.results.record import record_of
 from tests.api.live_page import flown
 from tests.toy import toy_episode
 from tests.which_tasks import SMALL

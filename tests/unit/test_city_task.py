@@ -15,12 +15,13 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
 from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
+from drone_env.flights.store import Store
 from drone_env.llm.config import RunConfig
-from drone_env.results.store import Store
 from drone_env.rl.common import require_same
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.tour_config import TourConfig
 from tests.llm.stored_run import run_config
+from tests.unit.stores import sessions_of
 
 GRID = np.array([[0, 0, 1, 0], [0, 2, 3, 0], [0, 0, 0, 8], [0, 0, 0, 0]], np.uint8)
 
@@ -104,7 +105,7 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     configs = [TrainConfig(task="yard"), TourConfig(task="yard")]
     before, run = [config.identity() for config in configs], run_config("minimal", "yard", range(2))
     with Store(yard.parent) as store:
-        session = store.open_session(Episode("yard", "tiered", 7), "someone", 9)
+        session = sessions_of(store).open(Episode("yard", "tiered", 7), "someone")
     Store(yard.parent).close()
     del TASKS["yard"]
     write_city(City(GRID, numbers={"deliveries": 3, "max_steps": 39}), yard)
@@ -119,7 +120,7 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     del TASKS["yard"]
     with Store(yard.parent) as store:
         register_city(yard)
-        with pytest.raises(StoreError, match="another task"), store.session(session) as row:
-            row.begin(Episode("yard", "tiered", 8))
+        with pytest.raises(StoreError, match="another task"):
+            sessions_of(store).use(session, lambda row: row.begin(Episode("yard", "tiered", 8)))
         with pytest.raises(StoreError, match="another task"):
             store.add_episode(Episode("yard", seed=7).fly([0] * 39), "someone")

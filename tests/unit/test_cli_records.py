@@ -8,9 +8,9 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
+from drone_env.flights.record import load_record, record_of, save_record
+from drone_env.flights.store import Store
 from drone_env.results.analysis import analyse_flight
-from drone_env.results.record import load_record, record_of, save_record
-from drone_env.results.store import Store
 
 
 @pytest.fixture

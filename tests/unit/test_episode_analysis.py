@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.flights import optima
+from drone_env.flights.episodes import EpisodeSummary, analyse
+from drone_env.flights.store import Store
 from drone_env.models import OutcomeName
 from drone_env.planning.optimal import Solution, solve
-from drone_env.results import optima
-from drone_env.results.finished import EpisodeSummary, analyse
-from drone_env.results.store import Store
 from tests.tools import eventually
 from tests.unit.stores import failing, flown
 
@@ -68,7 +68,8 @@ def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog:
 
 def row(score: float, outcome: OutcomeName, actions: str, optimum: float | None) -> EpisodeSummary:
     done, steps = int(outcome == "delivered"), len(actions)
-    flight = ("easy_delivery", 1, 7, "tiered", "someone", actions, done, 1, steps, 1.0, score, outcome)
+    by = ("someone", "someone", None, False, False, None, None)
+    flight = ("easy_delivery", 1, 7, "tiered", *by, actions, done, 1, steps, 1.0, score, outcome)
     values = (1, "0123456789abcdef", 0.0, *flight, True, optimum)
     return EpisodeSummary(**dict(zip(EpisodeSummary.model_fields, values, strict=True)))
 

@@ -13,11 +13,11 @@ from drone_env.city.city_file import read_city
 from drone_env.city.openstreetmap import import_city
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.files import append_line, read_file, write_text
+from drone_env.flights.record import load_record, read_records
 from drone_env.llm.prompt import read_prompt
 from drone_env.llm.run_folder import load_config, load_results
 from drone_env.llm.transcript import read_calls
 from drone_env.results.folder import stored_results
-from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
 from tests.tools import limited

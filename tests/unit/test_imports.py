@@ -24,6 +24,7 @@ FLOORS = [
     {"graders"},
     {"envs"},
     {"agents"},
+    {"flights"},
     {"results"},
     {"rl"},
     {"client", "openenv_client"},

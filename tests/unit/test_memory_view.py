@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.results.memory_view import MemoryView
-from drone_env.results.store import Store, StoredEpisode
+from drone_env.flights.memory_view import MemoryView
+from drone_env.flights.provenance import Provenance
+from drone_env.flights.store import Store, StoredEpisode
 from tests.tools import eventually
 from tests.unit.stores import flown, latest, view
 
@@ -25,23 +26,23 @@ def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: P
 
 def test_an_older_view_that_overwrites_a_newer_one_is_put_right(tmp_path: Path) -> None:
     path = tmp_path / "memory.json"
-    stored = [StoredEpisode.of(f"{number:016x}", flown(), "ace") for number in range(3)]
+    stored = [StoredEpisode.of(f"{number:016x}", number, flown(), Provenance(pilot="ace")) for number in range(3)]
     texts = [(number, one.model_dump_json()) for number, one in enumerate(stored, 1)]
     rows = texts[:1]
     overtaken = threading.Event()
 
-    def newer(after: int, n: int) -> list[tuple[int, str]]:
-        found = rows[after:][-n:]
+    def newer(after: int) -> list[tuple[int, str]]:
+        found = rows[after:]
         if len(rows) == 2 and not overtaken.is_set():
             # Another process stores one more, and writes its view, before this one writes what it has just read.
             overtaken.set()
             rows.append(texts[2])
-            MemoryView(path, lambda after, n: rows[after:][-n:]).close()
+            MemoryView(path, lambda after: rows[after:]).close()
             assert view(tmp_path) == stored
         return found
 
     memory_view = MemoryView(path, newer)
-    assert view(tmp_path) == stored[:1]
+    eventually(lambda: path.exists() and view(tmp_path) == stored[:1])
     rows.append(texts[1])
     memory_view.refresh()
     memory_view.close()

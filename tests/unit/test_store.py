@@ -5,12 +5,13 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from decimal import Decimal
 from pathlib import Path
 
 import pytest
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import RewardProfile
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import (
     EpisodeError,
@@ -19,10 +20,9 @@ from drone_env.errors import (
     UnknownNameError,
 )
 from drone_env.files import data_folder
-from drone_env.results.record import EpisodeRecord, record_of
-from drone_env.results.sessions import advance
-from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import flown, latest, opened, view
+from drone_env.flights.record import EpisodeRecord, record_of
+from drone_env.flights.store import FILE_NAME, Store
+from tests.unit.stores import actions, flown, latest, opened, sessions_of, view
 
 # Finished episodes
 
@@ -150,26 +150,43 @@ def test_many_may_open_a_new_folder_at_once(tmp_path: Path) -> None:
 
 def test_a_store_that_stays_busy_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("drone_env.results.database.time.sleep", waits.append)
+    monkeypatch.setattr("drone_env.flights.database.time.sleep", waits.append)
     with Store(tmp_path, busy_seconds=0.1) as store:
-        session_id = opened(store)
+        sessions = sessions_of(store)
+        session_id = opened(sessions)
         other = sqlite3.connect(tmp_path / FILE_NAME, isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(StoreError, match="locked"), store.session(session_id):
-            pytest.fail("the block must not be entered")
+        with pytest.raises(StoreError, match="locked"):
+            sessions.use(session_id, lambda session: session.fly(4))
         # Those behind it in the queue have waited, too.
         assert waits
         waits.clear()
-        with pytest.raises(StoreError, match="locked"), store.session(session_id):
-            pytest.fail("the block must not be entered")
+        with pytest.raises(StoreError, match="locked"):
+            sessions.use(session_id, lambda session: session.fly(4))
         assert not waits
         with pytest.raises(StoreError, match="last write failed"):
             store.check()
-        assert store.read_session(session_id).actions == ()
+        assert actions(sessions.read(session_id)) == []
         other.execute("ROLLBACK")
         other.close()
-        store.expire_sessions(60)
+        sessions.expire()
         store.check()
-        with store.session(session_id) as row:
-            advance(row, 4)
-        assert store.read_session(session_id).actions == (4,)
+        sessions.use(session_id, lambda session: session.fly(4))
+        assert actions(sessions.read(session_id)) == [4]
+
+
+def test_a_profile_that_changed_is_an_error_and_the_flight_is_left_out(
+    store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(REWARD_PROFILES, "mine", RewardProfile("mine", "", shaping=Decimal("0.5")))
+    episode_id = store.add_episode(flown(profile="mine"), "ace")
+    monkeypatch.setitem(REWARD_PROFILES, "mine", RewardProfile("mine", "", shaping=Decimal("0.25")))
+    with pytest.raises(InvalidValueError, match="reward profile 'mine' has changed since this flight"):
+        store.episode(episode_id)
+    monkeypatch.delitem(REWARD_PROFILES, "mine")
+    with pytest.raises(UnknownNameError, match="mine"):
+        store.episode(episode_id)
+    kept = store.add_episode(flown(), "ace")
+    assert [stored.id for stored in store.episodes()] == [kept]
+    assert f"flight {episode_id} is left out: " in caplog.text
+    assert len(store.listed(9)) == 2

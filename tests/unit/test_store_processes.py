@@ -17,26 +17,32 @@ import sys
 from pathlib import Path
 
 from drone_env.core.episode import Episode
+from drone_env.flights.record import replay
+from drone_env.flights.sessions import Session
+from drone_env.flights.store import FILE_NAME, Store
 from drone_env.models import DIRECTIONS
-from drone_env.results.record import replay
-from drone_env.results.sessions import advance
-from drone_env.results.store import FILE_NAME, Store
 from tests.tools import eventually
-from tests.unit.stores import latest, opened, view
+from tests.unit.stores import actions, latest, opened, sessions_of, view
 
 KILLS = max(2, int(os.environ.get("DRONE_ENV_EXAMPLES", "200")) // 100)
 
 
 def fly(folder: str, session: str, random_seed: int) -> None:
     rng = random.Random(random_seed)
+
+    def step(session: Session) -> list[object]:
+        episode = session.episode
+        if episode.ended:
+            session.begin(Episode(episode.task, episode.reward_profile, episode.seed + 1))
+        session.fly(rng.randrange(5))
+        return [session.episode.seed, actions(session), session.episode_id]
+
     with Store(folder) as store:
+        sessions = sessions_of(store)
         while True:
-            with store.session(session) as row:
-                if row.episode_id is not None:
-                    row.begin(Episode(row.task, row.reward_profile, row.seed + 1))
-                advance(row, rng.randrange(5))
+            flown = sessions.use(session, step)
             # One write, so that a killed process leaves whole lines but for the last.
-            os.write(1, f"{json.dumps([row.seed, row.actions, row.episode_id])}\n".encode())
+            os.write(1, f"{json.dumps(flown)}\n".encode())
 
 
 def worker(folder: Path, session_id: str, seed: int, output: Path) -> subprocess.Popen[bytes]:
@@ -56,16 +62,16 @@ def printed(output: Path) -> list[tuple[int, tuple[int, ...], str | None]]:
 
 def flown_by(store: Store, session_id: str) -> dict[int, tuple[int, ...]]:
     """The actions that a session has flown on each map; its finished episodes are flown again."""
-    episodes, row = list(store.episodes()), store.read_session(session_id)
+    episodes, session = list(store.episodes()), sessions_of(store).read(session_id)
     flown = [
         (stored.record.seed, tuple(map(DIRECTIONS.index, stored.record.actions)))
         for stored in episodes
         if replay(stored.record).ended
     ]
-    if row.episode_id is None:
-        flown.append((row.seed, row.actions))
+    if session.episode_id is None:
+        flown.append((session.episode.seed, tuple(actions(session))))
     else:
-        assert row.episode_id == episodes[-1].id
+        assert session.episode_id == episodes[-1].id
     assert [seed for seed, _ in flown] == list(range(len(flown)))
     return dict(flown)
 
@@ -73,7 +79,7 @@ def flown_by(store: Store, session_id: str) -> dict[int, tuple[int, ...]]:
 def test_processes_on_one_session_lose_no_step_when_they_are_killed(tmp_path: Path) -> None:
     rng = random.Random(0)
     with Store(tmp_path) as store:
-        session_id = opened(store, seed=0)
+        session_id = opened(sessions_of(store), seed=0)
     steps: list[tuple[int, tuple[int, ...], str | None]] = []
     for kill in range(1, KILLS + 1):
         outputs = [tmp_path / "first", tmp_path / "second"]
@@ -96,7 +102,7 @@ def test_processes_on_one_session_lose_no_step_when_they_are_killed(tmp_path: Pa
             assert {id_ for _, _, id_ in steps if id_} <= {stored.id for stored in store.episodes()}
             # At most one step of each killed process is stored but not printed yet.
             assert 0 <= sum(map(len, flown.values())) - len(steps) <= 2 * kill
-            assert view(tmp_path) == latest(store, 100)[::-1]
+            eventually(lambda store=store: view(tmp_path) == latest(store, 100)[::-1])
         connection = sqlite3.connect(tmp_path / FILE_NAME)
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         connection.close()

@@ -27,6 +27,8 @@ type Emitter = import("../../drone_env/server/static/js/base.js").Emitter;
 type Fleet = import("../../drone_env/server/static/js/fleet.js").Fleet;
 type Stage = import("../../drone_env/server/static/js/stage.js").Stage;
 type Track = import("../../drone_env/server/static/js/track.js").Track;
+/** Who flew a flight, and with what help; missing fields are false or null. */
+type Provenance = Partial<Answer<"Parent-Output">> & { pilot: string };
 
 /** The shared state of the page. Events, sent after a change: "view" (name), "theme" (name), "layers", "camera", "task" (new task). */
 interface Context extends Emitter {

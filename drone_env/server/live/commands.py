@@ -7,10 +7,10 @@ from typing_extensions import Self
 
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
+from drone_env.flights.provenance import PersonName, Provenance
 from drone_env.models import MAX_SEED, Count, Direction, Seed, StrictModel
 from drone_env.server.json_routes import SMALL, parse_json
 from drone_env.server.pilots import check_name
-from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
 MOST_EPISODES = 8
@@ -27,7 +27,7 @@ class Fork(StrictModel):
 
     actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="All actions from the start.")
     step: Count = Field(description="Number of actions that belong to the first flight; 0 for your own flight.")
-    of: AgentName = Field(description="The `by` of that flight.")
+    of: Provenance = Field(description="Who flew that flight.")
 
     @model_validator(mode="after")
     def _step_is_there(self) -> Self:
@@ -50,7 +50,9 @@ class Start(StrictModel):
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
     step: int = Field(default=0, ge=0, le=MAX_UNITS)
-    name: Annotated[str, AfterValidator(check_name)] | None = Field(default=None, description="The person's name.")
+    name: Annotated[PersonName, AfterValidator(check_name)] | None = Field(
+        default=None, description="The person's name."
+    )
     number: Number = None
 
     @model_validator(mode="after")

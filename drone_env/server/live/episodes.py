@@ -2,23 +2,24 @@
 
 import asyncio
 import secrets
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from hashlib import sha256
 from typing import Any, TypeVar
 
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
+from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError
+from drone_env.flights.provenance import HUMAN, Provenance
+from drone_env.flights.record import fly_directions, record_of
+from drone_env.flights.sessions import Session
 from drone_env.models import DIRECTIONS, Direction
-from drone_env.results.finished import check_agent
-from drone_env.results.record import fly_directions
-from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import (
     Beginning,
     FlightHeader,
@@ -31,10 +32,10 @@ from drone_env.server.frames import (
     values_along,
 )
 from drone_env.server.live.commands import Start
-from drone_env.server.map_choice import start_episode
-from drone_env.server.pilots import HUMAN, Provenance, all_pilots
+from drone_env.server.pilots import all_pilots
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import AppState
+from drone_env.server.task_api import start_episode
 
 Result = TypeVar("Result")
 
@@ -44,42 +45,60 @@ class LeftError(Exception):
 
 
 class LiveEpisode:
-    """An episode that a page flies. The row of its session in the store is the truth; this is a copy.
+    """An episode that a page flies.
 
     Args:
-        row: The session.
-        shared: The parts of the server.
+        session: The session in memory.
+        app_state: The parts of the server.
         caller: The address of the page.
+        planned: What `planned` returns; None if that is unknown.
 
     Raises:
-        EpisodeError: if the agent of the session is not a pilot of the page.
+        EpisodeError: if a flight of this provenance is not one of the page.
     """
 
-    def __init__(self, row: Session, shared: AppState, caller: str) -> None:
-        self.row = row
+    def __init__(self, session: Session, app_state: AppState, caller: str, planned: list[int] | None = None) -> None:
+        self.session = session
+        self._revision = session.revision
         self.pilot = self.provenance.pilot
         if self.pilot not in all_pilots():
-            raise EpisodeError(f"the agent of this session is {row.agent!r}, not a pilot of the page")
+            raise EpisodeError(f"the agent of this session is {self.provenance.label!r}, not a pilot of the page")
         self.start = Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)
         self.values: list[float] = []
         """The best score still possible at each frame, as far as it is known."""
         self.unsolved = False
         """Whether solving the map failed."""
-        self._sessions, self._workers, self._caller = shared.sessions, shared.workers, caller
-        self._plan: list[int] | None = None
+        self._sessions, self._workers, self._caller = app_state.sessions, app_state.workers, caller
+        self._plan = planned
         self._planning: asyncio.Future[list[int]] | None = None
         self._jobs: set[asyncio.Future[Any]] = set()
-        self._network = shared.networks.shown_network(self.pilot, self.start.task)
+        self._network = app_state.networks.shown_network(self.pilot, self.start.task)
+
+    @classmethod
+    def of(cls, session_id: str, app_state: AppState, caller: str, planned: list[int] | None = None) -> Self:
+        """The episode of a session.
+
+        Raises:
+            NoSessionError: if there is no such session.
+            EpisodeError: if a flight of this provenance is not one of the page.
+        """
+        return cls(app_state.sessions.use(session_id, lambda session: session), app_state, caller, planned)
 
     @property
     def episode(self) -> Episode:
         """The episode in its current state."""
-        return self.row.fly()
+        return self.session.episode
 
     @property
     def provenance(self) -> Provenance:
-        """The pilots of its steps."""
-        return Provenance.parse(self.row.agent)
+        """Who flies."""
+        return self.session.provenance
+
+    @property
+    def flown_by(self) -> dict[str, Any]:
+        """What may change of who flies, for the page."""
+        by = self.provenance
+        return {"by": by.label, "values_used": by.values_used, "undo_used": by.undo_used}
 
     @property
     def automatic(self) -> bool:
@@ -100,7 +119,7 @@ class LiveEpisode:
         """
         if self._plan is None:
             if self._planning is None or self._planning.done():
-                self._planning = self._submit(plan, self.start, self.pilot, self.row.actions, self._first)
+                self._planning = self._submit(plan, self.start, self.pilot, self.episode.actions, self._first)
             self._plan = await _finished(self._planning)
         return self._plan
 
@@ -111,35 +130,19 @@ class LiveEpisode:
             LeftError: if the page has left the flight.
             DroneEnvError: as `Workers.run` and `values_along`.
         """
-        actions = tuple(await self.planned()) if self.automatic else self.row.actions
+        actions = await self.planned() if self.automatic else self.episode.actions
         try:
             values = await _finished(self._submit(values_along, self.start, actions))
         except DroneEnvError:
             self.unsolved = True
             raise
-        if self.automatic or self.row.actions[: len(actions)] == actions:
+        if self.automatic or self.episode.actions[: len(actions)] == actions:
             self.values = values
 
     def leave(self) -> None:
         """Cancel its jobs: the page shows another flight."""
         for job in self._jobs:
             job.cancel()
-
-    def begin_with(self, actions: Sequence[int], planned: list[int] | None) -> None:
-        """Fly the first actions of a new flight and store them.
-
-        Args:
-            actions: The actions of a fork, or the pilot's own up to a step.
-            planned: What `planned` returns, None if that is unknown.
-        """
-        self._plan = planned
-        if not actions:
-            return
-        with self._changing() as row:
-            for action in actions:
-                advance(row, action)
-            if row.finished:
-                self._store_once(row)
 
     def step(self) -> Frame:
         """Fly one step of an automatic episode whose actions are `planned`."""
@@ -164,9 +167,7 @@ class LiveEpisode:
         self._check_by_hand()
         if self.episode.steps <= self._first:
             raise EpisodeError("there is no step to take back: you have flown none")
-        with self._changing() as row:
-            row.actions, row.episode = row.actions[:-1], None
-            row.agent = check_agent(str(self.provenance._replace(undo=True)))
+        self._change(lambda session: session.undo())
         del self.values[self.episode.steps + 1 :]
 
     def help(self) -> Frame:
@@ -176,8 +177,7 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         self._check_by_hand()
-        with self._changing() as row:
-            row.agent = check_agent(str(self.provenance._replace(values=True)))
+        self._change(lambda session: session.use_values())
         return self.frame()
 
     def shown_values(self) -> list[float] | None:
@@ -194,39 +194,29 @@ class LiveEpisode:
 
     def view_json(self, frames: str | None) -> str:
         """The JSON of its `EpisodeView`, with these frames as a JSON array; None for the current frame alone."""
-        header = FlightHeader.of(self.start, self.row.agent, self.row.id).model_dump_json()
+        header = FlightHeader.of(self.start, self.provenance, self.session.id).model_dump_json()
         return f'{{"opening":{header},"frames":{frames or to_json([self.frame()]).decode()}}}'
 
     def _fly(self, action: int) -> Frame:
-        with self._changing() as row:
-            advance(row, action)
+        self._change(lambda session: session.fly(action))
         return self.frame()
 
-    @contextmanager
-    def _changing(self) -> Generator[Session, None, None]:
-        """Context manager of the session to change.
+    def _change(self, change: Callable[[Session], object]) -> None:
+        """Change the session.
 
         Raises:
             NoSessionError: if somebody else has changed it.
         """
-        with self._sessions.changing(self.row.id) as row:
-            if (row.flight, row.agent, row.actions) != (self.row.flight, self.row.agent, self.row.actions):
-                raise NoSessionError("another page or client flies this session now: start a new flight")
-            yield row
-        self.row = row
+        seen = self.session.flight_id, self._revision
 
-    def _store_once(self, row: Session) -> None:
-        """Replace a finished flight that a link flew again by the stored one: the link knows not all of its agent."""
-        (flown,) = row.finished
-        record, kept = flown.record, _without_help(row.agent)
-        before = self._sessions.store.flown_before(record)
-        for stored in sorted(before, key=lambda stored: stored.agent != row.agent):
-            if _without_help(stored.agent) == kept:
-                row.finished, row.episode_id, row.agent = [], stored.id, stored.agent
-                return
-        # Two pages that open the link at once store it once.
-        row.episode_id = sha256(record.to_json().encode()).hexdigest()[:16]
-        row.finished = [flown.model_copy(update={"id": row.episode_id})]
+        def unless_changed(session: Session) -> Session:
+            if (session.flight_id, session.revision) != seen:
+                raise NoSessionError("another page or client flies this session now: start a new flight")
+            change(session)
+            return session
+
+        self.session = self._sessions.use(self.session.id, unless_changed)
+        self._revision = self.session.revision
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -244,16 +234,16 @@ class LiveEpisode:
     @property
     def _first(self) -> int:
         """The number of steps that another pilot flew."""
-        return self.provenance.forked_at or 0
+        return 0 if self.provenance.parent is None else self.provenance.parent.step
 
     @property
     def _shown(self) -> bool:
         return shows_values(self.provenance, self.episode)
 
 
-def _without_help(agent: str) -> Provenance:
+def _without_help(provenance: Provenance) -> Provenance:
     """The pilots of a flight without what only its record says: the person's name, values and undo."""
-    return Provenance.parse(agent)._replace(name=None, values=False, undo=False)
+    return provenance.model_copy(update={"person": None, "values_used": False, "undo_used": False})
 
 
 async def _finished(job: "asyncio.Future[Result]") -> Result:
@@ -270,12 +260,12 @@ Opened = list[tuple[LiveEpisode, str]]
 """Episodes, and the JSON of the `EpisodeView` of each."""
 
 
-async def open_flights(command: Start, shared: AppState, caller: str, last: Episode | None) -> Opened:
+async def open_flights(command: Start, app_state: AppState, caller: str, last: Episode | None) -> Opened:
     """Open the sessions of all flights; of none if one fails.
 
     Args:
         command: The flights to start.
-        shared: The parts of the server.
+        app_state: The parts of the server.
         caller: The address of the page.
         last: The last episode of the page: a map that is not named is another one.
 
@@ -288,21 +278,21 @@ async def open_flights(command: Start, shared: AppState, caller: str, last: Epis
         CapacityError: if there is no room.
         RequestError: if too many requests are waiting for a worker process.
     """
-    start, agents, forking = await run_in_threadpool(_choose, command, shared, last)
+    start, agents, forking = await run_in_threadpool(_choose, command, app_state, last)
     fork = command.fork
     steps = max(command.step, 0 if fork is None else len(fork.actions))
     beginnings: list[Beginning | None] = []
     for number, agent in enumerate(agents):
         forked = None if fork is None or number != forking else fork.actions
-        if forked or (steps and forked is None and Provenance.parse(agent).pilot != HUMAN):
-            job = shared.workers.run(begin, start, agent, forked, steps, caller=caller, task=start.task.id)
+        if forked or (steps and forked is None and agent.pilot != HUMAN):
+            job = app_state.workers.run(begin, start, agent, forked, steps, caller=caller, task=start.task.id)
             beginnings.append(await job)
         else:
             beginnings.append(None)
-    return await run_in_threadpool(_open, shared, caller, start, agents, beginnings)
+    return await run_in_threadpool(_open, app_state, caller, start, agents, beginnings)
 
 
-async def attach(session: str, shared: AppState, caller: str) -> tuple[LiveEpisode, str]:
+async def attach(session: str, app_state: AppState, caller: str) -> tuple[LiveEpisode, str]:
     """The episode of a session, and the JSON of its `EpisodeView`.
 
     Raises:
@@ -310,13 +300,13 @@ async def attach(session: str, shared: AppState, caller: str) -> tuple[LiveEpiso
         EpisodeError: if the agent of the session is not a pilot of the page.
         RequestError: if too many requests are waiting for a worker process.
     """
-    live = await run_in_threadpool(lambda: LiveEpisode(shared.sessions.read(session), shared, caller))
-    run = partial(shared.workers.run, caller=caller, task=live.start.task.id)
-    frames = await run(frames_json, live.start, live.row.agent, [DIRECTIONS[action] for action in live.row.actions])
+    live = await run_in_threadpool(LiveEpisode.of, session, app_state, caller)
+    run = partial(app_state.workers.run, caller=caller, task=live.start.task.id)
+    frames = await run(frames_json, live.start, live.provenance, [DIRECTIONS[one] for one in live.episode.actions])
     return live, await run_in_threadpool(live.view_json, frames)
 
 
-def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
+def end_all(episodes: Sequence[LiveEpisode], app_state: AppState) -> None:
     """End the sessions of these episodes.
 
     Raises:
@@ -324,50 +314,65 @@ def end_all(episodes: Sequence[LiveEpisode], shared: AppState) -> None:
     """
     for live in episodes:
         with suppress(NoSessionError):  # it may have expired
-            shared.store.end_session(live.row.id)
+            app_state.sessions.end(live.session.id)
 
 
-def _choose(command: Start, shared: AppState, last: Episode | None) -> tuple[Episode, list[str], int | None]:
-    """The episode at its start, the agents, and the index of the one that flies the fork."""
-    task, fork, agents = get_task(command.task), command.fork, list(command.pilots)
-    for pilot in agents:
-        shared.networks.require(pilot, task)
+def _choose(command: Start, app_state: AppState, last: Episode | None) -> tuple[Episode, list[Provenance], int | None]:
+    """The episode at its start, who flies each flight, and the index of the one that flies the fork."""
+    task, fork, pilots = get_task(command.task), command.fork, command.pilots
+    for pilot in pilots:
+        app_state.networks.require(pilot, task)
     seed = command.seed
     while seed is None or (command.seed is None and last is not None and seed == last.seed):
         seed = secrets.randbelow(MAPS)
     start = start_episode(ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile), None)
-    forking = None
+    flying = [Provenance(pilot=pilot) for pilot in pilots]
+    forking, is_over = None, False
     if fork is not None:
         # The last pilot flies the fork; a person's own flight may be listed before others.
-        own = fork.step == 0 and HUMAN in agents
-        forking = agents.index(HUMAN) if own else len(agents) - 1
-        agents[forking] = str(Provenance.of_fork(agents[forking], fork.step, fork.of))
-    # A finished flight is not credited to the visitor who opens its link.
-    over = fork is not None and any(one.ended for one in fly_directions(start.copy(), fork.actions))
-    flying = [Provenance.parse(agent) for agent in agents]
+        own = fork.step == 0 and HUMAN in pilots
+        forking = pilots.index(HUMAN) if own else len(pilots) - 1
+        flying[forking] = fork.of.forked(fork.step, pilots[forking])
+        is_over = any(one.ended for one in fly_directions(start.copy(), fork.actions))
     for number, one in enumerate(flying):
-        if one.pilot == HUMAN and not (over and number == forking):
-            flying[number] = one._replace(name=command.name)
-    return start, [check_agent(str(one)) for one in flying], forking
+        # A finished flight is not credited to the visitor who opens its link.
+        if one.pilot == HUMAN and not (is_over and number == forking):
+            flying[number] = one.named(command.name)
+    return start, flying, forking
 
 
 def _open(
-    shared: AppState, caller: str, start: Episode, agents: Sequence[str], beginnings: Sequence[Beginning | None]
+    app_state: AppState,
+    caller: str,
+    start: Episode,
+    flying: Sequence[Provenance],
+    beginnings: Sequence[Beginning | None],
 ) -> Opened:
-    task, profile = start.task.id, start.reward_profile.id
     opened: list[LiveEpisode] = []
     views: list[str] = []
     try:
-        for agent, beginning in zip(agents, beginnings, strict=True):
-            options = ResetOptions(task_name=task, seed=start.seed, reward_profile=profile, agent=agent)
-            own = [live.row.id for live in opened]
-            session, _ = shared.sessions.reset(None, options, owner=caller, keep=own)
-            live = LiveEpisode(shared.sessions.read(session), shared, caller)
+        for provenance, beginning in zip(flying, beginnings, strict=True):
+            actions, frames, planned = beginning or ([], None, None)
+            episode, flight_id = start.copy().fly(actions), None
+            if episode.ended:
+                flight_id, provenance = _flown_before(app_state, episode, provenance)
+            own = [live.session.id for live in opened]
+            session = app_state.sessions.open(episode, provenance, owner=caller, keep=own, flight_id=flight_id)
+            live = LiveEpisode.of(session, app_state, caller, planned)
             opened.append(live)
-            actions, frames, planned = beginning or ((), None, None)
-            live.begin_with(actions, planned)
             views.append(live.view_json(frames))
     except BaseException:
-        end_all(opened, shared)
+        end_all(opened, app_state)
         raise
     return list(zip(opened, views, strict=True))
+
+
+def _flown_before(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:
+    """The id of a finished flight that a link flies again, and who flew it: the link knows not all of its help."""
+    kept = _without_help(provenance)
+    stored = app_state.store.flown_before(episode)
+    for flight_id, by in sorted(stored, key=lambda flown: flown[1] != provenance):
+        if _without_help(by) == kept:
+            return flight_id, by
+    # Two pages that open the link at once store it once.
+    return sha256(record_of(episode, provenance).to_json().encode()).hexdigest()[:16], provenance

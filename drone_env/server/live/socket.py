@@ -18,13 +18,14 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.errors import TooLargeError, UnknownNameError
-from drone_env.results.sessions import in_share
+from drone_env.flights.sessions import in_share
 from drone_env.server.exceptions import FAILED, status_of
 from drone_env.server.frames import Frame
 from drone_env.server.json_routes import LARGE, TRY_LATER, received
 from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, Topic, parse_command
 from drone_env.server.live.episodes import LeftError, LiveEpisode, Opened, attach, end_all, open_flights
 from drone_env.server.state import AppState, caller_address
+from drone_env.server.summaries import listed
 from drone_env.server.train_log import TrainLog
 
 log = logging.getLogger(__name__)
@@ -42,11 +43,11 @@ class LiveSocket:
     """The endpoint: an ASGI application.
 
     Args:
-        shared: The parts of the server.
+        app_state: The parts of the server.
     """
 
-    def __init__(self, shared: AppState) -> None:
-        self.shared = shared
+    def __init__(self, app_state: AppState) -> None:
+        self.app_state = app_state
         self.pages: set[Page] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -56,10 +57,10 @@ class LiveSocket:
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
             own = sum(page.caller == caller_address(socket) for page in self.pages)
-            if not in_share(own, len(self.pages), self.shared.settings.capacity):
+            if not in_share(own, len(self.pages), self.app_state.settings.capacity):
                 await socket.close(TRY_LATER, TOO_MANY_PAGES)
                 return
-            page = Page(socket, self.shared)
+            page = Page(socket, self.app_state)
             self.pages.add(page)
             try:
                 await page.run()
@@ -72,20 +73,20 @@ class LiveSocket:
         Raises:
             StoreError: if the store could not be written.
         """
-        sessions = [live.row.id for page in list(self.pages) for live in page.episodes]
+        sessions = [live.session.id for page in list(self.pages) for live in page.episodes]
         if sessions:
-            self.shared.store.touch_sessions(sessions)
+            self.app_state.sessions.touch(sessions)
 
 
 class Page:
     """One open page and its episodes."""
 
-    def __init__(self, socket: WebSocket, shared: AppState) -> None:
+    def __init__(self, socket: WebSocket, app_state: AppState) -> None:
         self.episodes: list[LiveEpisode] = []
         self.playing = False
         self.speed = SPEED
         self._socket = socket
-        self._shared = shared
+        self._app_state = app_state
         self.caller = caller_address(socket)
         self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
@@ -126,7 +127,7 @@ class Page:
         async with self._flying:
             match command:
                 case Subscribe(topics=topics):
-                    self._subscription = Subscription(self._shared, topics)
+                    self._subscription = Subscription(self._app_state, topics)
                     self._subscribed.set() if topics else self._subscribed.clear()
                 case Plain(type="pause"):
                     await self._set_playing(False)
@@ -140,21 +141,21 @@ class Page:
                 case ByHand(type="undo", flight=number):
                     live = self._at(number)
                     await run_in_threadpool(live.undo)
-                    steps, by = live.episode.steps, live.row.agent
-                    await self._send({"type": "undone", "flight": number, "step": steps, "by": by})
+                    undone = {"type": "undone", "flight": number, "step": live.episode.steps}
+                    await self._send({**undone, **live.flown_by})
                 case ByHand(flight=number):  # "help"
                     live = self._at(number)
                     frame = await run_in_threadpool(live.help)
-                    await self._send({"type": "helped", "flight": number, "by": live.row.agent, "frame": frame})
+                    await self._send({"type": "helped", "flight": number, "frame": frame, **live.flown_by})
                     await self._send_values(number, live)
                     self._values_due.set()
                 case Start():
                     last = self.episodes[0].episode if self.episodes else None
-                    opened = await open_flights(command, self._shared, self.caller, last)
+                    opened = await open_flights(command, self._app_state, self.caller, last)
                     await self._replace(opened, command.number)
                 case Attach():
                     sessions = dict.fromkeys(command.sessions)
-                    opened = [await attach(session, self._shared, self.caller) for session in sessions]
+                    opened = [await attach(session, self._app_state, self.caller) for session in sessions]
                     await self._replace(opened, command.number)
                 case Plain():  # "end"
                     await self._replace([], None)
@@ -176,14 +177,14 @@ class Page:
 
     async def _replace(self, opened: Opened, request: int | None) -> None:
         """Show these episodes, and end the sessions of the others."""
-        sessions = {live.row.id for live, _ in opened}
-        left = [live for live in self.episodes if live.row.id not in sessions]
+        sessions = {live.session.id for live, _ in opened}
+        left = [live for live in self.episodes if live.session.id not in sessions]
         for live in self.episodes:
             live.leave()
         self.episodes = [live for live, _ in opened]
         self._end_sent.clear()
         await self._set_playing(False)
-        await run_in_threadpool(end_all, left, self._shared)
+        await run_in_threadpool(end_all, left, self._app_state)
         rest = to_json({"number": request, "playing": self.playing, "speed": self.speed}).decode()[1:]
         await self._send_text(f'{{"type":"flights","flights":[{",".join(view for _, view in opened)}],{rest}')
         await self._send_frames([])
@@ -196,7 +197,9 @@ class Page:
         for number, live in enumerate(self.episodes):
             if live.episode.ended and live not in self._end_sent:
                 self._end_sent.add(live)
-                for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.row.episode_id):
+                for row in await run_in_threadpool(
+                    listed, self._app_state.store, 1, episode_id=live.session.episode_id
+                ):
                     await self._send({"type": "ended", "flight": number, "episode": row})
                 await self._send_values(number, live)
         if any(live.lacks_values for live in self.episodes):
@@ -299,16 +302,16 @@ class Subscription:
     """The messages of some topics, for one page.
 
     Args:
-        shared: The parts of the server.
+        app_state: The parts of the server.
         topics: The topics.
     """
 
-    def __init__(self, shared: AppState, topics: list[Topic]) -> None:
+    def __init__(self, app_state: AppState, topics: list[Topic]) -> None:
         self.topics = topics
-        self._shared = shared
+        self._app_state = app_state
         self._request: int | None = None
         self._episode: int | None = None
-        self._log = TrainLog(shared.settings.data)
+        self._log = TrainLog(app_state.settings.data)
 
     def updates(self) -> Iterator[dict[str, Any]]:
         """The messages since the last call; the first call returns the current state.
@@ -317,14 +320,14 @@ class Subscription:
             StoreError: if the store cannot be read.
         """
         if "requests" in self.topics:
-            entries = self._shared.requests.since(self._request or 0)
+            entries = self._app_state.requests.since(self._request or 0)
             if entries or self._request is None:
                 self._request = entries[-1].number if entries else 0
                 yield {"type": "requests", "requests": entries}
         if "training" in self.topics and self._log.has_changed():
             yield {"type": "training", "lines": self._log.tail(LINES), "curve": self._log.curve()}
         if "episodes" in self.topics:
-            found = self._shared.store.listed(EPISODES, after=self._episode)
+            found = listed(self._app_state.store, EPISODES, after=self._episode)
             if found or self._episode is None:
                 self._episode = found[0].number if found else 0
                 yield {"type": "episodes", "episodes": found}

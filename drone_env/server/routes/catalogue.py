@@ -16,10 +16,11 @@ from drone_env.core.rules import HIGHEST, LOWEST, score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.errors import StoreError
+from drone_env.flights.provenance import HUMAN
 from drone_env.models import Count, Score, StrictModel
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import COLOURS, HUMAN, all_pilots
+from drone_env.server.pilots import COLOURS, all_pilots
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["catalogue"])
@@ -182,14 +183,14 @@ async def tasks() -> TaskList:
 
 
 @router.get("/tasks/{task_name}", responses=error_responses(404, 422))
-def one_task(shared: AppStateDep, task_name: str) -> OneTask:
+def one_task(app_state: AppStateDep, task_name: str) -> OneTask:
     """One task with all its numbers, and its pilots. Stored drawings are found by name; `/tasks` does not list them."""
-    return describe(get_task(task_name), shared)
+    return describe(get_task(task_name), app_state)
 
 
-def describe(task: TaskConfig, shared: AppState) -> OneTask:
+def describe(task: TaskConfig, app_state: AppState) -> OneTask:
     """A task and its pilots."""
-    flying = [name for name in all_pilots() if shared.networks.flies(name, task)]
+    flying = [name for name in all_pilots() if app_state.networks.flies(name, task)]
     return OneTask(task=TaskInfo.of(task), pilots=flying)
 
 
@@ -207,11 +208,11 @@ async def kinds() -> dict[str, list[KindInfo]]:
 
 
 @router.get("/pilots")
-def pilots(shared: AppStateDep) -> PilotList:
+def pilots(app_state: AppStateDep) -> PilotList:
     """The pilots of the page and their tasks; networks that you trained are included."""
     pilots: list[PilotInfo] = []
     for colour, (name, pilot) in enumerate(all_pilots().items(), 1):
-        tasks = [task.id for task in TASKS.values() if shared.networks.flies(name, task)]
+        tasks = [task.id for task in TASKS.values() if app_state.networks.flies(name, task)]
         if tasks or not pilot.trained:
             look, automatic = min(colour, COLOURS), name != HUMAN
             about = {"name": pilot.name, "summary": pilot.summary}
@@ -221,10 +222,10 @@ def pilots(shared: AppStateDep) -> PilotList:
 
 @router.head("/health", include_in_schema=False)
 @router.get("/health", responses=error_responses(503))
-async def health(shared: AppStateDep) -> Health:
+async def health(app_state: AppStateDep) -> Health:
     """Whether the server works and can store steps; requires no token."""
     try:
-        shared.store.check()
+        app_state.store.check()
     except StoreError:
         # The error itself would reveal the folder.
         why = "nothing can be stored: the disk is full, or files of the data folder are locked, or were deleted, moved"

@@ -1,5 +1,6 @@
 """The routes that compare agents: a leaderboard, the maps of an agent, and two agents map by map."""
 
+import sqlite3
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
@@ -8,11 +9,13 @@ from typing_extensions import Self
 
 from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
+from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import Count, Seed, StrictModel
+from drone_env.results.flown import results_by_agent
 from drone_env.results.result import Result, Results
-from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, Summary, ci95, mean_of, ranked
+from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, ci95, mean_of, ranked
 from drone_env.server.exceptions import error_responses
-from drone_env.server.pilots import HUMAN, Provenance, all_pilots, display_name
+from drone_env.server.pilots import all_pilots, display_name
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["compare"])
@@ -25,6 +28,7 @@ class LeaderboardEntry(StrictModel):
     """One agent over the maps of a task that it flew. Means are over maps; intervals (95 %) are null for one map."""
 
     agent: str
+    pilot: str = Field(description="The agent, or `human`.")
     flights: Count
     maps: Count = Field(description="Number of different maps.")
     success_rate: float = Field(ge=0, le=1, description="Fraction of flights that delivered everything.")
@@ -102,11 +106,12 @@ class Pairing(StrictModel):
 
 
 @router.get("/leaderboard/{task_name}", responses=error_responses(404, 422, 503))
-def leaderboard(shared: AppStateDep, task_name: str) -> Leaderboard:
+def leaderboard(app_state: AppStateDep, task_name: str) -> Leaderboard:
     """The agents of a task over all finished flights; flights of an agent over the same map count as their mean."""
-    flown = shared.store.by_map(task_name)
-    forks = [Summary.of(flown.pop(agent)) for agent in list(flown) if Provenance.parse(agent).of is not None]
-    models = shared.runs.models()
+    maps = app_state.store.means_by_map(task_name)
+    flown = results_by_agent(row for row in maps if row["parent_id"] is None)
+    by = {row["agent"]: row for row in maps}
+    models = app_state.runs.models()
     return Leaderboard(
         task=get_task(task_name).id,
         rows=[
@@ -114,26 +119,27 @@ def leaderboard(shared: AppStateDep, task_name: str) -> Leaderboard:
                 **{name: value for name, value in vars(summary).items() if name in LeaderboardEntry.model_fields},
                 agent=agent,
                 reward_profile=flown[agent].reward_profile,
-                name=display_name(agent),
-                kind=_kind(agent, models),
+                pilot=by[agent]["pilot"],
+                name=display_name(_alone(by[agent])),
+                kind=_kind(by[agent]["pilot"], models),
             )
             for agent, summary in ranked(flown)
         ],
-        forks=sum(fork.flights for fork in forks),
+        forks=sum(row["flights"] for row in maps if row["parent_id"] is not None),
     )
 
 
 @router.get("/leaderboard/{task_name}/maps", responses=error_responses(404, 422, 503))
-def agent_maps(shared: AppStateDep, task_name: str, agent: AgentQuery) -> AgentMaps:
+def agent_maps(app_state: AppStateDep, task_name: str, agent: AgentQuery) -> AgentMaps:
     """The maps of a task that an agent flew, with its results."""
-    (flown,) = _flown_by(shared, task_name, agent)
+    (flown,) = _flown_by(app_state, task_name, agent)
     return AgentMaps(task=get_task(task_name).id, agent=agent, maps=[AgentMap.of(row) for row in flown.rows()])
 
 
 @router.get("/paired/{task_name}", responses=error_responses(404, 422, 503))
-def pair(shared: AppStateDep, task_name: str, a: AgentQuery, b: AgentQuery) -> Pairing:
+def pair(app_state: AppStateDep, task_name: str, a: AgentQuery, b: AgentQuery) -> Pairing:
     """Two agents over the maps of a task that both flew, map by map."""
-    paired = PairedComparison.of(*_flown_by(shared, task_name, a, b))
+    paired = PairedComparison.of(*_flown_by(app_state, task_name, a, b))
     wins, ties, losses = paired.outcomes
     rows = zip(paired.differences.tolist(), paired.a.rows(), paired.b.rows(), strict=True)
     return Pairing(
@@ -150,16 +156,22 @@ def pair(shared: AppStateDep, task_name: str, a: AgentQuery, b: AgentQuery) -> P
     )
 
 
-def _flown_by(shared: AppState, task_name: str, *agents: str) -> list[Results]:
+def _flown_by(app_state: AppState, task_name: str, *agents: str) -> list[Results]:
     """The results of agents over a task, one row per map."""
-    flown = shared.store.by_map(task_name)
+    flown = results_by_agent(app_state.store.means_by_map(task_name))
     for agent in agents:
         if agent not in flown:
             raise UnknownNameError("agent", agent, flown or ["none: nobody has flown this task"])
     return [flown[agent] for agent in agents]
 
 
-def _kind(agent: str, models: set[str]) -> Kind:
-    if Provenance.parse(agent).pilot == HUMAN:
+def _alone(row: sqlite3.Row) -> Provenance:
+    """Who flew the flights of a row, which are no forks."""
+    fields = {name: row[name] for name in Provenance.model_fields if name != "parent"}
+    return Provenance.model_validate(fields, strict=False)
+
+
+def _kind(pilot: str, models: set[str]) -> Kind:
+    if pilot == HUMAN:
         return "person"
-    return "pilot" if agent in all_pilots() else "model" if agent in models else "other"
+    return "pilot" if pilot in all_pilots() else "model" if pilot in models else "other"

@@ -1,31 +1,26 @@
-"""The routes that fly: reset, step, the state of the session's episode, and the network's next action."""
+"""The routes that fly: reset, step, the state of the session's episode; and which session a request flies."""
 
 import asyncio
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any, Literal
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
-import numpy as np
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
 from typing_extensions import Self
 
-from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
-from drone_env.core.cells import Cell
-from drone_env.core.episode import Observation
-from drone_env.core.rules import telemetry_of
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import InvalidValueError
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
+from drone_env.flights.sessions import Session, Sessions
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import (
     DIRECTIONS,
-    NAMES,
     Count,
     Direction,
     DroneObservation,
     DroneState,
-    GroundName,
     PathPoint,
     Position,
     Score,
@@ -34,15 +29,19 @@ from drone_env.models import (
     flat_json,
     openenv_json,
 )
-from drone_env.results.sessions import Session
-from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.json_routes import LARGE_BODY, JsonRequest, JsonRoute
-from drone_env.server.routes.replay import best_flight
+from drone_env.server.addresses import shared_address
+from drone_env.server.best_flights import best_flight
+from drone_env.server.exceptions import WHAT_TO_DO, RequestError, error_responses
+from drone_env.server.json_routes import JsonRequest, JsonRoute
 from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
-from drone_env.server.sessions import COOKIE, HEADER, LONGEST_ID, Caller
-from drone_env.server.state import SESSION_ERRORS, AppState, AppStateDep, CallerDep, caller_address
+from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
+from drone_env.server.task_api import start_episode
 
 router = APIRouter(tags=["flight"], route_class=JsonRoute)
+COOKIE = "drone_env_session"
+HEADER = "X-Session-Id"
+NEW = "new"
+"""As `X-Session-Id` of a reset, this opens a private session."""
 STEP_HEADER = "x-step-count"
 STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
@@ -54,6 +53,54 @@ OPENED: dict[str, Any] = {
         for name in IN_SESSION
     },
 }
+
+
+class Caller(NamedTuple):
+    """The session id of a request, or the `address` whose callers share a session."""
+
+    named: str | None
+    address: str | None
+
+    @classmethod
+    def of(cls, request: Request) -> Self:
+        """Read the header or the cookie. Empty ones count as missing."""
+        named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
+        if named or request.app.state.shared.settings.token is not None:
+            return cls(None if named in ("", NEW) else named, None)
+        return cls(None, shared_address(request.scope))
+
+    def session(self, sessions: Sessions, answer: Response | None = None) -> str:
+        """Return the session id. The header of `answer` contains the id of a shared session.
+
+        Raises:
+            RequestError: if there is no session.
+        """
+        if self.named is not None:
+            return self.named
+        session = None if self.address is None else sessions.unnamed(self.address)
+        if session is None:
+            raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
+        if answer is not None:
+            answer.headers[HEADER] = session
+        return session
+
+
+async def get_caller(
+    request: Request,
+    _: Annotated[
+        str | None,
+        Header(
+            alias=HEADER,
+            max_length=LONGEST_ID,
+            description="The session id from `/reset`; overrides the cookie. With `new`, a reset opens a session.",
+        ),
+    ] = None,
+) -> Caller:
+    """The caller of a request."""
+    return Caller.of(request)
+
+
+CallerDep = Annotated[Caller, Depends(get_caller)]
 
 
 class StepRequest(StrictModel):
@@ -133,35 +180,9 @@ class SolutionAnswer(StrictModel):
     path: list[Position] = Field(description="Its positions [x, y], including the start.")
 
 
-class ModelInfo(StrictModel):
-    """The network behind a prediction."""
-
-    name: Literal["pathqnet"] = "pathqnet"
-    file: str = Field(description="Name of its file.")
-    digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
-
-
-class PredictRequest(DroneObservation):
-    """An observation from `/step` or `/reset`."""
-
-    # Networks need it only for tasks with pads.
-    cell_below: GroundName | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        default=None, description="Kind of the cell below the drone; optional for tasks without pads."
-    )
-    session_id: str | None = Field(default=None, max_length=255, description="Ignored.")
-
-
-class Prediction(StrictModel):
-    """The next action by the network."""
-
-    action: Direction = Field(description="The action with the highest value.")
-    q_values: dict[Direction, float] = Field(description="Value of each action.")
-    model: ModelInfo
-
-
-def read_session(shared: AppStateDep, caller: CallerDep, answer: Response) -> Session:
+def read_session(app_state: AppStateDep, caller: CallerDep, answer: Response) -> Session:
     """The caller's session."""
-    return shared.sessions.read(caller.session(shared.sessions, answer))
+    return app_state.sessions.read(caller.session(app_state.sessions, answer))
 
 
 SessionDep = Annotated[Session, Depends(read_session)]
@@ -174,7 +195,7 @@ SessionDep = Annotated[Session, Depends(read_session)]
 )
 def reset(
     request: Request,
-    shared: AppStateDep,
+    app_state: AppStateDep,
     caller: CallerDep,
     options: Annotated[ResetOptions | None, Body(openapi_examples=examples(RESETS))] = None,
 ) -> Response:
@@ -186,7 +207,9 @@ def reset(
     `episode_id`, as from OpenEnv's clients, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
-    session, episode = shared.sessions.reset(caller.named, options, caller.address, caller_address(request))
+    start = partial(start_episode, options)
+    owner = caller_address(request)
+    session, episode = app_state.sessions.reset(caller.named, start, options.agent, caller.address, owner)
     first = flat_json(episode) if options.episode_id is None else openenv_json(episode, None)
     # Not validated again, for speed; tests compare it with the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
@@ -198,22 +221,22 @@ def reset(
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
-def end_session(shared: AppStateDep, caller: CallerDep, response: Response) -> None:
+def end_session(app_state: AppStateDep, caller: CallerDep, response: Response) -> None:
     """End the session and free its place. An unfinished episode is dropped."""
-    shared.store.end_session(caller.session(shared.sessions, response))
+    app_state.sessions.end(caller.session(app_state.sessions, response))
     response.delete_cookie(COOKIE)
 
 
 @router.get("/state", responses=SESSION_ERRORS)
 def state(session: SessionDep) -> DroneState:
     """The full state of the session's episode."""
-    return DroneState.of(session.fly(), session.episode_id)
+    return DroneState.of(session.episode, session.episode_id)
 
 
 @router.get("/grade/{task_name}", responses=SESSION_ERRORS | error_responses(404))
 def grade(session: SessionDep, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
-    task, episode = get_task(task_name), session.fly()
+    task, episode = get_task(task_name), session.episode
     if episode.task.id != task.id:
         raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
     score = GRADERS.get(task.id, make_grader(task.id))(DroneState.of(episode))
@@ -223,18 +246,18 @@ def grade(session: SessionDep, task_name: str) -> Grade:
 @router.get("/path_history", responses=SESSION_ERRORS)
 def path_history(session: SessionDep) -> PathHistory:
     """The flight of the session's episode so far."""
-    flown = DroneState.of(session.fly())
+    flown = DroneState.of(session.episode)
     path = flown.path_history
     return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-async def solution(request: Request, shared: AppStateDep, session: SessionDep) -> SolutionAnswer:
+async def solution(request: Request, app_state: AppStateDep, session: SessionDep) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
-    episode = session.fly()
+    episode = session.episode
     if not episode.ended:
         raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
-    best, path = await shared.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
+    best, path = await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
     return SolutionAnswer(
         task=episode.task.id,
         seed=episode.seed,
@@ -246,72 +269,6 @@ async def solution(request: Request, shared: AppStateDep, session: SessionDep) -
         actions=[DIRECTIONS[action] for action in best.actions],
         path=path,
     )
-
-
-@router.post("/predict", responses=SESSION_ERRORS | error_responses(400, 413, 415), openapi_extra=LARGE_BODY)
-def predict(shared: AppStateDep, caller: CallerDep, answer: Response, body: PredictRequest | None = None) -> Prediction:
-    """The action of the trained network for the observation in the body, or without one for the session's."""
-    if body is not None:
-        if body.done:
-            raise RequestError(422, "ended", "the episode of this observation has ended: there is no next action")
-        return _predicted(shared, *arrays_of(body))
-    episode = read_session(shared, caller, answer).fly()
-    if episode.ended:
-        raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
-    return _predicted(shared, episode.task, episode.observation())
-
-
-def _predicted(shared: AppState, task: TaskConfig, observation: Observation) -> Prediction:
-    pilot = shared.networks.preferred(task)
-    if pilot is None:
-        detail = f"there is no network for {task.id!r}; train one: drone-env train --task {task.short_name}"
-        raise RequestError(503, "no_network", detail)
-    agent = shared.networks.network(pilot, task)
-    assert isinstance(agent, PathQNetAgent)
-    values = agent.q_values(observation)
-    return Prediction(
-        action=DIRECTIONS[int(np.argmax(values))],
-        q_values=dict(zip(DIRECTIONS, values.tolist(), strict=True)),
-        model=ModelInfo(file=shared.networks.file(pilot, task).name, digest=str(agent.config["network"])),
-    )
-
-
-def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:
-    """Return the task and the arrays of an observation, as agents need them.
-
-    Raises:
-        InvalidValueError: if no task matches, the battery exceeds the task's capacity, or `cell_below` is missing in a
-            task with pads.
-    """
-    shape = (observation.grid_width, observation.grid_height, observation.deliveries_total, observation.max_steps)
-    shapes = {(task.width, task.height, task.deliveries, task.max_steps): task for task in TASKS.values()}
-    task = shapes.get(shape)
-    if task is None:
-        known = "; ".join(f"{task.id} {shape}" for shape, task in shapes.items())
-        raise InvalidValueError(
-            f"no task has (grid_width, grid_height, deliveries_total, max_steps) = {shape}; there are: {known}"
-        )
-    if observation.battery_steps_remaining > task.battery_capacity:
-        raise InvalidValueError(f"battery_steps_remaining must be at most {task.battery_capacity} in {task.id!r}")
-    below = observation.cell_below
-    placed = [kind for kind, count in task.cell_counts().items() if count and kind not in task.impassable]
-    possible = [NAMES[kind] for kind in (Cell.ROAD, Cell.DELIVERED, *placed)]
-    if below not in possible and (below is not None or task.pads):
-        raise InvalidValueError(
-            f"cell_below {'is missing' if below is None else f'cannot be {below}'}: in {task.id!r} one of "
-            f"{', '.join(possible)} is below the drone; /reset and /step return it"
-        )
-    target = observation.current_target
-    telemetry = telemetry_of(
-        task,
-        cell=observation.drone_y * task.width + observation.drone_x,
-        under=0 if below is None else NAMES.index(below),
-        battery=observation.battery_steps_remaining,
-        steps=observation.step_count,
-        target=None if target is None else target[1] * task.width + target[0],
-    )
-    grid = np.array([[NAMES.index(name) for name in line] for line in observation.cell_types], np.uint8)
-    return task, {"grid": grid, "telemetry": telemetry}
 
 
 class StepRoute(JsonRoute):
@@ -332,18 +289,24 @@ class StepRoute(JsonRoute):
             after = STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
         except ValidationError:
             return await validated(request)
-        shared: AppState = request.app.state.shared
-        return await asyncio.get_running_loop().run_in_executor(shared.steps, _advance, shared, caller, body, after)
+        app_state: AppState = request.app.state.shared
+        return await asyncio.get_running_loop().run_in_executor(
+            app_state.steps, _advance, app_state, caller, body, after
+        )
 
 
-def _advance(shared: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
-    session = caller.session(shared.sessions)
-    episode, reward = shared.sessions.advance(session, body.chosen, after, caller.address)
-    stepped = flat_json(episode) if body.action is None else openenv_json(episode, reward)
+def _advance(app_state: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
+    session = caller.named or caller.session(app_state.sessions)
+    answer = flat_json if body.action is None else _step_result
+    stepped = app_state.sessions.step(session, body.chosen, answer, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
     return response
+
+
+def _step_result(episode: Episode) -> str:
+    return openenv_json(episode, episode.reward_last)
 
 
 stepping = APIRouter(tags=["flight"], route_class=StepRoute)
@@ -354,7 +317,7 @@ stepping = APIRouter(tags=["flight"], route_class=StepRoute)
     "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | error_responses(400, 413, 415)
 )
 def step(
-    shared: AppStateDep,
+    app_state: AppStateDep,
     caller: CallerDep,
     body: Annotated[StepRequest, Body(openapi_examples=examples(STEPS))],
     after: Annotated[
@@ -373,4 +336,4 @@ def step(
 
     With `X-Step-Count` the server flies a repeated request once and returns the same response.
     """
-    return _advance(shared, caller, body, after)
+    return _advance(app_state, caller, body, after)

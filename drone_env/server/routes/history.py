@@ -10,14 +10,14 @@ from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
+from drone_env.flights.episodes import Analysis
+from drone_env.flights.record import EpisodeRecord
 from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
-from drone_env.results.finished import Analysis, EpisodeSummary
-from drone_env.results.record import EpisodeRecord
-from drone_env.server import map_choice
+from drone_env.server import daily
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
-from drone_env.server.pilots import HUMAN, Provenance
 from drone_env.server.state import AppStateDep
+from drone_env.server.summaries import ListedEpisode, listed
 from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
@@ -37,7 +37,7 @@ class AnalysisAnswer(Analysis):
 class EpisodeSummaries(StrictModel):
     """Finished episodes, newest first."""
 
-    episodes: list[EpisodeSummary]
+    episodes: list[ListedEpisode]
 
 
 class EpisodePage(EpisodeSummaries):
@@ -79,34 +79,34 @@ class LogLines(StrictModel):
 
 
 @router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
-def analyse(shared: AppStateDep, task_name: str) -> AnalysisAnswer:
+def analyse(app_state: AppStateDep, task_name: str) -> AnalysisAnswer:
     """Statistics of the finished episodes of a task."""
-    analysis = shared.store.analysis(task_name)
+    analysis = app_state.store.analysis(task_name)
     return AnalysisAnswer(**dict(analysis), status="Success" if analysis.episodes else "No data")
 
 
 @router.get("/memory_logs", responses=error_responses(503))
-def memory_logs(shared: AppStateDep) -> EpisodeSummaries:
+def memory_logs(app_state: AppStateDep) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
-    return EpisodeSummaries(episodes=shared.store.listed(SUMMARIES))
+    return EpisodeSummaries(episodes=listed(app_state.store, SUMMARIES))
 
 
 @router.get("/today", responses=error_responses(503))
-def today(shared: AppStateDep) -> MapOfTheDay:
+def today(app_state: AppStateDep) -> MapOfTheDay:
     """The map of the day (UTC), equal on all servers, and the best flights by hand that ended on this day."""
-    day = map_choice.today()
-    task, seed = map_choice.map_of_the_day(day)
+    day = daily.today()
+    task, seed = daily.map_of_the_day(day)
     since = datetime.combine(day, time(), timezone.utc).timestamp()
     flights = [
-        FlightByHand(id=row.id, name=Provenance.parse(row.agent).name, score=row.score, steps=row.steps)
-        for row in shared.store.best(task, seed, HUMAN, since, LISTED)
+        FlightByHand(id=row.id, name=row.person, score=row.score, steps=row.steps)
+        for row in app_state.store.best(task, seed, since, LISTED)
     ]
     return MapOfTheDay(date=day, task=task, seed=seed, best=flights)
 
 
 @router.get("/episodes", responses=error_responses(404, 422, 503))
 def episodes(
-    shared: AppStateDep,
+    app_state: AppStateDep,
     task: Annotated[str | None, Query(max_length=100, description="Id or short name of a task.")] = None,
     agent: Annotated[str | None, Query(max_length=200, description="The agent as in the records.")] = None,
     seed: Annotated[int | None, Query(ge=0, le=MAX_SEED, description="Number of the map.")] = None,
@@ -114,21 +114,21 @@ def episodes(
     before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the last page.")] = None,
 ) -> EpisodePage:
     """Finished episodes, newest first."""
-    found = shared.store.listed(limit + 1, task, agent, before, seed=seed)
+    found = listed(app_state.store, limit + 1, task, agent, before, seed=seed)
     page = found[:limit]
     return EpisodePage(episodes=page, next=page[-1].number if len(found) > limit else None)
 
 
 @router.get("/episodes/{episode_id}", responses=error_responses(404, 422, 503), response_model_exclude_none=True)
-def episode(shared: AppStateDep, episode_id: str) -> EpisodeRecord:
+def episode(app_state: AppStateDep, episode_id: str) -> EpisodeRecord:
     """The record of a finished episode, as `drone-env replay` reads it."""
-    return shared.store.episode(episode_id).record
+    return app_state.store.episode(episode_id).record
 
 
 @router.get("/history/{task_name}", responses=error_responses(404, 422, 503))
-def history(shared: AppStateDep, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
+def history(app_state: AppStateDep, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
     """The last finished episodes of a task, for charts."""
-    found = shared.store.listed(last, task_name)[::-1]
+    found = listed(app_state.store, last, task_name)[::-1]
     wins = [episode.success for episode in found]
     return History(
         task=get_task(task_name).id,
@@ -138,9 +138,9 @@ def history(shared: AppStateDep, task_name: str, last: Annotated[int, Query(ge=1
 
 
 @router.get("/logs", responses=error_responses(503))
-def logs(shared: AppStateDep) -> LogLines:
+def logs(app_state: AppStateDep) -> LogLines:
     """The last 50 lines of the training log, `train.log` in the data folder."""
-    return LogLines(file=FILE_NAME, lines=TrainLog(shared.settings.data).tail(LINES))
+    return LogLines(file=FILE_NAME, lines=TrainLog(app_state.settings.data).tail(LINES))
 
 
 @router.get(
@@ -148,11 +148,11 @@ def logs(shared: AppStateDep) -> LogLines:
     response_model=dict[str, list[LoggedRequest]],
     responses=error_responses(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
-async def terminal_logs(request: Request, shared: AppStateDep) -> Response:
+async def terminal_logs(request: Request, app_state: AppStateDep) -> Response:
     """The last 200 requests to this process as `requests`, or live with `Accept: text/event-stream`."""
     if "text/event-stream" in request.headers.get("accept", ""):
-        return _LiveRequests(shared.requests)
-    return Response(to_json({"requests": shared.requests.since(0)}), media_type="application/json")
+        return _LiveRequests(app_state.requests)
+    return Response(to_json({"requests": app_state.requests.since(0)}), media_type="application/json")
 
 
 class _LiveRequests(EventSourceResponse):

@@ -17,12 +17,12 @@ from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Position, Score, StrictModel
 from drone_env.server.addresses import is_stranger
+from drone_env.server.best_flights import best_flight
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
-from drone_env.server.routes.replay import best_flight
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
@@ -125,35 +125,35 @@ class CityFile(StrictModel):
 
 @router.get("/{task_name}/{seed}", response_model=DrawnMap, responses=error_responses(404, 422, 503))
 async def drawn_map(
-    request: Request, shared: AppStateDep, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
+    request: Request, app_state: AppStateDep, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
 ) -> Response:
     """A map as a drawing. The rules of drawings are those of `skyline`."""
-    return await shared.json(request, _drawing, task_name, seed, task=task_name)
+    return await app_state.json(request, _drawing, task_name, seed, task=task_name)
 
 
 @router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def file_as_map(request: Request, shared: AppStateDep, file: Annotated[CityFile, Body()]) -> Response:
+async def file_as_map(request: Request, app_state: AppStateDep, file: Annotated[CityFile, Body()]) -> Response:
     """The file of a city as a drawing; its map 0 if the city generates maps."""
-    return await shared.json(request, _file_as_map, file.toml)
+    return await app_state.json(request, _file_as_map, file.toml)
 
 
 @router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def worth(request: Request, shared: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> Response:
+async def worth(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> Response:
     """The optimum of a drawing, and the text of its file."""
-    return await shared.json(request, _worth, drawn)
+    return await app_state.json(request, _worth, drawn)
 
 
 @router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def keep_map(request: Request, shared: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
+async def keep_map(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
     Callers find it by its name; no list contains it. If the server is full, it deletes the least recently used map.
     """
-    settings = shared.settings
+    settings = app_state.settings
     trusted = settings.token is not None or not is_stranger(request.scope, settings.host)
-    text, task = await shared.work(request, _checked, drawn)
-    await run_in_threadpool(shared.maps.keep, text, task, trusted)
-    return await run_in_threadpool(describe, task, shared)
+    text, task = await app_state.work(request, _checked, drawn)
+    await run_in_threadpool(app_state.maps.keep, text, task, trusted)
+    return await run_in_threadpool(describe, task, app_state)
 
 
 def _checked(drawn: DrawnMap) -> tuple[str, TaskConfig]:

@@ -11,10 +11,10 @@ from drone_env import __version__
 from drone_env.models import DroneState, StrictModel
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import JsonRoute
-from drone_env.server.map_choice import SplitInfo, TaskApi, TaskSpec
 from drone_env.server.mcp import SESSION_HEADER, ToolError, named_session, rpc
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, RouteAction, WireObservation
 from drone_env.server.state import AppStateDep, caller_address
+from drone_env.server.task_api import SplitInfo, TaskApi, TaskSpec
 
 router = APIRouter(tags=["openenv"], route_class=JsonRoute)
 named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
@@ -61,7 +61,7 @@ async def schema() -> dict[str, dict[str, Any]]:
 # Some clients add a slash, and do not follow the redirect.
 @router.post("/mcp/", include_in_schema=False)
 @router.post("/mcp", response_model=dict[str, Any], responses=error_responses(413, 415, 422) | REFUSED)
-async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()] = None) -> Response:
+async def mcp(request: Request, app_state: AppStateDep, body: Annotated[Any, Body()] = None) -> Response:
     """MCP over JSON-RPC 2.0, with the tools `reset`, `fly` and `look`.
 
     `initialize` opens a session and returns it as the header `Mcp-Session-Id`, `openenv/session/create` returns it as
@@ -71,7 +71,7 @@ async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()
     method, number = message.get("method"), message.get("id")
     try:
         # Some clients initialise again but still send the id of their old session.
-        named = None if method == "initialize" else await named_session(shared, request.headers)
+        named = None if method == "initialize" else await named_session(app_state, request.headers)
         if method == "tools/call" and named is None and "session_id" not in (message.get("params") or ()):
             raise ToolError("invalid_args", f"{SESSION_HEADER} is missing: send the one of initialize")
     except ToolError as error:
@@ -80,7 +80,7 @@ async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()
     is_response = method is None and message.keys() & {"result", "error"}
     if is_response or (isinstance(method, str) and method.startswith("notifications/")):
         return Response(status_code=202)
-    answer = await rpc(shared, body, named=named, owner=caller_address(request))
+    answer = await rpc(app_state, body, named=named, owner=caller_address(request))
     greeted = method == "initialize" and "result" in answer
     headers = {SESSION_HEADER: answer["result"]["session_id"]} if greeted else None
     return Response(to_json(answer), media_type="application/json", headers=headers)
@@ -88,15 +88,15 @@ async def mcp(request: Request, shared: AppStateDep, body: Annotated[Any, Body()
 
 @router.delete("/mcp/", include_in_schema=False)
 @router.delete("/mcp", status_code=204, responses=REFUSED)
-async def end_mcp(request: Request, shared: AppStateDep) -> Response:
+async def end_mcp(request: Request, app_state: AppStateDep) -> Response:
     """End the session that the header `Mcp-Session-Id` names."""
     try:
-        named = await named_session(shared, request.headers)
+        named = await named_session(app_state, request.headers)
         if named is None:
             raise ToolError("invalid_args", f"{SESSION_HEADER} is missing")
     except ToolError as error:
         return _refused(error, None)
-    await asyncio.to_thread(shared.store.end_session, named)
+    await asyncio.to_thread(app_state.sessions.end, named)
     return Response(status_code=204)
 
 
@@ -129,13 +129,13 @@ def split_tasks(body: SplitRequest) -> dict[str, str | list[TaskSpec]]:
 
 
 @named.post("/num_tasks", responses=BODY_ERRORS)
-async def num_tasks(body: SplitRequest) -> dict[str, int]:
+def num_tasks(body: SplitRequest) -> dict[str, int]:
     """The number of maps of a split as `num_tasks`."""
     return {"num_tasks": api.num_tasks(body.split)}
 
 
 @named.post("/task", responses=BODY_ERRORS)
-async def split_task(body: TaskRequest) -> dict[str, TaskSpec]:
+def split_task(body: TaskRequest) -> dict[str, TaskSpec]:
     """One map of a split as `task`."""
     try:
         return {"task": api.get_task(body.split, body.index)}

@@ -6,9 +6,9 @@ from html import escape
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 
-from drone_env.server import map_choice
+from drone_env.flights.provenance import HUMAN
+from drone_env.server import daily
 from drone_env.server.page_files import PAGE, edition, is_bundled
-from drone_env.server.pilots import HUMAN
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"])
@@ -16,9 +16,9 @@ SHEETS = re.compile('(<link rel="stylesheet" .*\n)+')
 
 
 @router.get("/", include_in_schema=False)
-def page(request: Request, shared: AppStateDep) -> Response:
+def page(request: Request, app_state: AppStateDep) -> Response:
     """The page; without a query it greets the visitor before its scripts run."""
-    shared.workers.warm_up()
+    app_state.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
     if is_bundled():
         html = SHEETS.sub('<link rel="stylesheet" href="static/bundle/page.css">\n', html)
@@ -32,7 +32,7 @@ def page(request: Request, shared: AppStateDep) -> Response:
 
 def _today() -> str:
     """The link to the map of the day."""
-    day = map_choice.today()
-    task, seed = map_choice.map_of_the_day(day)
+    day = daily.today()
+    task, seed = daily.map_of_the_day(day)
     link = f"?task={task}&seed={seed}&pilot={HUMAN}"
     return f'<a class="button" href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'

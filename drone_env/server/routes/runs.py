@@ -98,19 +98,19 @@ class ModelCalls(StrictModel):
 
 
 @router.get("/leaderboard/{task_name}/runs", response_model=RunBoards, responses=error_responses(404, 422, 503))
-async def run_boards(request: Request, shared: AppStateDep, task_name: str) -> Response:
+async def run_boards(request: Request, app_state: AppStateDep, task_name: str) -> Response:
     """Evaluations and language models side by side, over the same maps of a task.
 
     The data folder contains evaluations (`drone-env evaluate --out`) in `evaluations`, and runs of `drone-env infer` in
     `llm`. The server replays a run from the model's responses before it ranks the run; the first request takes seconds.
     """
-    task = get_task(task_name)
+    task = await run_in_threadpool(get_task, task_name)
     # One job per folder: each has its own time limit, and its worker caches the result.
     ids: list[str] = []
-    for path in await shared.work(request, _folders, task.id):
-        ids += await shared.work(request, _load, path, task.id)
-    stored = await run_in_threadpool(shared.store.stored_ids, ids)
-    return Response(await shared.work(request, _boards, task.id, stored), media_type="application/json")
+    for path in await app_state.work(request, _folders, task.id):
+        ids += await app_state.work(request, _load, path, task.id)
+    stored = await run_in_threadpool(app_state.store.stored_ids, ids)
+    return Response(await app_state.work(request, _boards, task.id, stored), media_type="application/json")
 
 
 def _folders(task: str) -> list[Path]:
@@ -169,11 +169,11 @@ def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
 
 
 @router.get("/episodes/{episode_id}/calls", response_model=ModelCalls, responses=error_responses(404, 422, 503))
-async def calls(request: Request, shared: AppStateDep, episode_id: str) -> Response:
+async def calls(request: Request, app_state: AppStateDep, episode_id: str) -> Response:
     """The requests to a language model at each step of a flight, and its responses."""
-    found = await shared.work(request, _calls, episode_id)
+    found = await app_state.work(request, _calls, episode_id)
     if found is None:
-        await run_in_threadpool(shared.store.episode, episode_id)
+        await run_in_threadpool(app_state.store.episode, episode_id)
         found = ModelCalls(run=None, model=None, prompt=None, calls=[]).model_dump_json()
     return Response(found, media_type="application/json")
 

@@ -11,10 +11,10 @@ import verifiers.v1 as vf
 
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import TooLargeError
+from drone_env.flights.record import record_of
 from drone_env.llm.answers import Answer, Unusable
 from drone_env.llm.text_episode import TextEpisode
 from drone_env.planning.optimal import solver_of
-from drone_env.results.record import record_of
 
 
 class FlightData(vf.TaskData):

@@ -6,7 +6,7 @@ import { sentence, who } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
-import { Track } from "./track.js";
+import { readProvenance, Track, writeProvenance } from "./track.js";
 
 /** Key of the ids of the last flights that this visitor has flown by hand, and how many are kept. */
 const FLOWN = "drone-env-flown";
@@ -133,8 +133,8 @@ export class Fleet extends Emitter {
     };
     if (this.forked) return chosen;
     // A finished flight is not credited to the visitor who opens its link.
-    const by = track && (track.done ? track.by : track.unnamed);
-    return { ...chosen, of: track && (track.steps || by !== track.pilot) ? by : null };
+    const by = track && (track.done ? track.provenance : track.unnamed);
+    return { ...chosen, of: track && (track.steps || !track.plain) ? writeProvenance(by) : null };
   }
 
   get person() {
@@ -213,7 +213,7 @@ export class Fleet extends Emitter {
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
-      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
+      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of: readProvenance(of ?? "") };
     if (ended ?? step) request.step = ended ?? step;
     this.context.live.send({ type: "start", number: ++this.number, ...request });
   }
@@ -237,7 +237,7 @@ export class Fleet extends Emitter {
       episode: stored?.episode?.id ?? null,
       fork: step,
       actions: track.lettersTo(step),
-      of: track.by,
+      of: writeProvenance(track.provenance),
     };
     const play = this.pilot(pilot).automatic;
     const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
@@ -347,18 +347,20 @@ export class Fleet extends Emitter {
     }
   }
 
-  undone({ flight, step, by }) {
+  undone(message) {
+    const { flight, step } = message;
     const track = this.tracks[flight];
-    if (track.unnamed === track.pilot) toast(UNLISTED);
-    track.by = by;
+    if (track.plain) toast(UNLISTED);
+    track.helped(message);
     track.frames.length = step + 1;
     this.stage.changed(track);
     this.stage.clock.seek(this.stage.clock.newest());
   }
 
-  helped({ flight, by, frame }) {
+  helped(message) {
+    const { flight, frame } = message;
     const track = this.tracks[flight];
-    track.by = by;
+    track.helped(message);
     track.frames[frame.step] = frame;
     this.stage.changed(track);
   }

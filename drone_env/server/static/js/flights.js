@@ -69,7 +69,7 @@ export class Flights {
         press: () => this.context.router.go({ view: "fly", episode: e.id }),
       });
     const columns = [
-      ["Pilot", (e) => named(this.context, e.agent)],
+      ["Pilot", (e) => named(this.context, e)],
       ["Map", (e) => String(e.seed), true],
       ["Score", (e) => points(e.score), true],
       ["Lost", (e) => points(e.regret), true],

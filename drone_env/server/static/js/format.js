@@ -52,14 +52,11 @@ export function moment(iso) {
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };
 
-/** The agent of a record in words: `human (Ada) from step 3 of greedy` -> `Ada from step 3 of Greedy`; without a name `A person`. */
-export function who({ pilots }, agent) {
-  const called = ({ name, automatic }) => (automatic ? name : "A person");
-  return String(agent).replace(/(^| from step \d+ of )([^ ]+)( \([^ ]+\))?/g, (whole, before, id, name = "") => {
-    const pilot = pilots.find((one) => one.id === id);
-    if (!pilot) return whole;
-    return before + (name && !pilot.automatic ? name.slice(2, -1) : called(pilot) + name);
-  });
+/** The name of a pilot; of an unknown one, its id. */
+export function who({ pilots }, id) {
+  const pilot = pilots.find((one) => one.id === id);
+  if (!pilot) return String(id);
+  return pilot.automatic ? pilot.name : "A person";
 }
 
 /** Capitalises a message of the server, unless it begins with the name of a file or a field. */
@@ -71,9 +68,9 @@ const LONGEST = 40;
 export const shortened = (name) => (name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name);
 
 /** A flight in words: `Hard, map 7, Greedy`. @param {Context} context */
-export function flightName(context, { task, seed, agent }) {
+export function flightName(context, { task, seed, agent, name = who(context, agent) }) {
   const known = context.tasks.find(({ id }) => id === task);
-  return `${title(known?.short_name ?? String(task))}, map ${seed}, ${who(context, agent)}`;
+  return `${title(known?.short_name ?? String(task))}, map ${seed}, ${name}`;
 }
 
 /** What the score of a task counts. @param {Answer<"TaskInfo">} task */

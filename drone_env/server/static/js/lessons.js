@@ -46,7 +46,7 @@ export const LESSONS = [
       { text: "Go to the step before its blunder", done: (stage) => beforeWorst(stage, "greedy") },
       {
         text: "Try from there and deliver all parcels",
-        done: mine((track) => track.by.includes(" from step ") && delivers(track)),
+        done: mine((track) => track.provenance.parent !== null && delivers(track)),
       },
     ],
   },

@@ -37,17 +37,18 @@ const lost = (row) => {
   return el("span", within(row.regret, row.regret_ci95, points), some);
 };
 
-const colourOf = ({ pilots }, agent) => {
-  const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
-  return `var(--pilot-${pilot?.colour ?? "other"})`;
-};
+const colourOf = ({ pilots }, { pilot }) =>
+  `var(--pilot-${pilots.find(({ id }) => id === pilot)?.colour ?? "other"})`;
 
-/** A pilot: its colour, its name, and a remark. */
-export const named = (context, agent, remark = "") =>
+/** A pilot as in a row: its id and its name. */
+const known = (context, agent) => ({ agent, pilot: agent, name: who(context, agent) });
+
+/** Who flew the flights of a row: the colour of the pilot, the name, and a remark. */
+export const named = (context, row, remark = "") =>
   el(
     "span.named",
-    el("i.dot", { style: { "--colour": colourOf(context, agent) }, "aria-hidden": "true" }),
-    el("span", who(context, agent), el("span.margin", { text: remark })),
+    el("i.dot", { style: { "--colour": colourOf(context, row) }, "aria-hidden": "true" }),
+    el("span", row.name, el("span.margin", { text: remark })),
   );
 
 /** Means over fewer maps are marked. */
@@ -75,7 +76,7 @@ export function leaderboard(context, board, compare) {
     });
   const pilot = (row) => {
     const remark = row.kind === "model" ? " language model" : "";
-    return opener(isOpen(row), `open ${row.agent}`, () => compare.open(row.agent), named(context, row.agent, remark));
+    return opener(isOpen(row), `open ${row.agent}`, () => compare.open(row.agent), named(context, row, remark));
   };
   const below = (row) => isOpen(row) && maps?.agent === opened && mapsOf(context, row.name, maps.maps);
   const people = board.rows.filter(({ kind, maps }) => kind === "person" && maps < ENOUGH);
@@ -84,7 +85,7 @@ export function leaderboard(context, board, compare) {
   const columns = [
     ["Pair", pick],
     ["Pilot", pilot],
-    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row.agent))],
+    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row))],
     ["Lost", lost, true],
     ["Success", (row) => within(row.success_rate, row.success_ci95, percent), true],
     ["Steps", (row) => fixed(row.steps, 1), true],
@@ -141,9 +142,9 @@ const OF_MODELS = [
 /** Runs of agents and language models, one board per set of maps. @param {Context} context */
 export function runsOf(context, { boards, unranked }) {
   const columns = [
-    ["Pilot", (row) => named(context, row.agent, row.prompt ? ` by ${row.prompt}` : "")],
+    ["Pilot", (row) => named(context, known(context, row.agent), row.prompt ? ` by ${row.prompt}` : "")],
     ["Run", (row) => el("span.named", row.run)],
-    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row.agent))],
+    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, { pilot: row.agent }))],
     ["Lost", (row) => points(row.regret), true],
     ["Success", (row) => percent(row.success_rate), true],
     ["Random to optimum", (row) => percent(row.normalised), true],
@@ -175,8 +176,9 @@ const gap = (difference) => signed(difference === null ? null : difference * 100
 /** Two pilots over their common maps. @param {Context} context @param {any} answer A `Pairing`, with its `pilots`. */
 export function paired(context, task, answer, rows) {
   const { pilots } = answer;
-  const [a, b] = pilots.map((agent) => who(context, agent));
-  const head = el("h2", named(context, pilots[0]), " against ", named(context, pilots[1]));
+  const both = pilots.map((agent) => rows.find((row) => row.agent === agent) ?? known(context, agent));
+  const [a, b] = both.map(({ name }) => name);
+  const head = el("h2", named(context, both[0]), " against ", named(context, both[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
   const ours = pilots.every((pilot) => rows.some(({ agent, kind }) => agent === pilot && kind === "pilot"));
@@ -190,7 +192,7 @@ export function paired(context, task, answer, rows) {
   const most = Math.max(...answer.pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
   const bar = ({ difference }) => {
     const more = difference > 0;
-    const style = { "--share": Math.abs(difference) / most, "--colour": colourOf(context, pilots[more ? 0 : 1]) };
+    const style = { "--share": Math.abs(difference) / most, "--colour": colourOf(context, both[more ? 0 : 1]) };
     return el("span.gap", { "aria-hidden": "true", data: { more: String(more) }, style }, el("i"));
   };
   const columns = [

@@ -3,6 +3,7 @@ import { nextFrame, TOUCH } from "./base.js";
 import { announce, bring, el, leaveFocus, setText } from "./dom.js";
 import { counted, fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
 import { placeOf } from "./standings.js";
+import { writeProvenance } from "./track.js";
 
 /** Milliseconds without taps after the end of a flight by hand. */
 const REST = 700;
@@ -148,7 +149,7 @@ function tryAgain({ stage }, fleet, acts) {
   } else if (step === 0) acts.reset();
   else {
     // The record notes that moves were taken back.
-    const of = by.includes("undo") ? by : by.includes("values") ? `${by} and undo` : `${by} with undo`;
+    const of = writeProvenance({ ...by, undo_used: true });
     acts.start({ of, actions: stage.track.lettersTo(step) });
   }
 }

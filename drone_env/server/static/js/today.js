@@ -58,8 +58,8 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
-  function keep({ annotation, unnamed, pilot, brought }) {
-    if (!annotation || brought || unnamed !== pilot || best?.[1] >= annotation.score) return;
+  function keep({ annotation, plain, brought }) {
+    if (!annotation || brought || !plain || best?.[1] >= annotation.score) return;
     best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
     remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }
@@ -70,7 +70,7 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     root.hidden = !day && !best && !fleet.own;
     if (root.hidden) return;
     if (fleet.own) keep(fleet.own);
-    unlisted.hidden = !fleet.own || fleet.own.unnamed === fleet.own.pilot;
+    unlisted.hidden = !fleet.own || fleet.own.plain;
     const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [

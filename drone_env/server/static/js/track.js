@@ -1,13 +1,30 @@
 // The flight of one drone.
 
-const PERSON = /^human \((.+?)\)/;
+/** Who flew, as links write it: the pilot, or several fields as JSON. @param {Provenance} provenance */
+export function writeProvenance(provenance) {
+  const { pilot, ...more } = provenance;
+  const plain = !Object.values(more).some(Boolean) && !pilot.startsWith("{");
+  return plain ? pilot : JSON.stringify(provenance, (_, value) => value || undefined);
+}
+
+/** @param {string} text @returns {Provenance} */
+export function readProvenance(text) {
+  try {
+    return text.startsWith("{") ? JSON.parse(text) : { pilot: text };
+  } catch {
+    return { pilot: text };
+  }
+}
 
 export class Track {
   /** @param {Answer<"EpisodeView">} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
   constructor({ opening, frames }, { name, colour }, live = false) {
     this.opening = opening;
     this.pilot = opening.pilot;
-    /** The agent of the record: one pilot, or several in sequence. */
+    const { person, values_used, undo_used, parent } = opening;
+    /** Who flew, and with what help. @type {Provenance} */
+    this.provenance = { pilot: this.pilot, person, values_used, undo_used, parent };
+    /** The same in words. */
     this.by = opening.by;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
@@ -15,7 +32,7 @@ export class Track {
     /** Whether it was over when the page met it: a flight from the store or a link. */
     this.brought = !live || this.done;
     /** In flights of this page the visitor is "You". */
-    this.called = (this.brought && opening.by.match(PERSON)?.[1]) || name;
+    this.called = (this.brought && person) || name;
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
@@ -33,14 +50,26 @@ export class Track {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
   }
 
-  /** The agent of the record without the name that a person chose. */
+  /** The provenance without the name that a person chose. @returns {Provenance} */
   get unnamed() {
-    return this.by.replace(PERSON, "human");
+    return { ...this.provenance, person: null };
+  }
+
+  /** Whether it was flown without values, undo and forks. */
+  get plain() {
+    const { values_used, undo_used, parent } = this.provenance;
+    return !values_used && !undo_used && !parent;
   }
 
   /** Whether the visitor turned the values on while flying. */
   get showsValues() {
-    return this.by.split(" from step ")[0].includes(" with values");
+    return this.provenance.values_used;
+  }
+
+  /** Takes over what a message says of its help. */
+  helped({ by, values_used, undo_used }) {
+    this.by = by;
+    Object.assign(this.provenance, { values_used, undo_used });
   }
 
   get weighed() {

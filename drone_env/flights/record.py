@@ -7,9 +7,9 @@ score, which a replay checks, and a digest of the terrain if the task has its ow
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Any, Literal
 
-from pydantic import Field, WithJsonSchema, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
@@ -18,18 +18,11 @@ from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import append_line, read_file, read_lines, write_text
+from drone_env.flights.provenance import AgentLabel, Parent, PersonName, Provenance
 from drone_env.models import DIRECTIONS, Count, Direction, Score, StrictModel
 
 LONGEST_RECORD = 4 << 20
 """Maximum bytes of a record. The longest flight, 32,000 steps, takes about 1.3 MB."""
-AgentLabel = Annotated[
-    str,
-    Field(
-        min_length=1, max_length=200, pattern=r"^[^\p{C}\p{Zl}\p{Zp}]+$", description="The pilot: one printable line."
-    ),
-    # JSON Schema has no such character classes.
-    WithJsonSchema({"type": "string", "minLength": 1, "maxLength": 200}),
-]
 
 
 class EpisodeRecord(StrictModel):
@@ -43,7 +36,12 @@ class EpisodeRecord(StrictModel):
         default=None, pattern=r"^[0-9a-f]{16}$", description="Digest of the city's terrain; null for other tasks."
     )
     seed: Count = Field(description="Number of the map.")
-    agent: AgentLabel
+    agent: AgentLabel = Field(description="Who flew, in words: one printable line.")
+    pilot: AgentLabel | None = Field(default=None, description="The pilot; without it, the whole `agent` is the pilot.")
+    person: PersonName | None = Field(default=None, description="The name that a person chose.")
+    values_used: bool | None = Field(default=None, description="Whether a person turned on values in flight.")
+    undo_used: bool | None = Field(default=None, description="Whether a person took back steps.")
+    parent: Parent | None = Field(default=None, description="The flight that this one continues.")
     reward_profile: str = Field(max_length=100, description="The profile that paid the rewards.")
     actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="The actions, in order.")
     rewards: list[float] = Field(max_length=MAX_UNITS, fail_fast=True, description="The exact reward of each action.")
@@ -58,23 +56,40 @@ class EpisodeRecord(StrictModel):
             raise ValueError(f"{len(self.rewards)} rewards do not fit {len(self.actions)} actions")
         return self
 
+    @model_validator(mode="after")
+    def _agent_fits(self) -> Self:
+        if self.provenance.label != self.agent:
+            raise ValueError(f"agent is {self.agent!r}, but the other fields say {self.provenance.label!r}")
+        return self
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who flew, as fields."""
+        given = {name: getattr(self, name) for name in Provenance.model_fields}
+        known = {name: value for name, value in given.items() if value is not None}
+        return Provenance.model_validate({"pilot": self.agent, **known})
+
     def to_json(self, indent: int | None = None) -> str:
         """The record as JSON; without an indent, on one line."""
         return self.model_dump_json(indent=indent, exclude_none=True)
 
 
-def record_of(episode: Episode, agent: str) -> EpisodeRecord:
+def record_of(episode: Episode, agent: str | Provenance) -> EpisodeRecord:
     """Return the record of an episode in its present state.
 
     Raises:
         EpisodeError: before the first reset.
+        InvalidValueError: if the agent's name is not one printable line.
     """
+    provenance = Provenance.of(agent)
+    fields: dict[str, Any] = {} if provenance.is_plain else dict(provenance)
     return EpisodeRecord(
+        **fields,
         task=episode.task.id,
         task_version=episode.task.version,
         terrain=terrain_digest(episode.task),
         seed=episode.seed,
-        agent=agent,
+        agent=provenance.label,
         reward_profile=episode.reward_profile.id,
         actions=[DIRECTIONS[action] for action in episode.actions],
         rewards=episode.rewards,
@@ -124,7 +139,7 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
     episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
     yield episode
     yield from fly_directions(episode, record.actions)
-    result = record_of(episode, record.agent)
+    result = record_of(episode, record.provenance)
     wrong = [
         f"{name} {getattr(record, name)!r} where the flight gives {getattr(result, name)!r}"
         for name in ("task", "task_version", "seed", "deliveries", "success", "score", "ended")

@@ -1,7 +1,6 @@
 """The map of a reset, and OpenEnv's task API: each task has three splits, and map i of a split is its i-th seed."""
 
 import secrets
-from datetime import date, datetime, timezone
 
 from typing_extensions import TypedDict
 
@@ -15,20 +14,6 @@ from drone_env.server.schemas import ResetOptions
 DEFAULT_TASK = "easy_delivery"
 PREVIEW = 1000
 """Maximum number of maps in a list; `the 1,000 test maps` are the first of the test split."""
-
-
-DAILY = ("skyline_easy", "skyline_medium", "city_small")
-"""The tasks of the map of the day, in turn."""
-
-
-def today() -> date:
-    """The date (UTC)."""
-    return datetime.now(timezone.utc).date()
-
-
-def map_of_the_day(day: date) -> tuple[str, int]:
-    """The task and the map number of a day (UTC), equal on all servers: the number is the date, such as 20261126."""
-    return DAILY[day.toordinal() % len(DAILY)], int(f"{day:%Y%m%d}")
 
 
 def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> Episode:
@@ -60,6 +45,12 @@ def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFA
 def is_registered(task: str) -> bool:
     """Whether a name belongs to a registered task, not to a drawn map."""
     return any(task in (known.id, known.short_name, known.grader) for known in TASKS.values())
+
+
+def is_drawn(options: ResetOptions) -> bool:
+    """Whether a reset may be over a drawn map, whose file is read."""
+    task = options.task_name if options.split is None else options.split.rpartition("/")[0]
+    return task is not None and not is_registered(task)
 
 
 class SplitInfo(TypedDict):

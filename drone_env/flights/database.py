@@ -19,27 +19,36 @@ APPLICATION_ID = 0x44726F6E
 """Marks an SQLite file as a store of this package."""
 
 VERSION = 1
-SCHEMA = """
-CREATE TABLE IF NOT EXISTS episodes (
-    number INTEGER PRIMARY KEY AUTOINCREMENT,
+SCHEMA = f"""
+BEGIN IMMEDIATE;
+CREATE TABLE IF NOT EXISTS flights (
     id TEXT NOT NULL UNIQUE,
-    finished_at REAL NOT NULL,
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
     seed INTEGER NOT NULL,
     reward_profile TEXT NOT NULL,
-    agent TEXT NOT NULL,
     actions TEXT NOT NULL,
-    deliveries INTEGER NOT NULL,
-    deliveries_total INTEGER NOT NULL,
-    steps INTEGER NOT NULL,
-    reward_total REAL NOT NULL,
-    score REAL NOT NULL,
-    outcome TEXT NOT NULL,
-    episode TEXT NOT NULL
+    pilot TEXT NOT NULL,
+    person TEXT,
+    values_used INTEGER NOT NULL,
+    undo_used INTEGER NOT NULL,
+    parent_id TEXT,
+    parent_step INTEGER,
+    agent TEXT NOT NULL,
+    revision INTEGER NOT NULL DEFAULT 0,
+    number INTEGER,
+    finished_at REAL,
+    deliveries INTEGER,
+    deliveries_total INTEGER,
+    steps INTEGER,
+    reward_total REAL,
+    score REAL,
+    outcome TEXT
 );
-CREATE INDEX IF NOT EXISTS episodes_by_task ON episodes (task, task_version, number);
-CREATE INDEX IF NOT EXISTS episodes_by_map ON episodes (task, task_version, seed);
+CREATE UNIQUE INDEX IF NOT EXISTS flights_by_number ON flights (number) WHERE number IS NOT NULL;
+CREATE INDEX IF NOT EXISTS flights_by_task ON flights (task, task_version, number) WHERE number IS NOT NULL;
+CREATE INDEX IF NOT EXISTS flights_by_map ON flights (task, task_version, seed);
+CREATE INDEX IF NOT EXISTS flights_by_parent ON flights (parent_id) WHERE parent_id IS NOT NULL;
 CREATE TABLE IF NOT EXISTS optima (
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
@@ -49,31 +58,39 @@ CREATE TABLE IF NOT EXISTS optima (
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS sessions (
     id TEXT NOT NULL PRIMARY KEY,
-    task TEXT NOT NULL,
-    task_version INTEGER NOT NULL,
-    seed INTEGER NOT NULL,
-    reward_profile TEXT NOT NULL,
-    agent TEXT NOT NULL,
-    actions TEXT NOT NULL,
-    episode_id TEXT,
-    opened_at REAL NOT NULL,
+    flight_id TEXT NOT NULL,
     touched_at REAL NOT NULL,
     address TEXT,
     owner TEXT NOT NULL
 ) WITHOUT ROWID;
-CREATE INDEX IF NOT EXISTS sessions_by_use ON sessions (touched_at);
-CREATE INDEX IF NOT EXISTS sessions_by_owner ON sessions (owner);
 CREATE UNIQUE INDEX IF NOT EXISTS unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
+CREATE TRIGGER IF NOT EXISTS session_ended AFTER DELETE ON sessions BEGIN
+    DELETE FROM flights WHERE id = OLD.flight_id AND number IS NULL;
+END;
+CREATE TRIGGER IF NOT EXISTS flight_left AFTER UPDATE OF flight_id ON sessions
+WHEN OLD.flight_id != NEW.flight_id BEGIN
+    DELETE FROM flights WHERE id = OLD.flight_id AND number IS NULL;
+END;
+CREATE TRIGGER IF NOT EXISTS parent_left AFTER DELETE ON flights WHEN OLD.parent_id IS NOT NULL BEGIN
+    DELETE FROM flights WHERE id = OLD.parent_id AND number IS NULL
+        AND NOT EXISTS (SELECT 1 FROM flights WHERE parent_id = OLD.parent_id);
+END;
 CREATE TABLE IF NOT EXISTS own_tasks (
     task TEXT NOT NULL,
     task_version INTEGER NOT NULL,
     rules TEXT NOT NULL,
     PRIMARY KEY (task, task_version)
 ) WITHOUT ROWID;
+PRAGMA application_id = {APPLICATION_ID};
+PRAGMA user_version = {VERSION};
+COMMIT;
 """
-"""`episodes.number` is the order of storing; `episodes.episode` is a `StoredEpisode` as JSON.
+"""A row of `flights` is a `Flight`; the columns from `agent` on are computed from it.
 
-`optima.score` is null if the map is too large to be solved. `sessions.address` is the address whose callers share the
+`agent` is the label of its provenance. `revision` counts the changes of a flight that goes on. `number` is the order of
+storing finished flights; it and the columns after it are null before the end. An unfinished flight belongs to one
+session, or is the parent of a fork; otherwise the triggers delete it. `optima.score` is null if the map is too large to
+be solved. `sessions.touched_at` is on the monotonic clock. `sessions.address` is the address whose callers share the
 session because they name none; it is null after somebody has named the session. `sessions.owner` is the address that
 opened it, for its share. `own_tasks` contains a digest of each task that is not one of the package's, since another
 task may be registered under its name later.
@@ -200,6 +217,7 @@ class Database:
             self._when_free(lambda: _make_tables(connection, self.path))
             self._when_free(lambda: connection.execute("PRAGMA journal_mode = WAL").fetchone())
             connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute("PRAGMA recursive_triggers = ON")
         except BaseException:
             connection.close()
             raise
@@ -244,12 +262,7 @@ def _make_tables(connection: sqlite3.Connection, path: Path) -> None:
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if not version and not tables:
-        with connection:
-            connection.execute("BEGIN IMMEDIATE")
-            for statement in SCHEMA.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            connection.execute(f"PRAGMA user_version = {VERSION}")
+        connection.executescript(SCHEMA)
     elif connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise StoreError(f"{path} is an SQLite file of another program")
     elif version != VERSION:

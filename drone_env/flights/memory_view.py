@@ -16,7 +16,7 @@ HEAD = '{"format": "drone_env/memory", "format_version": 1, "episodes": [\n'
 TAIL = "\n]}\n"
 log = logging.getLogger(__name__)
 
-Newer = Callable[[int, int], Sequence[tuple[int, str]]]
+Newer = Callable[[int], Sequence[tuple[int, str]]]
 
 
 class MemoryView:
@@ -26,19 +26,19 @@ class MemoryView:
 
     Args:
         path: The file.
-        newer: `newer(after, n)` returns number and JSON of the last `n` episodes after number `after`, oldest first.
+        newer: Returns number and JSON of the last `LENGTH` episodes after a number, oldest first; "" leaves one out.
     """
 
     def __init__(self, path: Path, newer: Newer) -> None:
         self._path = path
         self._newer = newer
         self._lines: deque[tuple[int, str]] = deque(maxlen=LENGTH)
-        self._read()
-        self._write()
+        self._is_written = False
         self._lock = threading.Lock()
         self._due = False
         self._closing = threading.Event()
         self._thread = ThreadPoolExecutor(1, "drone_env-memory-view")
+        self.refresh()
 
     def refresh(self) -> None:
         """Replace the file soon. Errors are logged; the next episode tries again."""
@@ -59,18 +59,19 @@ class MemoryView:
             self._due = False
         try:
             # Each process reads again after it writes, so no older view stays over a newer one.
-            while self._read():
+            while self._read() or not self._is_written:
                 self._write()
+                self._is_written = True
         except DroneEnvError as error:
             log.warning("%s could not be written: %s", self._path, error)
 
     def _read(self) -> bool:
-        found = self._newer(self._lines[-1][0] if self._lines else 0, LENGTH)
+        found = self._newer(self._lines[-1][0] if self._lines else 0)
         self._lines.extend(found)
         return bool(found)
 
     def _write(self) -> None:
-        text = HEAD + ",\n".join([line for _, line in self._lines]) + TAIL
+        text = HEAD + ",\n".join([line for _, line in self._lines if line]) + TAIL
         try:
             write_text(self._path, text)
         except (OSError, InvalidValueError) as error:

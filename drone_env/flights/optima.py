@@ -10,8 +10,8 @@ from itertools import islice
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
+from drone_env.flights.database import Database
 from drone_env.planning.optimal import best_of
-from drone_env.results.database import Database
 
 SOLVE_SECONDS = 0.1
 CHUNK = 100

@@ -1,0 +1,381 @@
+"""The store: finished flights, open sessions and optima in one SQLite file.
+
+Several processes and threads may use one folder at once. Each finished call survives SIGKILL. Power
+loss may undo the last transactions, but never leaves a broken file. The folder must be on a local disk. Open a store in
+each process: it does not survive a fork.
+"""
+
+import logging
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from typing_extensions import Self
+
+from drone_env.core.episode import Episode
+from drone_env.core.rewards import get_reward_profile
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import EpisodeError, InvalidValueError, StoreError, UnknownNameError
+from drone_env.flights.database import BUSY_SECONDS, Database
+from drone_env.flights.episodes import (
+    SELECT_BEST,
+    SELECT_BY_MAP,
+    SELECT_ROWS,
+    Analysis,
+    EpisodeSummary,
+    StoredEpisode,
+    analyse,
+)
+from drone_env.flights.flight import (
+    COLUMNS,
+    Flight,
+    MapKey,
+    digits_of,
+    finish_flight,
+    insert_flight,
+    new_id,
+    read_flight,
+    read_provenance,
+)
+from drone_env.flights.memory_view import LENGTH, MemoryView
+from drone_env.flights.optima import Map, Optima, Submit
+from drone_env.flights.provenance import HUMAN, Provenance
+from drone_env.flights.record import EpisodeRecord, replay
+
+log = logging.getLogger(__name__)
+FILE_NAME = "drone_env.sqlite3"
+VIEW_NAME = "memory.json"
+PAGE = 100
+PATIENCE = 0.5
+"""Default time to wait for optima, in seconds."""
+MOST_ROWS = 1 << 31
+NEWEST = "ORDER BY number DESC LIMIT ?"
+SELECT_STORED = f"SELECT {', '.join(COLUMNS)}, number, finished_at, reward_total, score FROM flights"
+
+
+class Store:
+    """The store in `folder`: `drone_env.sqlite3`, and `memory.json` as a view of the last 100 finished episodes.
+
+    Threads may share it. A context manager.
+
+    Args:
+        folder: Created if it is missing.
+        busy_seconds: Maximum time to wait for other writers.
+        submit: Starts to solve maps in another process: the map of each stored episode, and the maps of a list. If
+            None, a thread of the store solves the maps of a list.
+
+    Raises:
+        OSError: if the folder or the file cannot be created.
+        StoreError: if the file is not a store of this version, cannot be opened, or contains flights of another task
+            under the name of a registered one.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        busy_seconds: float = BUSY_SECONDS,
+        submit: Submit | None = None,
+    ) -> None:
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.database = Database(self.folder / FILE_NAME, busy_seconds)
+        try:
+            with self.database.reading() as connection:
+                for task in list(TASKS.values()):
+                    self.database.check_task(connection, task)
+            self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
+        except BaseException:
+            self.database.close()
+            raise
+        self._solves_all = submit is not None
+        self._optima = Optima(self.database, submit)
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing. Waits for `memory.json`."""
+        self._optima.close()
+        self._view.close()
+        self.database.close()
+
+    def check(self) -> None:
+        """Check that the file was not deleted or replaced, as every method that writes does, and that writes succeed.
+
+        Raises:
+            StoreError: if nothing can be stored.
+        """
+        self.database.check()
+        if self.database.failed:
+            raise StoreError(f"store {self.database.path}: the last write failed")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    # Finished episodes
+
+    def add_episode(
+        self, episode: EpisodeRecord | Episode, agent: str | Provenance | None = None, episode_id: str | None = None
+    ) -> str:
+        """Store a finished episode and return its id; `memory.json` shows it a moment later.
+
+        A record is replayed and verified first.
+
+        Args:
+            episode: The flight.
+            agent: Who flew an `Episode`; a record contains it.
+            episode_id: Its id, 16 hex digits; None for a new one. If the id is stored already, nothing changes.
+
+        Raises:
+            EpisodeError: if the episode has not ended.
+            InvalidValueError: if the record does not fit its flight, `agent` is given with a record, missing with an
+                `Episode` or not one printable line, or task or profile differ from the registered ones.
+            UnknownNameError: if there is no such task, version or reward profile.
+            StoreError: if it could not be written; nothing is stored then.
+        """
+        if isinstance(episode, EpisodeRecord):
+            if agent is not None:
+                raise InvalidValueError("agent belongs to an Episode; a record names its own")
+            agent, episode = episode.provenance, replay(episode)
+        if agent is None:
+            raise InvalidValueError("agent belongs to an Episode: who has flown it?")
+        _check_replayable(episode)
+        provenance, flight_id = Provenance.of(agent), episode_id or new_id()
+        with self.database.writing() as connection:
+            self.database.check_task(connection, episode.task, claim=True)
+            insert_flight(connection, flight_id, MapKey.of(episode), digits_of(episode.actions), provenance)
+            finish_flight(connection, flight_id, episode)
+        self.on_finished([flight_id])
+        return flight_id
+
+    def episode(self, episode_id: str) -> StoredEpisode:
+        """Return the episode of an id, flown again.
+
+        Raises:
+            UnknownNameError: if there is none; the message names no other episode, since ids are not public. Also if
+                its task or reward profile is no longer registered.
+            InvalidValueError: if its reward profile has changed.
+            StoreError: if the store cannot be read.
+        """
+        if episode_id.isascii():
+            for row in self._read(f"{SELECT_STORED} WHERE id = ? AND number IS NOT NULL", (episode_id,)):
+                return self._stored(row)
+        raise UnknownNameError("episode", episode_id, ())
+
+    def provenance(self, flight_id: str) -> Provenance:
+        """Return who flew a stored flight.
+
+        Raises:
+            StoreError: if the store cannot be read.
+        """
+        with self.database.reading() as connection:
+            return read_provenance(connection, read_flight(connection, flight_id))
+
+    def listed(
+        self,
+        n: int,
+        task: str | TaskConfig | None = None,
+        agent: str | None = None,
+        before: int | None = None,
+        after: int | None = None,
+        episode_id: str | None = None,
+        seed: int | None = None,
+        patience: float | None = None,
+    ) -> list[EpisodeSummary]:
+        """Return the last `n` finished episodes with the optima of their maps, newest first.
+
+        Unknown optima are solved as in `analysis`, except those of tasks that are not registered. All filters that are
+        not None must hold.
+
+        Args:
+            n: How many, 0 or more.
+            task: The task.
+            agent: The pilot.
+            before: The episode was stored before the one of this number.
+            after: The episode was stored after the one of this number.
+            episode_id: Its id.
+            seed: The map.
+            patience: Seconds to wait for optima; None for `PATIENCE`.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            InvalidValueError: if n is negative.
+            StoreError: if the store cannot be read.
+        """
+        if n < 0:
+            raise InvalidValueError(f"n must be at least 0, got {n}")
+        filters = {"agent =": agent, "number <": before, "number >": after, "id =": episode_id, "seed =": seed}
+        where, values = _where(task, filters)
+        query = f"{SELECT_ROWS} {where} {NEWEST}", (*values, min(n, MOST_ROWS))
+        return [EpisodeSummary(**row) for row in self._read_solved(*query, "seed", patience)]
+
+    def means_by_map(self, task: str | TaskConfig, patience: float | None = None) -> list[sqlite3.Row]:
+        """Return the means of each agent's flights over each map of a task; optima as in `listed`.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            StoreError: if the store cannot be read.
+        """
+        where, values = _where(task)
+        return self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds", patience)
+
+    def best(self, task: str | TaskConfig, seed: int, since: float, n: int) -> list[EpisodeSummary]:
+        """Return the best flights by hand over a map, without help and forks: one for each name, the best first.
+
+        Flights of equal score and length are in the order of storing.
+
+        Args:
+            task: The task.
+            seed: The map.
+            since: The earliest time of storing, in seconds since 1970.
+            n: How many, 0 or more.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            StoreError: if the store cannot be read.
+        """
+        filters = {"seed =": seed, "finished_at >=": since, "pilot =": HUMAN, "values_used =": 0, "undo_used =": 0}
+        where, values = _where(task, filters)
+        return [EpisodeSummary(**row) for row in self._read(SELECT_BEST.format(where=where), (*values, n))]
+
+    def flown_before(self, episode: Episode) -> list[tuple[str, Provenance]]:
+        """Return the id and the provenance of the flights with the map, actions and reward profile of an episode.
+
+        Raises:
+            StoreError: if the store cannot be read.
+        """
+        flown = {"seed =": episode.seed, "reward_profile =": episode.reward_profile.id}
+        where, values = _where(episode.task, {**flown, "actions =": digits_of(episode.actions)})
+        with self.database.reading() as connection:
+            rows = connection.execute(f"SELECT {', '.join(COLUMNS)} FROM flights {where} ORDER BY number", values)
+            return [(row["id"], read_provenance(connection, Flight(*row))) for row in rows.fetchall()]
+
+    def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
+        """Return the ids that the store contains."""
+        return {
+            id_
+            for id_ in episode_ids
+            if self._read("SELECT 1 FROM flights WHERE id = ? AND number IS NOT NULL", (id_,))
+        }
+
+    def episodes(self) -> Iterator[StoredEpisode]:
+        """Yield all finished episodes, oldest first. Those that cannot be flown again are logged and left out.
+
+        Raises:
+            StoreError: if the store cannot be read.
+        """
+        number = 0
+        # In pages, since an open reader prevents SQLite from truncating its log.
+        while page := self._read(f"{SELECT_STORED} WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
+            number = page[-1]["number"]
+            for row in page:
+                try:
+                    yield self._stored(row)
+                except (InvalidValueError, UnknownNameError) as error:
+                    log.warning("flight %s is left out: %s", row["id"], error)
+
+    def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float | None = None) -> Analysis:
+        """Return statistics of the last episodes of a task.
+
+        Each map is solved once, in the background; this call waits up to `patience` seconds. `mean_regret` omits the
+        maps that are not solved by then.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            InvalidValueError: if `last` is below 1.
+            StoreError: if the store cannot be read.
+        """
+        if last < 1:
+            raise InvalidValueError(f"last must be at least 1, got {last}")
+        rows = self.listed(last, task, patience=patience)
+        where, values = _where(task)
+        ((total,),) = self._read(f"SELECT count(*) FROM flights {where}", values)
+        return analyse(get_task(task), total, rows)
+
+    def on_finished(self, flight_ids: Sequence[str]) -> None:
+        """Show flights that have just been stored in `memory.json`, and start to solve their maps."""
+        self._view.refresh()
+        if self._solves_all:
+            for flight_id in flight_ids:
+                self._read_solved(f"{SELECT_ROWS} WHERE id = ?", (flight_id,), "seed", 0)
+
+    def _read_solved(
+        self, query: str, values: tuple[object, ...], seed: str, patience: float | None
+    ) -> list[sqlite3.Row]:
+        """Run a query with a column `solved`; if maps are not solved, wait for the solver and run it again.
+
+        Args:
+            query: The query.
+            values: Its values.
+            seed: Its column with the number of the map.
+            patience: Seconds to wait; None for `PATIENCE`.
+        """
+        rows = self._read(query, values)
+        maps: dict[Map, None] = {}
+        for row in rows:
+            if not row["solved"]:
+                with suppress(UnknownNameError):  # the plugin of the task is gone
+                    maps[get_task(row["task"], row["task_version"]), row[seed]] = None
+        if not maps:
+            return rows
+        self._optima.solve(maps, PATIENCE if patience is None else patience)
+        return self._read(query, values)
+
+    def _read(self, query: str, values: tuple[object, ...] = ()) -> list[sqlite3.Row]:
+        with self.database.reading() as connection:
+            return connection.execute(query, values).fetchall()
+
+    def _stored(self, row: sqlite3.Row) -> StoredEpisode:
+        """Fly a stored flight again."""
+        flight = Flight(*row[: len(COLUMNS)])
+        episode = flight.fly()
+        if (episode.reward_total, episode.score) != (row["reward_total"], row["score"]):
+            profile = f"reward profile {flight.reward_profile!r}"
+            raise InvalidValueError(f"{profile} has changed since this flight: register the new one under another name")
+        with self.database.reading() as connection:
+            provenance = read_provenance(connection, flight)
+        return StoredEpisode.of(flight.id, row["finished_at"], episode, provenance)
+
+    def _newer(self, after: int) -> list[tuple[int, str]]:
+        """Return number and JSON of the newest episodes after a number, oldest first; "" if it cannot be flown."""
+        newer: list[tuple[int, str]] = []
+        for row in self._read(f"{SELECT_STORED} WHERE number > ? {NEWEST}", (after, LENGTH))[::-1]:
+            try:
+                newer.append((row["number"], self._stored(row).model_dump_json(exclude_none=True)))
+            except (InvalidValueError, UnknownNameError) as error:
+                log.warning("%s leaves out flight %s: %s", VIEW_NAME, row["id"], error)
+                newer.append((row["number"], ""))
+        return newer
+
+
+def _check_replayable(episode: Episode) -> None:
+    """Check that an episode has ended and can be flown again from its record.
+
+    Raises:
+        EpisodeError: if it has not ended.
+        InvalidValueError: if task or reward profile differ from the registered ones of the same name.
+        UnknownNameError: if task or reward profile are not registered.
+    """
+    if not episode.started or not episode.ended:
+        raise EpisodeError("the episode has not ended: only finished ones are stored")
+    task, profile = episode.task, episode.reward_profile
+    if get_task(task.id, task.version) != task or get_reward_profile(profile.id) != profile:
+        raise InvalidValueError(
+            f"{task.id!r} or reward profile {profile.id!r} is not the registered one, so it cannot be replayed: "
+            "register it under another name"
+        )
+
+
+def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:
+    """Return a WHERE clause for finished flights of a task, and for the filters that are not None, with its values.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+    known = None if task is None else get_task(task)
+    of_task = {} if known is None else {"task =": known.id, "task_version =": known.version}
+    given = {name: value for name, value in {**of_task, **(filters or {})}.items() if value is not None}
+    conditions = ["number IS NOT NULL", *(f"{name} ?" for name in given)]
+    return f"WHERE {' AND '.join(conditions)}", tuple(given.values())
