@@ -446,7 +446,7 @@ class Sessions:
 
     def _save(self, session: Session, address: str | None) -> bool:
         """Store the changes of a session; False if another process has changed it."""
-        begins = session.flight_id != session.stored_id
+        begins, is_stored = session.flight_id != session.stored_id, session.is_stored
         ids = {"id": session.id, "flight_id": session.flight_id, "stored_id": session.stored_id}
         with self._database.writing() as connection:
             values = {**ids, "now": self._clock(), "address": address}
@@ -456,7 +456,7 @@ class Sessions:
                 key = MapKey.of(session.episode)
                 self._database.check_task(connection, session.episode.task, claim=True)
                 insert_flight(connection, session.flight_id, key, session.unstored, session.provenance)
-            elif session.is_stored:
+            elif is_stored:
                 if connection.execute(IS_CURRENT, (session.flight_id, session.revision)).fetchone() is None:
                     return False
             else:
