@@ -2,11 +2,11 @@
 
 import re
 
-from drone_env.results.record import record_of
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.flights.record import record_of
 from drone_env.planning.optimal import solve
 from tests.api.serving import Server
 from tests.browser.flights import frames, in_link, newest

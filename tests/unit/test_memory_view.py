@@ -20,7 +20,7 @@ def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: P
         for number in range(130):
             (first, second)[number % 2].add_episode(episode, f"ace {number}")
         expected = latest(first, 100)[::-1]
-        eventually(lambda: view(tmp_path) == expected)
+        eventually(lambda: (tmp_path / "memory.json").exists() and view(tmp_path) == expected)
     assert [stored.record.agent for stored in expected] == [f"ace {number}" for number in range(30, 130)]
 
 
