@@ -11,7 +11,7 @@ from drone_env.agents import make_agent
 from drone_env.core.episode import Episode, rollout
 from drone_env.models import DIRECTIONS, Direction
 
-StrictModel = dict[str, Any]
+Message = dict[str, Any]
 
 
 class Page:
@@ -21,13 +21,13 @@ class Page:
         self.socket = socket
         self.ended: list[int] = []
         """The flights that were told to have ended, while they flew by themselves."""
-        self.skipped: list[StrictModel] = []
+        self.skipped: list[Message] = []
         """The messages that `until` read over."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
 
-    def until(self, kind: str) -> StrictModel:
+    def until(self, kind: str) -> Message:
         """The next message of a kind. Others are read over, but for errors; before an error nothing may have moved."""
         while True:
             message = json.loads(self.socket.receive_text())
@@ -37,13 +37,13 @@ class Page:
             self.skipped.append(message)
             assert kind != "error" or message["type"] in ("playing", "values"), message
 
-    def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[StrictModel]:
+    def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
         self.send("start", task=task, seed=seed, pilots=pilots, **fields)
         return self.until("flights")["flights"]
 
-    def flight(self) -> dict[int, list[StrictModel]]:
+    def flight(self) -> dict[int, list[Message]]:
         """The frames of each flight until all have ended."""
-        frames: dict[int, list[StrictModel]] = {}
+        frames: dict[int, list[Message]] = {}
         while True:
             message = json.loads(self.socket.receive_text())
             for moved in message["frames"] if message["type"] == "frames" else ():

@@ -174,7 +174,17 @@ class TestPredictions:
         assert client.post("/predict", headers=session).status_code == 409
         assert client.post("/predict", json=observation).status_code == 422
 
-    @pytest.mark.parametrize("wrong", [{"max_steps": 61}, {"battery_steps_remaining": 61}, {"grid": []}])
+    @pytest.mark.parametrize(
+        "wrong",
+        [
+            {"max_steps": 61},
+            {"battery_steps_remaining": 61},
+            {"cell_types": []},
+            {"cell_types": [["road"] * 11] * 10},
+            {"drone_y": 10},
+            {"current_target": [0, 10]},
+        ],
+    )
     def test_an_observation_of_no_task_is_refused(self, client: TestClient, wrong: dict[str, Any]) -> None:
         assert client.post("/predict", json=client.post("/reset").json() | wrong).status_code == 422
 

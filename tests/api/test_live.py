@@ -16,12 +16,12 @@ from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
-from tests.api.live_page import Page, StrictModel, directions, flown, open_page
+from tests.api.live_page import Message, Page, directions, flown, open_page
 from tests.api.networks import put_network, put_tour
 from tests.tools import eventually
 
 
-def names(frames: list[StrictModel]) -> list[str]:
+def names(frames: list[Message]) -> list[str]:
     return [frame["action"] for frame in frames]
 
 
@@ -113,7 +113,7 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
 
 
 @pytest.mark.parametrize("command", [{"kind": "step"}, {"kind": "undo"}, {"kind": "help"}])
-def test_a_session_that_another_page_has_flown_is_gone_for_this_one(client: TestClient, command: StrictModel) -> None:
+def test_a_session_that_another_page_has_flown_is_gone_for_this_one(client: TestClient, command: Message) -> None:
     with client.websocket_connect("/live") as one, client.websocket_connect("/live") as other:
         first, second = Page(one), Page(other)
         by_hand = command["kind"] != "step"

@@ -81,8 +81,8 @@ def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfi
     """Return the task and the arrays of an observation, as agents need them.
 
     Raises:
-        InvalidValueError: if no task matches, the battery exceeds the task's capacity, or `cell_below` is missing in a
-            task with pads.
+        InvalidValueError: if no task matches, `cell_types` has another shape, the drone or its target is outside of it,
+            the battery exceeds the task's capacity, or `cell_below` is missing in a task with pads.
     """
     shape = (observation.grid_width, observation.grid_height, observation.deliveries_total, observation.max_steps)
     shapes = {(task.width, task.height, task.deliveries, task.max_steps): task for task in TASKS.values()}
@@ -92,6 +92,11 @@ def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfi
         raise InvalidValueError(
             f"no task has (grid_width, grid_height, deliveries_total, max_steps) = {shape}; there are: {known}"
         )
+    if [len(row) for row in observation.cell_types] != [task.width] * task.height:
+        raise InvalidValueError(f"cell_types must have {task.height} rows of {task.width} names in {task.id!r}")
+    for x, y in ((observation.drone_x, observation.drone_y), observation.current_target or (0, 0)):
+        if x >= task.width or y >= task.height:
+            raise InvalidValueError(f"drone and current_target must be inside of the map, got ({x}, {y})")
     if observation.battery_steps_remaining > task.battery_capacity:
         raise InvalidValueError(f"battery_steps_remaining must be at most {task.battery_capacity} in {task.id!r}")
     below = observation.cell_below
