@@ -5,7 +5,6 @@ import json as json_format
 from drone_env.commands.arguments import Seed, TaskName
 from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text, draw_tour
-from drone_env.errors import TooLargeError
 from drone_env.planning.optimal import solve_episode
 
 
@@ -21,13 +20,7 @@ def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> Non
     """
     episode = Episode(task)
     episode.reset(seed)
-    try:
-        solution = solve_episode(episode)
-    except TooLargeError as error:
-        from drone_env.planning.bounds import bounds  # imported lazily: compiling takes seconds
-
-        between = bounds(episode)
-        raise TooLargeError(f"{error}; the optimum lies between {between.lower:.4f} and {between.upper:.4f}") from None
+    solution = solve_episode(episode)
     path = [(step.x, step.y) for step in episode.copy().fly(solution.actions).path]
     if json:
         report = {

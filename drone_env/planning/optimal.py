@@ -44,7 +44,7 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
     """The optimum of a map.
 
     Raises:
-        TooLargeError: if the solution would take too much memory; use `bounds` then.
+        TooLargeError: if the solution would take too much memory.
     """
     return solve_episode(Episode(task, seed=seed))
 

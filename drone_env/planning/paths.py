@@ -177,16 +177,6 @@ def cost_kernel(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: A
     find_costs(tables, grid, kind_costs, costs, first)
 
 
-def costs_from(
-    tables: Tables, grid: npt.NDArray[np.uint8], starts: Any, kind_costs: npt.ArrayLike
-) -> npt.NDArray[np.int64]:
-    """The cost of the cheapest path to each cell from any of the cells `starts`, or `NO_PATH`: int64[cells]."""
-    costs, first = np.full(tables.cells, NO_PATH), np.full(tables.cells, NO_ACTION)
-    costs[starts] = 0
-    cost_kernel(tables, grid, np.asarray(kind_costs, np.int64), costs, first)
-    return costs
-
-
 @kernel
 def cheapest_kernel(
     tables: Tables, grids: Any, starts: Any, kind_costs: Any, costs: Any, first: Any, actions: Any

@@ -100,25 +100,21 @@ def require_memory(what: str, task: TaskConfig, size: int) -> None:
         )
 
 
-def drain_range(task: TaskConfig) -> tuple[int, int]:
-    """The lowest and highest drain of a step on any map of the task; negative for a charge."""
-    kinds = [Cell.ROAD, Cell.DELIVERY, Cell.DELIVERED, *(kind for kind, count in task.cell_counts().items() if count)]
-    drains = np.reshape(tabulate(task).drain, (-1, N_ACTIONS))[[kind for kind in kinds if kind not in task.impassable]]
-    return int(drains.min()), int(drains.max())
-
-
 def battery_ranges(episode: Episode) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """The range of the battery after each of the T steps left, while the episode has not ended.
 
     Returns:
         int64[T + 1], the lowest number of units above 0, and int64[T], the number of values from it on.
     """
-    least_drain, most_drain = drain_range(episode.task)
+    task = episode.task
+    kinds = [Cell.ROAD, Cell.DELIVERY, Cell.DELIVERED, *(kind for kind, count in task.cell_counts().items() if count)]
+    drains = np.reshape(tabulate(task).drain, (-1, N_ACTIONS))[[kind for kind in kinds if kind not in task.impassable]]
+    least_drain, most_drain = int(drains.min()), int(drains.max())
     lowest, sizes = [], []
     low = high = episode.battery_units
-    for _ in range(episode.task.max_steps - episode.steps):
+    for _ in range(task.max_steps - episode.steps):
         lowest.append(low)
         sizes.append(max(high - low + 1, 0))
-        low, high = max(low - most_drain, 1), min(high - least_drain, episode.task.battery_capacity)
+        low, high = max(low - most_drain, 1), min(high - least_drain, task.battery_capacity)
     lowest.append(low)
     return np.array(lowest, np.int64), np.array(sizes, np.int64)

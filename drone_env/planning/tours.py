@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 from drone_env.core.actions import Action
 
@@ -28,38 +27,22 @@ def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:
 
 
 def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> list[Position]:
-    """The parcels of the best tour, in order: the most parcels within `budget` steps, in the fewest steps."""
+    """The parcels of the best tour, in order: the most parcels within `budget` steps, in the fewest steps.
+
+    Ties go to the lowest numbers. Dynamic programming over (set of visited parcels, last parcel): Held and Karp, "A
+    dynamic programming approach to sequencing problems", 1962. Time O(2^n n^2), memory O(2^n n).
+    """
     n = len(parcels)
     first = [distance(start, parcel) for parcel in parcels]
     legs = [[distance(a, b) for b in parcels] for a in parcels]
+    # The steps of the shortest path that visits a set and ends at a parcel, or `UNREACHED` if it is over budget.
     lengths = [[UNREACHED] * n for _ in range(1 << n)]
-    order = [0] * n
-    visited = held_karp(first, legs, n, budget, lengths, order)
-    return [parcels[i] for i in order[:visited]]
-
-
-def held_karp(first: Any, legs: Any, n: int, budget: int, lengths: Any, order: Any) -> int:
-    """Write the order of the best tour and return its number of places.
-
-    The best tour visits the most places within the budget, in the fewest steps; ties go to the lowest numbers. Dynamic
-    programming over (set of visited places, last place): Held and Karp, "A dynamic programming approach to sequencing
-    problems", 1962. Time O(2^n n^2), memory O(2^n n). The function runs interpreted on lists and compiled on arrays.
-
-    Args:
-        first: Steps from the start to each place, [n].
-        legs: Steps from place to place, [n][n].
-        n: Number of places.
-        budget: Maximum number of steps.
-        lengths: Working memory, [2^n][n]; `lengths[visited][last]` becomes the steps of the shortest path that visits
-            the set and ends at `last`, or `UNREACHED` if it is over budget.
-        order: [n], receives the numbers of the places; entries after the returned number are undefined.
-    """
+    order: list[int] = []
     best, best_last, best_size = 0, 0, 0
     best_length = UNREACHED
     for visited in range(1, 1 << n):
         size = 0
         for last in range(n):
-            lengths[visited][last] = UNREACHED
             size += visited >> last & 1
         for last in range(n):
             if not visited >> last & 1:
@@ -76,12 +59,12 @@ def held_karp(first: Any, legs: Any, n: int, budget: int, lengths: Any, order: A
                 best, best_last, best_size, best_length = visited, last, size, shortest
 
     visited, last = best, best_last
-    for place in range(best_size - 1, -1, -1):
-        order[place] = last
+    for _ in range(best_size):
+        order.append(last)
         length = lengths[visited][last]
         visited ^= 1 << last
         for i in range(n):
             if visited >> i & 1 and lengths[visited][i] + legs[i][last] == length:
                 last = i
                 break
-    return best_size
+    return [parcels[i] for i in reversed(order)]

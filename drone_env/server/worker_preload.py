@@ -26,7 +26,7 @@ TOURNET = (cheapest_kernel, encode_kernel)
 TASKS = ("easy", "skyline_easy")
 
 
-for module in ("envs.rendering", "planning.bounds", "server.app"):
+for module in ("envs.rendering", "server.app"):
     import_module(f"drone_env.{module}")
 if is_compiled(*SOLVERS):
     for task in TASKS:

@@ -44,7 +44,7 @@ def test_a_drawing_is_worth_what_its_file_is(client: TestClient, tmp_path: Path)
     assert told["optimum"].pop("path")[0] == YARD["start"]
     assert told["optimum"] == {"score": best.score, "success": True, "deliveries": 2, "steps": best.steps}
     assert told["numbers"] == {"battery_capacity": 9, "max_steps": 35, "charge_rate": 5}
-    assert (told["bounds"], task.terrain and task.terrain.attribution) == (None, YARD["attribution"])
+    assert (task.terrain and task.terrain.attribution) == YARD["attribution"]
     empty = {**YARD, "cells": [[0, 1, 0, 0], [0, 3, 0, 0], [0, 0, 2, 0]], "numbers": {"battery_capacity": 4}}
     assert answer(client, "/maps/worth", empty)["optimum"]["success"] is False
     opened = answer(client, "/maps/file", {"toml": told["toml"]})

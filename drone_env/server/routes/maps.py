@@ -1,5 +1,6 @@
 """The routes of the map editor: a map as a drawing, the optimum of a drawing, and drawings stored as tasks."""
 
+from contextlib import suppress
 from itertools import groupby
 from typing import Annotated, Literal, get_args
 
@@ -20,7 +21,6 @@ from drone_env.server.addresses import is_stranger
 from drone_env.server.best_flights import best_flight
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
-from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.state import AppStateDep
@@ -114,7 +114,6 @@ class MapWorth(StrictModel):
     toml: str = Field(description="Its city file, which every command accepts.")
     numbers: dict[Number, Count] = Field(description="The numbers of its task.")
     optimum: BestFlight | None = Field(description="A best flight; null if the map is too large to be solved.")
-    bounds: tuple[Score, Score] | None = Field(description="Bounds of the optimum if it is null, if known.")
 
 
 class CityFile(StrictModel):
@@ -174,21 +173,14 @@ def _worth(drawn: DrawnMap) -> str:
     city = drawn.city()
     text = city_text(city)
     episode = Episode(drawn_task(city, "map"), seed=0)
-    optimum = between = None
-    try:
+    optimum = None
+    with suppress(TooLargeError):
         best, flown = best_flight(episode.task, episode.seed)
         path = [position for position, _ in groupby(flown)]
         found = {name: getattr(best, name) for name in ("score", "success", "deliveries", "steps")}
         optimum = BestFlight(**found, path=path)
-    except TooLargeError:
-        from drone_env.planning.bounds import bounds  # Imported lazily: compiling takes seconds.
-
-        try:
-            between = bounds(episode)
-        except MemoryError:
-            job_context().require_new()
     name, numbers = name_of(text.encode()), _numbers(episode)
-    return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum, bounds=between).model_dump_json()
+    return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum).model_dump_json()
 
 
 def _numbers(episode: Episode) -> dict[Number, int]:
