@@ -3,7 +3,7 @@
 The next step overwrites every buffer of a `Batch`, so copy arrays that you need later.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
@@ -12,24 +12,18 @@ import numpy.typing as npt
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
 from drone_env.core.compile_cache import print_before_compiling
-from drone_env.core.episode import Episode, EpisodeState
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import open_actions, score, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rules import reset as reset_episode
 from drone_env.core.rules import step as step_episode
 from drone_env.core.seeds import N_SEEDS, next_seed
-from drone_env.core.tables import CELL, DELIVERIES_DONE, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
+from drone_env.core.tables import DELIVERIES_DONE, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError
 
 DELIVERED = int(Event.DELIVERY)
-prefetch = compiled.prefetch
 ACTION_BITS = 7
 """A mask that does not change actions from 0 to 4. It shows the compiler that actions are not negative."""
-PREFETCH_BYTES = 3 << 19
-"""Size of all grids from which prefetching pays, measured on a core with 2 MiB of cache."""
-AHEAD, ONE = np.uint64(16), np.uint64(1)
-"""Distance of prefetching, in episodes."""
 
 
 class Buffers(NamedTuple):
@@ -113,11 +107,7 @@ def step_kernel(tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any
     """
     n_ended = 0
     n_started = 0
-    prefetching = n * tables.cells > PREFETCH_BYTES
     for i in range(n):
-        if prefetching:
-            ahead = min(i + AHEAD, n - ONE)
-            prefetch(buffers.grids, ahead, buffers.states[ahead, CELL])
         state = buffers.states[i]
         if state[OUTCOME] != FLYING:
             buffers.started[n_started] = i
@@ -275,14 +265,6 @@ class Batch:
             raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
         tables = (self.tables, self._rewards, self._buffers, integers)
         self._n_ended[0] = self._step(*tables, self.num_envs, self.same_step)
-
-    def episodes(self) -> Iterator[Episode]:
-        """A copy of each episode. Its path and its total reward are not known."""
-        for seed, grid, state in zip(self.seeds.tolist(), self._buffers.grids, self._buffers.states, strict=True):
-            episode = Episode(self.task, self.reward_profile)
-            numbers = grid.tobytes(), state.tobytes()
-            episode.set_state(EpisodeState(self.task, self.reward_profile, seed, *numbers, reward_total=0.0, path=()))
-            yield episode
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
         """A snapshot of all episodes for `set_state`, as copies of arrays."""

@@ -1,20 +1,15 @@
-"""The functions of the rules, compiled by Numba from the same source, and memory prefetching.
+"""The functions of the rules, compiled by Numba from the same source.
 
 The first call of a function compiles it.
 """
 
-from importlib import import_module
 from inspect import isfunction
 from typing import Any
 
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic, register_jitable  # pyright: ignore
+from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import grid_generator, rules, seeds
 from drone_env.core.compile_cache import compiled_once
-
-cgutils: Any = import_module("numba.core.cgutils")
 
 # Steps do not allocate, so they need no reference counts (`_nrt`). No divisor is zero (`error_model`). Calls would push
 # all tables, so functions are inlined (`forceinline`). Together, these options make a step nine times faster.
@@ -41,26 +36,3 @@ kernel = compiled_once(nogil=True, **OPTIONS)
 
 reset = compiled_once(**OPTIONS)(rules.reset)
 step = compiled_once(**OPTIONS)(rules.step)
-
-WRITE, HIGH_LOCALITY, DATA = 1, 3, 1
-"""Arguments of LLVM's `prefetch`."""
-
-
-def _prefetch(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
-    """In compiled code: start to load `array[i, j]` into the CPU cache. i and j are unsigned."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        struct = context.make_array(signature.args[0])(context, builder, arguments[0])
-        given = list(zip(arguments, signature.args, strict=True))[1:]
-        indices = [context.cast(builder, index, kind, types.uintp) for index, kind in given]
-        address = cgutils.get_item_pointer(context, builder, signature.args[0], struct, indices, wraparound=False)
-        pointer, number = ir.IntType(8).as_pointer(), ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [pointer, number, number, number])
-        llvm_prefetch = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
-        builder.call(llvm_prefetch, [builder.bitcast(address, pointer), *map(number, (WRITE, HIGH_LOCALITY, DATA))])
-        return context.get_dummy_value()
-
-    return types.void(array, i, j), generate
-
-
-prefetch: Any = intrinsic(_prefetch)

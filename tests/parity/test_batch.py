@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.batch import PREFETCH_BYTES, Batch
+from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import SPLITS
@@ -95,8 +95,3 @@ def test_compiled_together_and_interpreted_one_by_one_agree_to_the_last_bit(
 
 def test_so_they_do_where_every_number_is_the_highest_allowed() -> None:
     assert_parity(LARGEST, "aligned", True, SHARE, n=8)
-
-
-def test_so_they_do_where_grids_are_fetched_early() -> None:
-    task = replace(LARGEST, max_steps=9, buildings=0, pads=0)
-    assert_parity(task, "aligned", True, 1, n=1 + PREFETCH_BYTES // (task.width * task.height))
