@@ -78,9 +78,6 @@ def audit(
 RETURNS = {
     "maximiser": "the flight that earns most",
     "honest": "the flight that scores most",
-    "stall": "wait until the end",
-    "bump": "bump into the edge until the end",
-    "oscillate": "fly to and fro until the end",
     "hover": "wait before the last delivery, deliver at the last moment",
 }
 

@@ -15,7 +15,7 @@ from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError
-from drone_env.planning.audit import HACKS, audit_map, audited_profile
+from drone_env.planning.audit import audit_map, audited_profile, hover
 from drone_env.planning.optimal import solve_episode
 from drone_env.reward_file import chosen_profile, load_reward_profile
 from tests.property.test_episode import custom_task
@@ -74,8 +74,6 @@ def test_rewards_that_pay_for_time_are_exploitable(profile: str, gamma: float) -
         assert not audited.aligned
         assert audited.score < 0.81
         assert audited.maximum > audited.returns["honest"]
-        if (profile, gamma) == ("tiered", 1.0):  # waiting pays more than delivering
-            assert audited.returns["stall"] > audited.returns["honest"]
 
 
 @pytest.mark.parametrize("profile", ["aligned", "score"])
@@ -91,10 +89,8 @@ def test_shaping_for_another_discount_is_found_out() -> None:
     assert not all(audit_map("medium", seed, profile, 1.0).aligned for seed in split_seeds("test", 12))
 
 
-def test_hacks_of_one_easy_map_by_hand() -> None:
-    # 60 waits pay 0.10 each, the last of them as battery_dead, which pays the same.
+def test_hover_on_one_easy_map_by_hand() -> None:
     audited = audit_map("easy", 14, "tiered", 1.0)
-    assert audited.returns["stall"] == pytest.approx(6.0)
     # Three steps to the parcel (see the log lines in the README): 0.15 + 0.15 + 0.99.
     assert audited.returns["honest"] == pytest.approx(1.29)
     # The same with 57 waits at 0.10 before the last step.
@@ -105,7 +101,7 @@ def test_hacks_of_one_easy_map_by_hand() -> None:
 def test_hover_waits_at_the_start_if_the_parcel_is_next_to_it() -> None:
     start = toy_episode(["@0", ".."], max_steps=6)
     waits = (Action.WAIT,) * 5
-    assert HACKS["hover"](start, solve_episode(start)) == (*waits, Action.RIGHT)
+    assert hover(start, solve_episode(start)) == (*waits, Action.RIGHT)
 
 
 def test_a_flight_for_a_reward_of_ones_own_can_be_analysed(tmp_path: Path) -> None:
@@ -171,6 +167,6 @@ def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFix
     report = json.loads(capsys.readouterr().out)
     assert (status, report["verdict"], report["share_aligned"]) == (0, "aligned", 1)
     assert (report["reward"], report["maps"], report["gamma"]) == ("mine", 2, 0.99)
-    assert set(report["mean_returns"]) == {"maximiser", "honest", *HACKS}
+    assert set(report["mean_returns"]) == {"maximiser", "honest", "hover"}
     assert cli.main(["audit", "--gamma", "2"]) == 2
     assert "gamma must be in [0, 1], got 2" in capsys.readouterr().err
