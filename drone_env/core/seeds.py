@@ -112,9 +112,3 @@ def split_seeds(split: str, episodes: int, offset: int = 0) -> range:
             f"split {split!r} has {stop - start} seeds; {episodes} from number {offset} are not in it"
         )
     return range(start + offset, start + offset + episodes)
-
-
-def split_of(seed: int) -> str:
-    """The name of the split that contains `seed`."""
-    seed = check_seed(seed)
-    return next(name for name, (start, stop) in SPLITS.items() if start <= seed < stop)
