@@ -178,10 +178,8 @@ FAST: dict[str, TrainConfig] = {
 }
 """Settings tuned for learning speed; other tasks use those of `hard_delivery`."""
 
-PRESETS = ("fast", "original")
 
-
-def preset(name: str, task: str, episodes: int | None = None) -> TrainConfig:
+def preset(name: Literal["fast", "original"], task: str, episodes: int | None = None) -> TrainConfig:
     """The settings of a preset for a task.
 
     Args:
@@ -190,8 +188,6 @@ def preset(name: str, task: str, episodes: int | None = None) -> TrainConfig:
         episodes: Number of episodes; None for the preset's own. With fewer episodes, `fast` flies fewer in parallel,
             so that later episodes use what earlier ones taught.
     """
-    if name not in PRESETS:
-        raise InvalidValueError(f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
     known = get_task(task)
     config = replace(ORIGINAL if name == "original" else FAST.get(known.id, FAST["hard_delivery"]), task=task)
     if episodes is None:

@@ -24,7 +24,7 @@ from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import locked, open_file, replacing
 from drone_env.rl.common import figure
 
-FORMAT, VERSION = "drone_env/checkpoint", 1
+FORMAT = "drone_env/checkpoint"
 DIGITS = {"epsilon": 3, "loss": 6, "success": 3, "length": 1, "learning_rate": 6, "regret": 6, "cpu_seconds": 1}
 """Decimal places of the log; 4 for other figures."""
 
@@ -38,7 +38,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("wb") as file:
         try:
-            torch.save({"format": FORMAT, "version": VERSION, **state}, file)
+            torch.save({"format": FORMAT, **state}, file)
         except RuntimeError as error:  # PyTorch's error for a full disk
             raise OSError(f"{path} could not be written: {str(error).splitlines()[0]}") from error
         file.flush()
@@ -63,9 +63,6 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({type(error).__name__})") from None
     if not isinstance(state, dict) or cast(dict[str, Any], state).get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a checkpoint of this project")
-    version = cast(dict[str, Any], state).get("version")
-    if version != VERSION:
-        raise CheckpointError(f"{path} is a checkpoint of version {version}; this program reads version {VERSION}")
     return cast(dict[str, Any], state)
 
 

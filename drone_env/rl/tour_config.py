@@ -32,8 +32,6 @@ VARIANTS = (
 """Tasks with other numbers of parcels and pads."""
 LARGEST_SIDE, FEW = 48, 4
 """Maximum side and number of parcels of an enlarged map: exact values of more take seconds."""
-MAX_STATES = 1 << 17
-"""Maximum number of states in a chunk: at 128 kB each they take 16 GB."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +96,6 @@ class TourConfig:
             task = get_task(self.task)
             if task.uniform and task.deliveries == 1:
                 raise InvalidValueError(f"there is nothing to choose on {task.id!r}: one parcel, one path")
-        states = self.maps_per_chunk * self.states_per_map
-        if states > MAX_STATES:
-            raise InvalidValueError(f"maps_per_chunk times states_per_map must be at most {MAX_STATES}, got {states}")
 
     @property
     def name(self) -> str:

@@ -23,10 +23,7 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
     with pytest.raises(CheckpointError, match="--fresh"):
         run_in(tmp_path)
     assert path.read_bytes() == content
-    for state, message in (
-        ({"weights": torch.zeros(3)}, "not a checkpoint of this project"),
-        ({"format": "drone_env/checkpoint", "version": 99}, "version 99; this program reads version 1"),
-    ):
+    for state, message in (({"weights": torch.zeros(3)}, "not a checkpoint of this project"),):
         torch.save(state, path)
         with pytest.raises(CheckpointError, match=message):
             load_checkpoint(path)
