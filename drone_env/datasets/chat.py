@@ -1,19 +1,14 @@
 """Flights as conversations and as pairs of them, in the columns that TRL's trainers expect."""
 
-# pyarrow declares no types.
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
-
 import json
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from inspect import getdoc
 from itertools import combinations, groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow
-import pyarrow.parquet
 
 from drone_env.core.actions import Action, Event
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory
@@ -108,29 +103,19 @@ def preference_rows(config: DatasetConfig, flights: Sequence[Trajectory]) -> Ite
 
 @contextmanager
 def row_writer(name: str, folder: Path, config: DatasetConfig) -> Generator[Callable[[Sequence[Trajectory]], None]]:
-    """Write `NAME.jsonl` and `NAME.parquet`; each call of the yielded function appends the rows of whole maps.
+    """Write `NAME.jsonl`; each call of the yielded function appends the rows of whole maps.
 
     Raises:
         InvalidValueError: if there is no row at all.
     """
     rows_of = {"chat": chat_rows, "preference": preference_rows}[name]
-    written: list[Any] = []
-    with ExitStack() as stack:
-        lines = stack.enter_context((folder / f"{name}.jsonl").open("w", encoding="utf-8"))
+    with (folder / f"{name}.jsonl").open("w", encoding="utf-8") as file:
 
         def write(flights: Sequence[Trajectory]) -> None:
-            rows = list(rows_of(config, flights))
-            lines.writelines(f"{json.dumps(row)}\n" for row in rows)
-            if rows and not written:
-                about = {"drone_env": json.dumps(config.as_json())}
-                schema = pyarrow.Table.from_pylist(rows).schema.with_metadata(about)
-                file = pyarrow.parquet.ParquetWriter(folder / f"{name}.parquet", schema, compression="zstd")
-                written.append(stack.enter_context(file))
-            if rows:
-                written[0].write_table(pyarrow.Table.from_pylist(rows, written[0].schema))
+            file.writelines(f"{json.dumps(row)}\n" for row in rows_of(config, flights))
 
         yield write
-        if not written:
+        if not file.tell():
             raise InvalidValueError("no pair: all flights over a map have equal regret: add agents or raise epsilon")
 
 

@@ -145,9 +145,8 @@ def test_both_trainers_learn_from_the_datasets(turns: Any, tmp_path: Path, monke
     both = ("chat", "preference")
     config = DatasetConfig(task, range(4), "train", ["optimal", "random"], epsilon=0.0, formats=both, turns=turns)
     build_dataset(config, tmp_path / "set")
-    kind, ends = ("json", "jsonl") if turns == "route" else ("parquet", "parquet")
-    files = (str(tmp_path / "set" / f"{name}.{ends}") for name in both)
-    chat, pairs = (load_dataset(kind, data_files=file, split="train") for file in files)
+    files = (str(tmp_path / "set" / f"{name}.jsonl") for name in both)
+    chat, pairs = (load_dataset("json", data_files=file, split="train") for file in files)
     schemas = [get_json_schema(tool) for tool in (DroneEnvironment.fly, DroneEnvironment.fly_route)]
     assert turns == "plan" or json.loads(chat[0]["tools"]) == json.loads(pairs[0]["tools"]) == schemas
     words = tokenizer()
