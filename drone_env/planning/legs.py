@@ -362,11 +362,6 @@ class LegSolver(Solver):
         self.scores, _ = ranked_scores(task)
         value_kernel(self.legs)
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the values in bytes."""
-        return self.legs.ranks.nbytes + sum(array.nbytes for array in self.legs.search.paths)
-
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         delivered, cells, battery, left = states.T
         units, steps = clock(self._start.task, battery, left)

@@ -107,11 +107,6 @@ class Solver(ABC):
         self._start = episode.copy()
         self._waiting = waiting_parcels(episode)
 
-    @property
-    @abstractmethod
-    def nbytes(self) -> int:
-        """Memory of the values in bytes."""
-
     @abstractmethod
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         """V* of N reachable states in flight, float64[N].
@@ -257,17 +252,12 @@ class ExactSolver(Solver):
         self._lowest, sizes = battery_ranges(episode)
         self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
         require_memory("the exact values", task, int(self._starts[-1]) * ends.itemsize)
-        self._ranks = np.zeros(int(self._starts[-1]), ends.dtype)
-        arrays = (*state_arrays(episode), episode.steps, self._lowest, self._starts, ends, self._ranks)
+        self.ranks = np.zeros(int(self._starts[-1]), ends.dtype)
+        arrays = (*state_arrays(episode), episode.steps, self._lowest, self._starts, ends, self.ranks)
         value_kernel(tabulate(task), tabulate_rewards(task, UNPAID), *arrays)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the values in bytes."""
-        return self._ranks.nbytes
 
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         delivered, cell, battery, left = states.T
         t = len(self._starts) - 1 - left
         place = delivered * (self._places >> len(self._waiting)) + cell
-        return self._scores[self._ranks[self._starts[t] + (battery - self._lowest[t]) * self._places + place]]
+        return self._scores[self.ranks[self._starts[t] + (battery - self._lowest[t]) * self._places + place]]
