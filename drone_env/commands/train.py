@@ -13,7 +13,6 @@ from drone_env.commands.arguments import TASK, ProfileName, TaskName
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
-from drone_env.envs.registry import task_argument
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
 from drone_env.rl.config import TrainConfig, preset
@@ -184,6 +183,6 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
         return 130
     log(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
     task, agent = run.trainer.config.task, "pathqnet" if unit == "episodes" else "tournet"
-    task = task if task == "all" else task_argument(get_task(task))
+    task = task if task == "all" else get_task(task).short_name
     log(f"next: drone-env evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
     return 0

@@ -111,14 +111,6 @@ def register_city(path: str | Path) -> TaskConfig:
     return task
 
 
-def task_argument(task: TaskConfig) -> str:
-    """The name of a task on the command line: its city file if it was registered from one, else its short name."""
-    for file in map(Path, plugin_names()):
-        if task.terrain is not None and file.suffix == ".toml" and file.stem == task.id:
-            return str(file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file)
-    return task.short_name
-
-
 def register_reward_profile(profile: RewardProfile) -> RewardProfile:
     """Register a reward profile under its id, and return it.
 

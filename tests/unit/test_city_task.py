@@ -13,7 +13,7 @@ from drone_env.city.city_file import City, city_task, task_of, write_city
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
+from drone_env.envs.registry import PLUGINS, load_plugins, register_city
 from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
 from drone_env.flights.store import Store
 from drone_env.llm.config import RunConfig
@@ -97,7 +97,6 @@ def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture
     told = capsys.readouterr()
     assert "the record is of another city 'yard'" in told.err
     assert told.out == ""
-    assert task_argument(TASKS["yard"]) == str(yard)
 
 
 def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
