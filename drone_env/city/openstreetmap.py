@@ -3,13 +3,16 @@
 The first pass over a file stores the coordinates of its nodes, the second reads its ways, so its order does not matter.
 """
 
+import bz2
+import gzip
 import logging
 import os
 import sys
-from collections.abc import Generator, Iterable, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,8 +47,14 @@ MIN_CELL, MAX_CELL = 1.0, 100.0
 FINE = 16
 """Samples along the side of a cell."""
 TABLE = Path(__file__).with_name("layers.toml")
+PACKED: Mapping[bytes, tuple[str, Callable[..., Any]]] = {
+    b"\x1f\x8b\x08": (".gz", gzip.open),
+    b"BZh": (".bz2", bz2.open),
+}
+"""Suffix and opener by the first bytes of a compressed file."""
 ALLOWED = "allowed are XML (.osm, .osm.gz, .osm.bz2) and PBF (.osm.pbf) of OpenStreetMap"
 COMPLETE = "include them: in Overpass by `(...; >;); out;`, in osmium by `extract --strategy smart`"
+HISTORY = "it contains several versions of an object: keep the newest by `osmium time-filter`"
 Place = tuple[float, float]
 """Longitude and latitude in degrees."""
 Line = Sequence[Place | None]
@@ -91,26 +100,33 @@ class Match(NamedTuple):
 
 @dataclass
 class Source:
-    """A file that osmium reads; its suffix names the format."""
+    """An open file."""
 
     osmium: Any
-    path: str
+    file: Any
     bounds: Any
     """Osmium's box around the first bounds of the file."""
 
-    def objects(self, types: Any, *filters: Any) -> Iterable[Any]:
-        """Return the objects of some types that pass some filters of osmium."""
-        processor = self.osmium.FileProcessor(self.path, types)
+    def objects(self, types: Any, *filters: Any) -> Iterator[Any]:
+        """Yield the objects of some types that pass some filters of osmium."""
+        processor = self.osmium.FileProcessor(self.file, types)
         for keep in filters:
             processor.with_filter(keep)
-        return processor
+        for item in processor:
+            if item.deleted:
+                raise InvalidValueError(HISTORY)
+            yield item
 
-    def covered(self) -> BBox:
-        """Return what the file covers: its bounds, else its nodes."""
-        box = self.bounds
-        if not box.valid():
-            return self.extent()
-        return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
+    @cached_property
+    def new_nodes(self) -> Mapping[int, Place]:
+        """Places by negative id, which editors give new nodes, and osmium does not store."""
+        new = (node for node in self.objects(self.osmium.osm.NODE) if node.id < 0)
+        return {node.id: (node.lon, node.lat) for node in new if node.location.valid()}
+
+    def places(self, nodes: Iterable[Any]) -> Line:
+        """Return the places of the nodes of a way."""
+        located = ((node.ref, node.location) for node in nodes)
+        return [(at.lon, at.lat) if at.valid() else self.new_nodes.get(ref) if ref < 0 else None for ref, at in located]
 
     def extent(self) -> BBox:
         """Return west, south, east, north of all nodes in degrees.
@@ -149,15 +165,15 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     if not MIN_CELL <= cell <= MAX_CELL:
         raise InvalidValueError(f"--cell must be {MIN_CELL:g} to {MAX_CELL:g} metres, got {cell:g}")
     with _opened(path) as source:
-        projection = projection_of(bbox or source.covered(), cell, size, middle=bbox is None)
+        projection = projection_of(bbox or _covered(source), cell, size, middle=bbox is None)
         found = Collection(projection)
         _collect(found, source)
         if not found.cut and not any(any(vars(geometry).values()) for geometry in found.layered.values()):
             raise InvalidValueError(f"no layer has anything there; the file covers {_degrees(source.extent())}")
         if found.cut:
-            share = f"{len(found.cut)} of {len(found.names)} ways and areas"
+            share = f"{len(found.cut)} of {len(found.lines)} ways and areas"
             lacking = f"{share} lack nodes ({', '.join([*found.cut][:3])})"
-            if len(found.cut) > MAX_CUT * len(found.names):
+            if len(found.cut) > MAX_CUT * len(found.lines):
                 raise InvalidValueError(f"{lacking}; {COMPLETE}, or select a smaller --bbox")
             log.warning("%s: %s: the city lacks these areas, and these ways have gaps", path, lacking)
     grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
@@ -205,17 +221,40 @@ def _opened(path: Path) -> Generator[Source, None, None]:
         import osmium.io
         import osmium.osm
     with open_file(path) as opened:
-        size = os.fstat(opened.fileno()).st_size
+        size, magic = os.fstat(opened.fileno()).st_size, opened.read(3)
     if size > MAX_FILE:
         cut = "cut it with `osmium extract --bbox WEST,SOUTH,EAST,NORTH`"
         raise InvalidValueError(f"{path} has {size >> 20} MiB, allowed are {MAX_FILE >> 20}: {cut}")
+    packing, unpack = PACKED.get(magic, ("", open))
     try:
-        bounds = osmium.io.Reader(str(path), osmium.osm.NOTHING).header().box()
-        yield Source(osmium, str(path), bounds)
+        with unpack(path, "rb") as stream:
+            start = stream.read(64)
+            pbf = not packing and b"OSMHeader" in start
+            if not pbf and start.lstrip(b"\xef\xbb\xbf\xff\xfe\0 \r\n\t")[:1] != b"<":
+                raise InvalidValueError(f"neither XML nor PBF; {ALLOWED}")
+            if not pbf and any(b"<remark>" in line for line in stream):
+                raise InvalidValueError("Overpass did not finish: its remark in the file says why")
+        file = osmium.io.File(str(path), "pbf" if pbf else f"xml{packing}")
+        header = osmium.io.Reader(file, osmium.osm.NOTHING).header()
+        if header.has_multiple_object_versions:
+            raise InvalidValueError(HISTORY)
+        yield Source(osmium, file, header.box())
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-    except (RuntimeError, OSError, osmium.InvalidLocationError) as error:
-        raise InvalidValueError(f"{path}: cut short, damaged or of another kind: {error}; {ALLOWED}") from None
+    except (RuntimeError, ValueError, EOFError, OSError, zlib.error, osmium.InvalidLocationError) as error:
+        raise InvalidValueError(f"{path}: cut short or damaged, so save it again: {error}; {ALLOWED}") from None
+
+
+def _covered(source: Source) -> BBox:
+    """Return what a file covers: its bounds, else its nodes."""
+    box = source.bounds
+    if not box.valid():
+        return source.extent()
+    west, south, east, north = box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
+    if not 0 <= east - west <= 180:
+        covers = f"its bounds are {_degrees((west, south, east, north))}, its nodes are in {_degrees(source.extent())}"
+        raise InvalidValueError(f"{covers}: select a part with --bbox WEST SOUTH EAST NORTH")
+    return west, south, east, north
 
 
 def _degrees(box: BBox) -> str:
@@ -228,8 +267,8 @@ class Collection:
     def __init__(self, grid: GridProjection) -> None:
         self.grid = grid
         self.layered = {layer.name: Geometry() for layer in layers()}
-        self.names: set[str] = set()
-        """Type and id of each way and area."""
+        self.lines: dict[str, Sequence[Line]] = {}
+        """Lines of each way and area by its type and id."""
         self.cut: dict[str, None] = {}
         """Those of them without all their nodes."""
 
@@ -249,6 +288,9 @@ class Collection:
             forms: Forms that its geometry allows.
             lines: Its ways.
             lost: Number of its ways that are not in the file.
+
+        Raises:
+            InvalidValueError: if another version of it was added before.
         """
         known = [place for line in lines for place in line if place is not None]
         # Most objects of a large extract end here, so this check comes first.
@@ -256,7 +298,8 @@ class Collection:
             return
         if (match := _match(tags, *forms)) is None:
             return
-        self.names.add(name)
+        if self.lines.setdefault(name, lines) != lines:
+            raise InvalidValueError(HISTORY)
         geometry = self.layered[match.layer.name]
         parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
         area = match.form in ("areas", "points")
@@ -297,8 +340,7 @@ def _collect(found: Collection, source: Source) -> None:
     for way in source.objects(osmium.osm.WAY, store):
         tags = {tag.k: tag.v for tag in way.tags}
         if way.id in members or not keys.isdisjoint(tags):
-            located = (node.location for node in way.nodes)
-            line = [(at.lon, at.lat) if at.valid() else None for at in located]
+            line = source.places(way.nodes)
             if way.id in members:
                 members[way.id] = line
             closed = way.is_closed() or not line
@@ -343,5 +385,6 @@ def _claimed(layer: Layer, found: Geometry, projection: GridProjection) -> npt.N
     if found.coasts:
         claimed |= water_beside(found.coasts, claimed.shape)
     for x, y in found.points:
-        claimed[int(y), int(x)] = True
+        if 0 <= x < projection.columns and 0 <= y < projection.rows:
+            claimed[int(y), int(x)] = True
     return claimed

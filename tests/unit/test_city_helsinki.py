@@ -30,7 +30,7 @@ def test_the_same_extract_gives_the_same_bytes(tmp_path: Path, capfd: pytest.Cap
 
 WRONG: dict[str, tuple[str, bytes | None, str, str]] = {
     "absent": ("town.osm", None, "", "No such file"),
-    "another format": ("town.osm", b"PK\x03\x04", "", "of another kind"),
+    "another format": ("town.osm", b"PK\x03\x04", "", "neither XML nor PBF; allowed are XML"),
     "a far place": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 2 48 2.01 48.005", "no layer has anything there"),
     "too many cells": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 24.93 60.16 24.96 60.18", "--size allows"),
     "a box upside down": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 25 61 26 60", "south < north"),
