@@ -1,4 +1,5 @@
 // The flight of one drone.
+import { who } from "./format.js";
 
 /** Who flew, as links write it: the pilot, or several fields as JSON. @param {Provenance} provenance */
 export function writeProvenance(provenance) {
@@ -7,32 +8,33 @@ export function writeProvenance(provenance) {
   return plain ? pilot : JSON.stringify(provenance, (_, value) => value || undefined);
 }
 
-/** @param {string} text @returns {Provenance} */
+/** The same from a link; null if the link is damaged. @param {string} text @returns {Provenance|null} */
 export function readProvenance(text) {
+  if (!text.startsWith("{")) return { pilot: text };
   try {
-    return text.startsWith("{") ? JSON.parse(text) : { pilot: text };
+    return JSON.parse(text);
   } catch {
-    return { pilot: text };
+    return null;
   }
 }
 
 export class Track {
-  /** @param {Answer<"EpisodeView">} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
-  constructor({ opening, frames }, { name, colour }, live = false) {
+  /** @param {Context} context @param {Answer<"EpisodeView">} flown @param {boolean} live Whether it may continue. */
+  constructor(context, { opening, frames }, live = false) {
     this.opening = opening;
     this.pilot = opening.pilot;
     const { person, values_used, undo_used, parent } = opening;
     /** Who flew, and with what help. @type {Provenance} */
     this.provenance = { pilot: this.pilot, person, values_used, undo_used, parent };
-    /** The same in words. */
-    this.by = opening.by;
+    const { name, colour, automatic } = context.pilot(this.pilot);
+    this.automatic = automatic;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
-    this.colour = colour;
+    this.colour = `--pilot-${colour}`;
     this.frames = [...frames];
     /** Whether it was over when the page met it: a flight from the store or a link. */
     this.brought = !live || this.done;
     /** In flights of this page the visitor is "You". */
-    this.called = (this.brought && person) || name;
+    this.called = this.brought ? (person ?? who(context, this.pilot)) : name;
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
@@ -61,15 +63,14 @@ export class Track {
     return !values_used && !undo_used && !parent;
   }
 
-  /** Whether the visitor turned the values on while flying. */
-  get showsValues() {
-    return this.provenance.values_used;
+  /** Whether a visitor flies it. */
+  get byHand() {
+    return this.live && !this.done && !this.automatic;
   }
 
-  /** Takes over what a message says of its help. */
-  helped({ by, values_used, undo_used }) {
-    this.by = by;
-    Object.assign(this.provenance, { values_used, undo_used });
+  /** Whether values are hidden: a visitor flies without them. */
+  get secret() {
+    return this.byHand && !this.provenance.values_used;
   }
 
   get weighed() {
