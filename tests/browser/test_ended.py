@@ -225,6 +225,7 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
         ("notes.txt", "hello", "must end in .json or .jsonl"),
         ("empty.json", " ", "is empty"),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
+        ("three.jsonl", f"{record.to_json()}\nnull\n", "three.jsonl, line 2 is not a flight."),
         ("forged.json", json.dumps(forged), "forged.json is not a flight file. The record does not fit its flight: "),
         ("old_1.json", '{"task": "hard"}', "old_1.json is not a flight file. task_version: missing; seed: missing"),
     ):

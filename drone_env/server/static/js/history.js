@@ -127,11 +127,14 @@ async function readFlights(file) {
   } catch {
     if (!text.trim()) throw new Error(`${file.name} is empty.`);
     return text.split("\n").flatMap((line, i) => {
+      if (!line.trim()) return [];
       try {
-        return line.trim() ? [JSON.parse(line)] : [];
+        const record = JSON.parse(line);
+        if (["task", "seed", "agent"].every((name) => name in Object(record))) return [record];
       } catch (error) {
         throw new Error(`${file.name}, line ${i + 1} is not JSON: ${error.message}.`);
       }
+      throw new Error(`${file.name}, line ${i + 1} is not a flight.`);
     });
   }
 }

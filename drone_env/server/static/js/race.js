@@ -153,7 +153,7 @@ export class Race extends Emitter {
     };
     if (this.forked) return chosen;
     // A finished flight is not credited to the visitor who opens its link.
-    const by = track && (track.done ? track.provenance : track.unnamed);
+    const by = track && { ...track.provenance, ...(!track.done && { person: null }) };
     return { ...chosen, of: track && (track.steps || !track.plain) ? writeProvenance(by) : null };
   }
 
@@ -222,7 +222,7 @@ export class Race extends Emitter {
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
-      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of: readProvenance(of ?? "") };
+      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of: readProvenance(of) };
     if (ended ?? step) request.step = ended ?? step;
     this.context.live.send({ type: "start", number: ++this.number, ...request });
   }

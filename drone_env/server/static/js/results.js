@@ -140,7 +140,7 @@ function nextTask(families, task) {
 
 /** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Race} race */
 function tryAgain({ stage }, race, acts) {
-  const { annotation, automatic, unnamed, forkedAt } = stage.track;
+  const { annotation, automatic, provenance, forkedAt } = stage.track;
   const step = annotation.rescue_step ?? 0;
   leaveFocus();
   if (automatic || forkedAt !== null) {
@@ -149,7 +149,7 @@ function tryAgain({ stage }, race, acts) {
   } else if (step === 0) acts.reset();
   else {
     // The record notes that moves were taken back.
-    const of = writeProvenance({ ...unnamed, undo_used: true });
+    const of = writeProvenance({ ...provenance, person: null, undo_used: true });
     acts.start({ of, actions: stage.track.lettersTo(step) });
   }
 }

@@ -1,7 +1,7 @@
 // The address is the state of the page: the view, the flight and its moment. Back, Forward and Reload restore it.
 import { Emitter } from "./base.js";
 import { copyText } from "./dom.js";
-import { readProvenance } from "./track.js";
+import { decoded, readProvenance } from "./track.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 
@@ -139,7 +139,7 @@ function read({ search }) {
   const moves = found.actions ?? "";
   const known = unread.length;
   if (/[^UDLRW]/.test(moves) || moves.length < found.fork) unread.push(`actions=${moves}`);
-  if (readProvenance(found.of ?? "") === null) unread.push(`of=${found.of}`);
+  if (found.of === null ? found.fork !== null : readProvenance(found.of) === null) unread.push(`of=${found.of ?? ""}`);
   // Without its step, a fork has no moves: they would be the visitor's own.
   const forkless = unread.length > known || (text("fork") && found.fork === null);
   return {
@@ -155,8 +155,6 @@ function read({ search }) {
 
 /** @param {Partial<Address>} address */
 export const copyLink = (address) => copyText(linkOf(address).href, "Link copied.");
-
-const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
 /** The link to an address. @param {Partial<Address>} address */
 export function linkOf(address) {

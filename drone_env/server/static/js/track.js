@@ -1,22 +1,32 @@
 // The flight of one drone.
 import { who } from "./format.js";
 
-/** Who flew, as links write it: the pilot, or several fields as JSON. @param {Provenance} provenance */
-export function writeProvenance(provenance) {
-  const { pilot, ...more } = provenance;
-  const plain = !Object.values(more).some(Boolean) && !pilot.startsWith("{");
-  return plain ? pilot : JSON.stringify(provenance, (_, value) => value || undefined);
+const WRITTEN = /^([^~]+)(?:~([\p{L}\p{N}_-]{0,20})(?:~(v?u?)(?:~([1-9]\d{0,5})~(.+))?)?)?$/u;
+
+/** Who flew, as links write it: `human~Ada~vu~3~greedy` is Ada with values and undo from step 3 of Greedy. @param {Provenance} provenance */
+export function writeProvenance({ pilot, person, values_used, undo_used, parent }) {
+  const help = (values_used ? "v" : "") + (undo_used ? "u" : "");
+  const before = parent ? [parent.step, writeProvenance(parent)] : [];
+  const parts = [encodeURIComponent(pilot).replaceAll("~", "%7E"), person ?? "", help, ...before];
+  return parts.join("~").replace(/~+$/, "");
 }
 
 /** The same from a link; null if the link is damaged. @param {string} text @returns {Provenance|null} */
 export function readProvenance(text) {
-  if (!text.startsWith("{")) return { pilot: text };
-  try {
-    return JSON.parse(text);
-  } catch {
-    return null;
-  }
+  const [, pilot, person, help = "", step, before] = text.match(WRITTEN) ?? [];
+  const parent = before ? readProvenance(before) : null;
+  if (!pilot || (before && !parent)) return null;
+  return {
+    pilot: decoded(pilot),
+    person: person || null,
+    values_used: help.includes("v"),
+    undo_used: help.includes("u"),
+    parent: parent && { .../** @type {any} */ (parent), step: Number(step) },
+  };
 }
+
+/** A part of an address; a damaged one is kept as it is. @param {string} text */
+export const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
 export class Track {
   /** @param {Context} context @param {Answer<"EpisodeView">} flown @param {boolean} live Whether it may continue. */
@@ -50,11 +60,6 @@ export class Track {
 
   get name() {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
-  }
-
-  /** The provenance without the name that a person chose. @returns {Provenance} */
-  get unnamed() {
-    return { ...this.provenance, person: null };
   }
 
   /** Whether it was flown without values, undo and forks. */
