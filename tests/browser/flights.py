@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from drone_env.files import EVALUATIONS
 from drone_env.flights.provenance import Provenance
@@ -41,11 +40,6 @@ def put_evaluation(data: Path, name: str, agent: str, maps: range, task: str = "
 def get(server: Server, path: str, **query: Any) -> Any:
     """What a server answers to a question."""
     return server.client.get(f"/{path}", params=query).raise_for_status().json()
-
-
-def in_link(**provenance: object) -> str:
-    """Who flew, as links write it if it is more than a pilot."""
-    return quote(json.dumps(provenance, separators=(",", ":")), safe="")
 
 
 def newest(server: Server, seed: int, task: str = "easy") -> dict[str, Any]:

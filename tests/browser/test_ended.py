@@ -9,6 +9,7 @@ from playwright.sync_api import Page, Route, expect
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rules import HIGHEST, LOWEST
+from drone_env.flights.provenance import Parent, Provenance
 from drone_env.flights.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, get, posted
@@ -145,13 +146,14 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
-    flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal")]
+    forked = Provenance(pilot="human", person="Ada", undo_used=True, parent=Parent(pilot="greedy", step=2))
+    flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal", label=forked)]
     view(page, "Fly")
     choice = choices(page).get_by_role("combobox", name="Flight of the file")
     open_file(page, "flights.jsonl", "".join(flight.to_json() + "\n" for flight in flights))
     choices(page)
     expect(choice.locator("option")).to_have_text(
-        ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Optimal"]
+        ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Ada with undo from step 2 of Greedy"]
     )
     for index in (1, 0):
         choice.select_option(index=index)
@@ -225,6 +227,7 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
         ("notes.txt", "hello", "must end in .json or .jsonl"),
         ("empty.json", " ", "is empty"),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
+        ("three.jsonl", f"{record.to_json()}\nnull\n", "three.jsonl, line 2 is not a flight."),
         ("forged.json", json.dumps(forged), "forged.json is not a flight file. The record does not fit its flight: "),
         ("old_1.json", '{"task": "hard"}', "old_1.json is not a flight file. task_version: missing; seed: missing"),
     ):

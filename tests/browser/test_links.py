@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Callable
+from urllib.parse import unquote
 
 from playwright.sync_api import Page, Route, expect
 
 from tests.api.serving import Server
-from tests.browser.flights import fill, flown, frames, in_link, newest
+from tests.browser.flights import fill, flown, frames, newest
 from tests.browser.shown import counter, expect_flying, expect_frame, expect_step
 from tests.browser.stage import (
     along,
@@ -175,8 +176,7 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     expect_step(page, 3, 60, "WAIT")
     expect_flying(page, "You")
     press(page, "Undo")
-    undone = in_link(pilot="human", undo_used=True)
-    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of={undone}&actions=WW")
+    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of=human~~u&actions=WW")
     page.reload()
     expect_step(page, 2, 60, "WAIT")
     # At the end the address leads to the stored flight.
@@ -239,6 +239,11 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     )
     expect_step(page, 0, 160)
     expect(page).to_have_url(re.compile(r"\?task=hard&seed=6&pilots=greedy,human$"))
+    # Nor do those of somebody whom the link does not say, or not whole.
+    for damaged in ("", "human~Ada~x", "human~a%20b", "human~Ada~u~3", "human~~~0~greedy", "~Ada"):
+        show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork=2&of={damaged}&actions=UL")
+        expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: of={unquote(damaged)}.")
+        expect_step(page, 0, 160)
     # Unknown or missing moves are ignored, too.
     for fork, moves in ((2, "UX"), (3, "UL")):
         show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork={fork}&of=greedy&actions={moves}")

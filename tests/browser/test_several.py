@@ -9,7 +9,7 @@ from drone_env.core.episode import Episode
 from drone_env.flights.record import record_of
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
-from tests.browser.flights import fill, flown, frames, get, in_link, posted
+from tests.browser.flights import fill, flown, frames, get, posted
 from tests.browser.shown import expect_step, painted, points
 from tests.browser.stage import ended, fly, keys, over, pilot, press, show, slider, standings, until
 
@@ -166,8 +166,7 @@ def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
     last = len(flown("easy", 64, "random").actions)
     assert last > len(best)
     letters = "".join(action[0] for action in best)
-    ada = in_link(pilot="human", person="Ada")
-    link = f"{server.url}/?task=easy&seed=64&pilots=human,random&of={ada}&actions={letters}&ended={last}"
+    link = f"{server.url}/?task=easy&seed=64&pilots=human,random&of=human~Ada&actions={letters}&ended={last}"
     expect(page).to_have_url(link)
     page.reload()
     expect(page.locator("#results-title")).to_have_text("You: All parcels delivered.")

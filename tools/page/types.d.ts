@@ -24,7 +24,7 @@ declare const SwaggerUIBundle: (options: object) => void;
 
 type Drawing = import("../../drone_env/server/static/js/drawing.js").Drawing;
 type Emitter = import("../../drone_env/server/static/js/base.js").Emitter;
-type Fleet = import("../../drone_env/server/static/js/fleet.js").Fleet;
+type Race = import("../../drone_env/server/static/js/race.js").Race;
 type Stage = import("../../drone_env/server/static/js/stage.js").Stage;
 type Track = import("../../drone_env/server/static/js/track.js").Track;
 /** Who flew a flight, and with what help; missing fields are false or null. */
@@ -44,6 +44,8 @@ interface Context extends Emitter {
   /** The tasks by family. */
   families: Map<string, Answer<"TaskInfo">[]>;
   pilots: Answer<"PilotInfo">[];
+  /** A pilot by its id, or what stands for another agent. */
+  pilot(id: string): Omit<Answer<"PilotInfo">, "colour"> & { colour: string };
   /** The maximum number of pilots of a flight. */
   most: number;
   kinds: Answer<"KindInfo">[];
@@ -51,10 +53,6 @@ interface Context extends Emitter {
   stage: Stage;
   camera: import("../../drone_env/server/static/js/camera.js").Camera;
   view: string;
-  /** Whether a visitor flies it. */
-  byHand(track: Track): boolean;
-  /** Whether values are hidden: a visitor flies without them. */
-  secret(track: Track): boolean;
   /** Whether a layer is shown. */
   shows(id: string): boolean;
   showLayer(id: string, shown: boolean): void;
@@ -92,21 +90,8 @@ interface Address {
   unread: string[];
 }
 
-/** The map. */
-interface World {
-  task: Answer<"TaskInfo">;
-  seed: number;
-  profile: string;
-  width: number;
-  height: number;
-  maxSteps: number;
-  /** Of the battery. */
-  capacity: number;
-  /** Kinds of the cells at the start, [y][x]. */
-  cells: number[][];
-  /** [x, y] of each. */
-  parcels: number[][];
-}
+/** The map: the head of its flights, with its task. */
+type World = Omit<Answer<"FlightHeader">, "task"> & { task: Answer<"TaskInfo"> };
 
 /** The position of the grid in the window, in device pixels. */
 interface Layout {
@@ -148,9 +133,9 @@ interface Lesson {
   goals: { text: string; done(stage: Stage): boolean }[];
 }
 
-/** The states of the live flights, which fleet_states.js explains, and what leads from one to another. */
-type FleetState = "idle" | "playing" | "starting" | "launching" | "interrupted" | "attaching" | "returning";
-type FleetCause = "start" | "launch" | "pause" | "rest" | "attach" | "lost" | "flights" | "refused" | "plays" | "pauses";
+/** The states of the live flights, which race.js explains, and what leads from one to another. */
+type RaceState = "idle" | "playing" | "starting" | "launching" | "interrupted" | "attaching" | "returning";
+type RaceCause = "start" | "launch" | "pause" | "rest" | "attach" | "lost" | "flights" | "refused" | "plays" | "pauses";
 
 interface StartOptions {
   /** Whether to play at once. */

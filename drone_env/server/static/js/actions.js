@@ -3,39 +3,38 @@ import { ask, leaveFocus, toast } from "./dom.js";
 import { variants } from "./format.js";
 import { SPEEDS } from "./stage.js";
 
-/** @param {Context} context @param {Fleet} fleet */
-export function actionsOf(context, fleet) {
+/** @param {Context} context @param {Race} race */
+export function actionsOf(context, race) {
   const { stage } = context;
   const { clock } = stage;
 
   async function givingUp(act, yes = "Give up") {
-    const { begun } = fleet;
+    const { begun } = race;
     const question = yes === "Give up" ? yes : `${yes}, and give up`;
     if (begun && !(await ask(`${question} your flight at step ${begun.steps}?`, yes, "Keep flying"))) return;
     act();
   }
   /** Whether the next step is a new one of the server. */
-  const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();
+  const goesOn = () => race.shown && race.automatic && clock.cursor === clock.newest();
   /** Starts other flights. Missing parts come from the flights that are shown, also from a stored one. */
   function start(change, how, yes) {
     const { track, world } = stage;
-    const pilots = track ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
-    const past = world && !fleet.shown && { task: world.task.short_name, seed: world.seed, profile: world.profile, pilots };
-    return givingUp(() => fleet.start({ ...past, ...change }, how), yes);
+    const pilots = track ? [track.pilot].filter((id) => race.flies(id, world.task)) : [];
+    const past = world && !race.shown && { task: world.task.short_name, seed: world.seed, profile: world.reward_profile, pilots };
+    return givingUp(() => race.start({ ...past, ...change }, how), yes);
   }
   const acts = {
-    givingUp,
     goesOn,
     /** The label of the start button, and whether something plays. @returns {[string, boolean]} */
     word() {
-      if (clock.playing || (fleet.playing && fleet.shown)) return ["Pause", true];
+      if (clock.playing || (race.playing && race.shown)) return ["Pause", true];
       if (!goesOn()) return ["Replay", false];
       return [clock.cursor > 0 ? "Resume" : "Start", false];
     },
     toggle() {
       if (clock.playing) clock.stop();
-      else if (fleet.playing) fleet.pause();
-      else if (goesOn()) fleet.play();
+      else if (race.playing) race.pause();
+      else if (goesOn()) race.play();
       else clock.play();
     },
     first: () => clock.goTo(0),
@@ -43,23 +42,23 @@ export function actionsOf(context, fleet) {
     last: () => clock.goTo(clock.newest()),
     /** Shows the next step; at the newest one, the pilots fly one more. */
     forward() {
-      if (goesOn()) fleet.step();
+      if (goesOn()) race.step();
       else clock.goTo(clock.cursor + 1);
     },
-    undo: () => fleet.undo(),
+    undo: () => race.undo(),
     reset: () => start({}, {}, "Start over"),
     newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
     fork(options) {
       const { track } = stage;
-      if (!track || fleet.atHand || track.frameAt(clock.cursor).done) return;
+      if (!track || race.atHand || track.frameAt(clock.cursor).done) return;
       // The next key is for the drone, not for the pressed button.
       leaveFocus();
-      givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
+      givingUp(() => race.fork(track, Math.min(clock.cursor, track.steps), options));
     },
     faster(by) {
       const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];
-      if (speed) fleet.setSpeed(speed);
+      if (speed) race.setSpeed(speed);
     },
     /** Shows or hides a layer. If the visitor flies, the record notes that values were shown. */
     flick(layer) {
@@ -69,7 +68,7 @@ export function actionsOf(context, fleet) {
       }
       const shown = !context.shows(layer.id);
       context.showLayer(layer.id, shown);
-      if (shown && layer.needsValues) fleet.help();
+      if (shown && layer.needsValues) race.help();
     },
   };
   return acts;

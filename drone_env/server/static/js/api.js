@@ -29,6 +29,7 @@ export async function tried(ask) {
 
 export function createApi() {
   let token = recall(TOKEN, "sessionStorage");
+  let asking = null;
 
   async function call(method, path, body) {
     const sent = token;
@@ -47,7 +48,10 @@ export function createApi() {
     }
     if (response.status === 401) {
       // Several requests may wait for one token.
-      while (token === sent || !SENDABLE.test(token)) token = await askForToken(token !== null);
+      while (token === sent || !SENDABLE.test(token)) {
+        asking ??= askForToken(token !== null).finally(() => (asking = null));
+        token = await asking;
+      }
       remember(TOKEN, token, "sessionStorage");
       return call(method, path, body);
     }
@@ -80,17 +84,8 @@ function base64url(text) {
   return btoa(bytes).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
 }
 
-let asking = null;
-
 /** Asks the visitor for the token. @param {boolean} wrong Whether the server rejected a token. @returns {Promise<string>} */
 function askForToken(wrong) {
-  asking ??= tokenOf(wrong).finally(() => {
-    asking = null;
-  });
-  return asking;
-}
-
-function tokenOf(wrong) {
   const dialog = document.getElementById("token");
   const input = el("input.input", {
     type: "password",
@@ -115,9 +110,7 @@ function tokenOf(wrong) {
   if (!dialog.open) dialog.showModal();
   return new Promise((resolve) => {
     let given = null;
-    form.addEventListener("submit", () => {
-      given = input.value.trim();
-    });
+    form.addEventListener("submit", () => (given = input.value.trim()));
     // The page needs a token, so the dialog opens again after Escape.
     dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
   });

@@ -34,9 +34,7 @@ export function nextFrame(draw) {
 /** Whether fingers are the main way to point. */
 export const TOUCH = matchMedia("(pointer: coarse)").matches;
 
-const still = matchMedia("(prefers-reduced-motion: reduce)");
-
-export const lessMotion = () => still.matches;
+export const lessMotion = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 /** @param {"localStorage"|"sessionStorage"} where @returns {string|null} Null also if storage is blocked, as in a cross-site frame. */
 export function recall(key, where = "localStorage") {

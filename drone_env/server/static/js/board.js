@@ -82,7 +82,6 @@ export class Board {
       clock,
       layout,
       names: this.names,
-      byHand: this.context.byHand?.(track),
       spin: this.spin,
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
     };

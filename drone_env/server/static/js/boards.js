@@ -24,9 +24,7 @@ export function mountBoards(root, context) {
   const follow = tool(
     "Follow the drone",
     "M12 4v3M12 17v3M4 12h3M17 12h3M8 12a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
-    move(() => {
-      camera.following = true;
-    }),
+    move(() => (camera.following = true)),
   );
   const tools = el("div.map-tools", { role: "group", "aria-label": "Map" }, nearer, farther, follow);
   root.append(el("div.boards-field", grid, tools));
@@ -53,8 +51,8 @@ export function mountBoards(root, context) {
 }
 
 /** Zooms in until the cells are large enough for a visitor who flies, while drone and target are in view. */
-function lookAtTarget({ stage, byHand, camera }, { size, track, layout }) {
-  if (!stage.tracks.some(byHand)) return;
+function lookAtTarget({ stage, camera }, { size, track, layout }) {
+  if (!stage.tracks.some((one) => one.byHand)) return;
   const { x, y, target } = track.last;
   const [tx, ty] = target ?? [x, y];
   const apart = Math.max(Math.abs(tx - x) / size.width, Math.abs(ty - y) / size.height);

@@ -6,6 +6,9 @@ import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 import { Stage } from "./stage.js";
 
+/** What the page knows of an agent that is none of its pilots. */
+const UNKNOWN = { summary: "", automatic: true, tasks: [], colour: "other" };
+
 /** @returns {Context} */
 export function createContext(parts) {
   const families = new Map();
@@ -16,8 +19,7 @@ export function createContext(parts) {
     stage: new Stage(),
     camera: new Camera(),
     view: "fly",
-    byHand: () => false,
-    secret: () => false,
+    pilot: (id) => parts.pilots.find((pilot) => pilot.id === id) ?? { ...UNKNOWN, id, name: id },
     task: (name) => parts.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name)),
     shows(id) {
       const { name, on, when } = LAYERS.find((layer) => layer.id === id);

@@ -7,8 +7,8 @@ import { mountTimeline } from "./timeline.js";
 const PLAY = ["!M7 4.500v15l13-7.500z"];
 const PAUSE = ["!M7 5h3.500v14H7z", "!M13.500 5H17v14h-3.500z"];
 
-/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-export function mountControls(root, context, fleet, acts) {
+/** @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountControls(root, context, race, acts) {
   const { stage } = context;
   const { clock } = stage;
   const button = (id, label, key, drawing, press) =>
@@ -24,30 +24,30 @@ export function mountControls(root, context, fleet, acts) {
   const fork = named("fork", "Try from here", "Fly on from this step yourself (F)", () => acts.fork());
   const speed = el(
     "select",
-    { id: "speed", "aria-label": "Speed", on: { change: () => fleet.setSpeed(Number(speed.value)) } },
+    { id: "speed", "aria-label": "Speed", on: { change: () => race.setSpeed(Number(speed.value)) } },
     ...SPEEDS.map((steps) => el("option", { value: String(steps), text: `${steps} steps/s` })),
   );
   const where = el("p.where", { id: "step-counter" });
-  const strip = el("div");
+  const timeline = el("div");
   const buttons = el("div.transport", { role: "group", "aria-label": "Playback" }, first, back, forward, last);
-  root.append(strip, el("div.controls", toggle, buttons, speed, undo, fork, reset), where);
-  mountTimeline(strip, context);
+  root.append(timeline, el("div.controls", toggle, buttons, speed, undo, fork, reset), where);
+  mountTimeline(timeline, context);
 
   function update() {
     const { track } = stage;
     const [word, playing] = acts.word();
     // Replacing the children of a pressed button would cancel the click.
     if (toggle.textContent !== word) toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
-    toggle.title = `${word} (${fleet.byHand ? "Enter" : "Space"})`;
-    const away = context.live.state !== "open" && fleet.shown && !stage.over;
+    toggle.title = `${word} (${race.byHand ? "Enter" : "Space"})`;
+    const away = context.live.state !== "open" && race.shown && !stage.over;
     toggle.disabled = !track || (away && !clock.playing);
-    toggle.hidden = fleet.byHand && !fleet.automatic;
+    toggle.hidden = race.byHand && !race.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.following;
     forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
-    undo.hidden = fleet.human < 0 || !fleet.shown;
-    undo.disabled = fleet.begun === null;
-    fork.hidden = !track || fleet.atHand;
+    undo.hidden = race.human < 0 || !race.shown;
+    undo.disabled = race.begun === null;
+    fork.hidden = !track || race.atHand;
     fork.disabled = !track || track.frameAt(clock.cursor).done;
     reset.disabled = !track;
     speed.value = String(clock.speed);
@@ -56,7 +56,7 @@ export function mountControls(root, context, fleet, acts) {
   }
 
   stage.on("change", update);
-  for (const event of ["playing", "setup", "begun"]) fleet.on(event, update);
+  for (const event of ["playing", "setup", "begun"]) race.on(event, update);
   context.live.on("state", update);
 }
 
@@ -64,5 +64,5 @@ export function mountControls(root, context, fleet, acts) {
 function sentence(track, step, { world }) {
   const { step: at, action, event } = track.frameAt(step);
   const happened = action && !["step", "wait"].includes(event) ? title(event) : null;
-  return [`Step ${at} of ${track.done ? track.steps : world.maxSteps}`, action, happened].filter(Boolean).join(" · ");
+  return [`Step ${at} of ${track.done ? track.steps : world.max_steps}`, action, happened].filter(Boolean).join(" · ");
 }

@@ -129,9 +129,8 @@ export function mount(root, context) {
 
   function show() {
     turns();
-    draw();
-    stage.show(stage.world, stage.tracks);
     changed();
+    stage.show(stage.world, stage.tracks);
     point();
   }
 
@@ -141,8 +140,8 @@ export function mount(root, context) {
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
     /** Only what the board reads. @type {any} */
-    const start = { opening: { pilot: "", by: "", forked_at: null }, frames };
-    const track = new Track(start, { name: "", colour: "--accent" });
+    const start = { opening: { pilot: "", forked_at: null }, frames };
+    const track = Object.assign(new Track(context, start), { colour: "--accent" });
     /** @type {any} */
     const world = { task: { short_name: "drawing", attribution: map.attribution }, seed: 0, width, height };
     stage.world = { ...world, cells: map.cells, parcels: map.parcels };

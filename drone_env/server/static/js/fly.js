@@ -4,7 +4,7 @@ import { mountBoards } from "./boards.js";
 import { mountCalls } from "./calls.js";
 import { mountControls } from "./controls.js";
 import { el } from "./dom.js";
-import { Fleet } from "./fleet.js";
+import { Race } from "./race.js";
 import { help } from "./help.js";
 import { mountHint } from "./hint.js";
 import { mountGauges, mountInstruments } from "./instruments.js";
@@ -13,22 +13,20 @@ import { mountCellNote } from "./layer_costs.js";
 import { mountCredit } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
 import { mountMoves } from "./moves.js";
-import { explain, mountFiles, mountRecord, Past } from "./past.js";
+import { explain, mountFiles, mountRecord, FlightHistory } from "./history.js";
 import { mountPlan } from "./plan.js";
 import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
-import { mountStrip } from "./strip.js";
+import { mountResults } from "./results.js";
 import { mountThinking } from "./thinking.js";
 import { mountByHand } from "./today.js";
 
 /** Fills an empty element, as every `mountX(root, context, ...)` does. @param {HTMLElement} root @param {Context} context */
 export function mountFly(root, context) {
   const { router, stage } = context;
-  const fleet = new Fleet(context);
-  const past = new Past(context, fleet);
-  const acts = actionsOf(context, fleet);
-  context.secret = (track) => context.byHand(track) && !track.showsValues;
-  context.byHand = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic;
+  const race = new Race(context);
+  const past = new FlightHistory(context);
+  const acts = actionsOf(context, race);
 
   const plan = el("section.plan", { "aria-label": "Flight plan" });
   const bar = el("div.plan-bar", plan);
@@ -43,37 +41,37 @@ export function mountFly(root, context) {
   }
   root.append(middle, side);
 
-  const choices = mountPlan(plan, context, fleet, acts);
+  const choices = mountPlan(plan, context, race, acts);
   mountFiles(choices, past, open);
   mounted(bar, "div.gauges", mountGauges);
   const lesson = el("div.lesson-bar", { hidden: true });
   let lessons = null;
   side.append(lesson);
-  const problem = below("problems", mountProblem, fleet);
+  const problem = below("problems", mountProblem, race);
   const board = below("boards-panel", mountBoards);
   mountCellNote(middle.querySelector(".map"), context, board.names);
   mountCredit(context);
-  below("hint", mountHint, fleet);
-  panel("strip", mountStrip, fleet, acts);
-  panel("human", mountHuman, fleet);
-  panel("controls-panel", mountControls, fleet, acts);
-  panel("by-hand-panel", mountByHand, fleet, acts);
+  below("hint", mountHint, race);
+  panel("strip", mountResults, race, acts);
+  panel("human", mountHuman, race);
+  panel("controls-panel", mountControls, race, acts);
+  panel("by-hand-panel", mountByHand, race, acts);
   panel("standings-panel", mountStandings);
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);
-  panel("thinking", mountThinking, fleet, acts);
+  panel("thinking", mountThinking, race, acts);
   panel("calls", mountCalls);
   panel("moves-panel", mountMoves);
   panel("record-panel", mountRecord);
   const show = () => help(context);
-  mountKeys(context, fleet, acts, show);
+  mountKeys(context, race, acts, show);
   document.getElementById("help-button").addEventListener("click", show);
   mountMapValues(context);
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
-    fleet.pause();
-    fleet.turn("rest");
+    race.pause();
+    race.turn("rest");
     try {
       await load();
       lookUp();
@@ -90,13 +88,13 @@ export function mountFly(root, context) {
     side.scrollTop = 0;
     if (bar.getBoundingClientRect().top < 0) bar.scrollIntoView();
   }
-  fleet.on("setup", () => fleet.starting && lookUp());
+  race.on("setup", () => race.starting && lookUp());
 
   /** What is shown, as the address contains it: a stored flight and one with moves are shown at their newest step by default. */
   function present() {
     const { cursor, following } = stage.clock;
-    const flights = fleet.shown ? { ...fleet.setup, ...fleet.linkParts } : {};
-    const atEnd = flights.actions || !fleet.shown || (flights.episode && !fleet.forked);
+    const flights = race.shown ? { ...race.setup, ...race.linkParts } : {};
+    const atEnd = flights.actions || !race.shown || (flights.episode && !race.forked);
     return { ...flights, step: (atEnd ? following : cursor === 0 && !flights.ended) ? null : cursor };
   }
 
@@ -105,29 +103,29 @@ export function mountFly(root, context) {
   const greets = () => router.bare;
   function greeted() {
     const { task, seed } = greeting.dataset;
-    return fleet.complete({ task, seed: Number(seed), pilots: fleet.able(fleet.task(task)).slice(0, 1) });
+    return race.complete({ task, seed: Number(seed), pilots: race.able(context.task(task)).slice(0, 1) });
   }
   /** Whether the map below the greeting is untouched. */
-  const waits = () => says(greeted(), fleet.setup) && stage.clock.end() === 0;
+  const waits = () => says(greeted(), race.setup) && stage.clock.end() === 0;
 
   function writeAddress() {
     // Values of the flights that a start replaces may still arrive.
-    if (!fleet.shown || fleet.starting || context.view !== "fly" || (greets() && waits())) return;
+    if (!race.shown || race.starting || context.view !== "fly" || (greets() && waits())) return;
     router.flies(present(), greets());
     greeting.hidden = true;
   }
-  fleet.on("begun", writeAddress);
+  race.on("begun", writeAddress);
   stage.on("frames", () => greets() && writeAddress());
   stage.on("load", () => {
     root.classList.remove("empty");
     problem(null);
   });
   root.classList.add("empty");
-  fleet.on("ended", (track) => {
+  race.on("ended", (track) => {
     explain(context, track);
     // From now on the address names the stored flight of the visitor.
-    const alone = fleet.tracks.length === 1 && fleet.human === 0 && !fleet.forked;
-    if (alone && isShown()) router.moment({ episode: (fleet.setup.episode = track.episode.id) });
+    const alone = race.tracks.length === 1 && race.human === 0 && !race.forked;
+    if (alone && isShown()) router.moment({ episode: (race.setup.episode = track.episode.id) });
   });
   context.on("view", follow);
 
@@ -146,7 +144,7 @@ export function mountFly(root, context) {
       );
     greeting.hidden = !greets();
     if (view !== "fly") {
-      fleet.pause();
+      race.pause();
       stage.clock.stop();
     } else if (address.episode && address.fork === null) {
       if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
@@ -155,19 +153,19 @@ export function mountFly(root, context) {
   }
 
   async function fly(address) {
-    const unknown = address.task && !fleet.task(address.task);
+    const unknown = address.task && !context.task(address.task);
     if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
-    const wanted = greets() ? greeted() : fleet.complete(address);
-    const { actions } = fleet.linkParts;
-    const goesOn = () => says(wanted, fleet.setup) && (address.actions ?? "") === (actions ?? "");
-    const flown = fleet.tracks.length > 0 && (greets() ? waits() : goesOn());
-    if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
-    else if (flown) fleet.show(address.step, address.selected - 1);
-    else if (!address.episode) fleet.start(wanted);
+    const wanted = greets() ? greeted() : race.complete(address);
+    const { actions } = race.linkParts;
+    const goesOn = () => says(wanted, race.setup) && (address.actions ?? "") === (actions ?? "");
+    const flown = race.tracks.length > 0 && (greets() ? waits() : goesOn());
+    if (flown && race.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
+    else if (flown) race.show(address.step, address.selected - 1);
+    else if (!address.episode) race.start(wanted);
     else {
       await open(async () => {
         const base = await past.stored(address.episode);
-        fleet.start(wanted, { beside: [base], flown: wanted.pilots.slice(-1) });
+        race.start(wanted, { beside: [base], flown: wanted.pilots.slice(-1) });
         explain(context, base);
       });
     }
@@ -177,17 +175,17 @@ export function mountFly(root, context) {
   function isShown() {
     const { address } = router;
     if (context.view !== "fly" || greets()) return false;
-    if (fleet.shown) return !fleet.starting && says(fleet.complete(address), fleet.setup);
+    if (race.shown) return !race.starting && says(race.complete(address), race.setup);
     return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
   stage.on("change", () => isShown() && router.moment(present()));
 }
 
-/** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-function mountProblem(root, { stage }, fleet) {
+/** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Race} race */
+function mountProblem(root, { stage }, race) {
   const text = el("p.problem", { role: "alert", hidden: true });
-  const another = el("button.button.small", { text: "Fly another map", press: () => fleet.start({ seed: null }) });
+  const another = el("button.button.small", { text: "Fly another map", press: () => race.start({ seed: null }) });
   root.append(text);
   /** @param {string|null} message */
   function show(message) {
@@ -197,6 +195,6 @@ function mountProblem(root, { stage }, fleet) {
     root.parentElement.querySelector("details").open = false;
     text.replaceChildren(message, " ", ...(stage.tracks.length ? [] : [another]));
   }
-  fleet.on("refused", show);
+  race.on("refused", show);
   return show;
 }

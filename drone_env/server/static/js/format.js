@@ -52,11 +52,17 @@ export function moment(iso) {
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };
 
-/** The name of a pilot; of an unknown one, its id. */
-export function who({ pilots }, id) {
-  const pilot = pilots.find((one) => one.id === id);
-  if (!pilot) return String(id);
-  return pilot.automatic ? pilot.name : "A person";
+/** The name of a pilot; of an unknown one, its id. @param {Context} context */
+export function who(context, id) {
+  const { automatic, name } = context.pilot(id);
+  return automatic ? name : "A person";
+}
+
+/** Who flew, and with what help: `Ada with undo from step 3 of Greedy`. @param {Context} context @param {Provenance} provenance */
+function inWords(context, { pilot, person, values_used, undo_used, parent }) {
+  const help = [values_used && "values", undo_used && "undo"].filter(Boolean).join(" and ");
+  const flown = (person ?? who(context, pilot)) + (help && ` with ${help}`);
+  return parent ? `${flown} from step ${parent.step} of ${inWords(context, parent)}` : flown;
 }
 
 /** Capitalises a message of the server, unless it begins with the name of a file or a field. */
@@ -67,10 +73,10 @@ const LONGEST = 40;
 /** A name in a place that cannot grow. */
 export const shortened = (name) => (name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name);
 
-/** A flight in words: `Hard, map 7, Greedy`. @param {Context} context */
-export function flightName(context, { task, seed, agent, name = who(context, agent) }) {
-  const known = context.tasks.find(({ id }) => id === task);
-  return `${title(known?.short_name ?? String(task))}, map ${seed}, ${name}`;
+/** A flight of the store or of a file in words: `Hard, map 7, Greedy`. @param {Context} context */
+export function flightName(context, { task, seed, agent, name = null, ...flown }) {
+  const { short_name } = context.task(task) ?? { short_name: String(task) };
+  return `${title(short_name)}, map ${seed}, ${name ?? inWords(context, { ...flown, pilot: flown.pilot ?? agent })}`;
 }
 
 /** What the score of a task counts. @param {Answer<"TaskInfo">} task */

@@ -7,18 +7,18 @@ const FLY = TOUCH ? " Swipe on the map to fly." : " Fly with the arrow keys.";
 const RACE = "Press Start (Enter) to start the race. Or just fly: then the others move when you move.";
 const FINGERS = " Two fingers move and zoom the map.";
 
-/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-export function mountHint(root, context, fleet) {
+/** @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountHint(root, context, race) {
   const { stage, camera } = context;
   const what = root.appendChild(el("span"));
   const how = root.appendChild(el("strong"));
   function draw() {
-    const race = fleet.mine?.steps === 0 && fleet.automatic && !fleet.playing;
-    const fingers = TOUCH && camera.zoom > 1 && fleet.mine ? FINGERS : "";
-    setText(what, (race ? RACE : stage.world ? rule(stage.world) : "") + fingers);
-    setText(how, fleet.shown && fleet.human >= 0 ? FLY : "");
+    const waiting = race.mine?.steps === 0 && race.automatic && !race.playing;
+    const fingers = TOUCH && camera.zoom > 1 && race.mine ? FINGERS : "";
+    setText(what, (waiting ? RACE : stage.world ? rule(stage.world) : "") + fingers);
+    setText(how, race.shown && race.human >= 0 ? FLY : "");
     // It keeps its place: the map does not move at the first step.
-    how.classList.toggle("gone", fleet.mine?.steps !== 0);
+    how.classList.toggle("gone", race.mine?.steps !== 0);
   }
   stage.on("change", draw);
   context.on("camera", draw);

@@ -4,22 +4,16 @@ import { cellName, fixed, isLost, percent, points, signed } from "./format.js";
 
 /** What counts in flight, beside the choices above the map: battery, parcels and steps. @param {HTMLElement} root @param {Context} context */
 export function mountGauges(root, { stage }) {
-  const battery = gauge("Battery", "battery");
-  const steps = gauge("Steps", "steps");
-  const parcels = el(
-    "div.gauge",
-    { id: "parcels" },
-    el("span.gauge-name", { text: "Parcels" }),
-    el("div.pips"),
-    el("span.gauge-text"),
-  );
+  const battery = meter("Battery", "battery");
+  const steps = meter("Steps", "steps");
+  const parcels = gauge("Parcels", { id: "parcels" }, el("div.pips"));
   root.append(battery, parcels, steps);
   stage.on("change", () => {
     const { frame, world } = stage;
     if (!frame) return;
-    fill(battery, frame.battery, `${frame.battery_units} of ${world.capacity}`, percent(frame.battery));
+    fill(battery, frame.battery, `${frame.battery_units} of ${world.battery_capacity}`, percent(frame.battery));
     battery.dataset.low = String(frame.battery < 0.2);
-    fill(steps, frame.step / world.maxSteps, `${frame.step} of ${world.maxSteps}`, `step ${frame.step}`);
+    fill(steps, frame.step / world.max_steps, `${frame.step} of ${world.max_steps}`, `step ${frame.step}`);
     drawPips(parcels, frame.deliveries_done, world.parcels.length);
   });
 }
@@ -49,7 +43,7 @@ export function mountInstruments(root, context) {
     root.hidden = !frame;
     if (!frame) return;
     // Without values, the score of a flight that goes on would mislead.
-    head.hidden = context.secret(track);
+    head.hidden = track.secret;
     setText(name, frame.done ? "Score" : "Still possible");
     setText(score, points(frame.done ? frame.score : frame.value));
     const best = track.annotation?.optimal_score ?? track.frames[0].value;
@@ -72,14 +66,12 @@ function row(name, id, hint = null) {
   return { value, nodes: [el("dt", { text: name, title: hint }), value] };
 }
 
-function gauge(name, id) {
-  return el(
-    "div.gauge",
-    { id, role: "meter", "aria-label": name, "aria-valuemin": "0", "aria-valuemax": "1", "aria-valuenow": "0" },
-    el("span.gauge-name", { text: name }),
-    el("div.gauge-bar", el("i")),
-    el("span.gauge-text"),
-  );
+const gauge = (name, props, figure) =>
+  el("div.gauge", props, el("span.gauge-name", { text: name }), figure, el("span.gauge-text"));
+
+function meter(name, id) {
+  const props = { id, role: "meter", "aria-label": name, "aria-valuemin": "0", "aria-valuemax": "1", "aria-valuenow": "0" };
+  return gauge(name, props, el("div.gauge-bar", el("i")));
 }
 
 function fill(node, share, text, spoken) {

@@ -16,8 +16,8 @@ const FLY = {
   " ": "WAIT",
 };
 
-/** @param {Context} context @param {Fleet} fleet */
-export function mountKeys(context, fleet, acts, help) {
+/** @param {Context} context @param {Race} race */
+export function mountKeys(context, race, acts, help) {
   const { camera, stage } = context;
   const see = (by) => camera.nearer(by) && context.emit("camera");
   const pan = (x, y) => {
@@ -63,7 +63,7 @@ export function mountKeys(context, fleet, acts, help) {
   document.addEventListener("keydown", (event) => {
     pointed = false;
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-    const waits = event.key === " " && clicked && fleet.byHand && context.view === "fly";
+    const waits = event.key === " " && clicked && race.byHand && context.view === "fly";
     if (waits && isPressed(event)) leaveFocus();
     else if (taken(event)) return;
     if (event.key === "?") {
@@ -73,12 +73,12 @@ export function mountKeys(context, fleet, acts, help) {
     if (context.view !== "fly") return;
     const moves = event.shiftKey && camera.zoom > 1 && event.key.startsWith("Arrow") ? "Shift" : "";
     const key = event.key.length === 1 ? event.key.toLowerCase() : moves + event.key;
-    const direction = fleet.byHand ? FLY[key] : undefined;
+    const direction = race.byHand ? FLY[key] : undefined;
     // At the end of the visitor's flight, a key that is still held does not look back, and one more Space does not
     // replay. A held Space does not toggle.
     const beyond = !direction && (key === " " ? flown || event.repeat : event.repeat && key === flown);
     flown = direction || beyond ? key : "";
-    if (direction) fleet.fly(direction);
+    if (direction) race.fly(direction);
     else if (KEYS[key]) beyond || KEYS[key]();
     else return;
     event.preventDefault();
@@ -106,12 +106,12 @@ const ARROW = {
 };
 const SWIPE = 24;
 
-/** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-export function mountHuman(root, context, fleet) {
+/** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountHuman(root, context, race) {
   const buttons = [...Object.keys(ARROW), "WAIT"].map((direction) => {
     const drawing = ARROW[direction];
     const word = title(direction.toLowerCase());
-    const press = () => fleet.fly(direction);
+    const press = () => race.fly(direction);
     const face = drawing ? icon(drawing) : word;
     return el("button.pad-button", { data: { direction }, "aria-label": word, press }, face);
   });
@@ -119,27 +119,27 @@ export function mountHuman(root, context, fleet) {
   root.append(pad);
 
   function update() {
-    root.hidden = !fleet.mine;
+    root.hidden = !race.mine;
     document.body.classList.toggle("human-flies", !root.hidden);
   }
 
-  fleet.on("setup", update);
+  race.on("setup", update);
   context.stage.on("change", update);
-  listenToSwipes(document.getElementById("boards"), fleet);
+  listenToSwipes(document.getElementById("boards"), race);
 }
 
-function listenToSwipes(boards, fleet) {
+function listenToSwipes(boards, race) {
   let from = null;
   boards.addEventListener("pointerdown", (event) => {
     from = event.isPrimary && event.pointerType !== "mouse" ? [event.clientX, event.clientY] : null;
   });
   boards.addEventListener("pointerup", (event) => {
-    if (!from || fleet.human < 0) return;
+    if (!from || race.human < 0) return;
     const dx = event.clientX - from[0];
     const dy = event.clientY - from[1];
     from = null;
     if (Math.max(Math.abs(dx), Math.abs(dy)) < SWIPE) return;
-    if (Math.abs(dx) > Math.abs(dy)) fleet.fly(dx > 0 ? "RIGHT" : "LEFT");
-    else fleet.fly(dy > 0 ? "DOWN" : "UP");
+    if (Math.abs(dx) > Math.abs(dy)) race.fly(dx > 0 ? "RIGHT" : "LEFT");
+    else race.fly(dy > 0 ? "DOWN" : "UP");
   });
 }

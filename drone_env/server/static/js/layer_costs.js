@@ -14,11 +14,11 @@ function cellAt({ task, cells }, names, frame, [x, y]) {
 }
 
 /** The cost of each neighbouring cell while the visitor flies: its units, or a cross; on a pad, the charge of a wait. */
-export function drawCosts(ctx, { world, track, layout, clock, names, byHand }) {
+export function drawCosts(ctx, { world, track, layout, clock, names }) {
   const { cell, left, top, scale } = layout;
   const { task } = world;
   const equal = !task.pads && !task.impassable.length && Object.values(task.drain).every((units) => units === 1);
-  if (!byHand || equal || clock.cursor < track.steps || cell < LEAST_CELL * scale) return;
+  if (!track.byHand || equal || clock.cursor < track.steps || cell < LEAST_CELL * scale) return;
   const frame = track.last;
   const high = Math.max(Math.min(15 * scale, cell * 0.65), cell * 0.24);
   ctx.font = font(Math.round(high * 0.78), 500);

@@ -39,19 +39,17 @@ export function drawTrails(ctx, view) {
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     if (one !== track) return;
     ctx.beginPath();
-    ctx.moveTo(...middle(layout, position(one, end)));
+    ctx.moveTo(...middle(layout, one.at(end)));
     ctx.lineTo(...here);
     ctx.stroke();
     ctx.lineWidth = Math.max(2, cell * 0.13);
     ctx.beginPath();
-    for (let k = Math.max(0, end - RECENT); k <= end; k++) ctx.lineTo(...middle(layout, position(one, k)));
+    for (let k = Math.max(0, end - RECENT); k <= end; k++) ctx.lineTo(...middle(layout, one.at(k)));
     ctx.lineTo(...here);
     ctx.stroke();
   });
   ctx.globalAlpha = 1;
 }
-
-const position = (track, k) => [track.frames[k].x, track.frames[k].y];
 
 export function drawBest(ctx, { track, layout, clock }) {
   const path = track.annotation?.optimal_path;
@@ -90,7 +88,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
     if (!size) continue;
     ctx.fillStyle = labelColour(move.label);
     ctx.beginPath();
-    ctx.arc(...middle(layout, position(track, move.step - 1)), Math.max(2 * scale, cell * size), 0, 2 * Math.PI);
+    ctx.arc(...middle(layout, track.at(move.step - 1)), Math.max(2 * scale, cell * size), 0, 2 * Math.PI);
     ctx.fill();
   }
 }

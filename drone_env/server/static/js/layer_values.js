@@ -58,20 +58,20 @@ function drawMove(ctx, layout, action, x, y) {
 }
 
 /** The cells in reach, with the battery units left there; only a faint shade while a visitor flies. */
-export function drawRange(ctx, { stage, world, layout, byHand }) {
+export function drawRange(ctx, { stage, world, track, layout }) {
   const range = stage.values?.answer?.range;
   if (!range) return;
   const { cell, left, top, scale } = layout;
   range.forEach((row, y) =>
     row.forEach((units, x) => {
       ctx.fillStyle = colourOf(units === null ? "--ground" : "--good");
-      const strength = units === null ? 0.55 : 0.06 + (0.34 * units) / world.capacity;
-      ctx.globalAlpha = byHand ? strength * 0.6 : strength;
+      const strength = units === null ? 0.55 : 0.06 + (0.34 * units) / world.battery_capacity;
+      ctx.globalAlpha = track.byHand ? strength * 0.6 : strength;
       ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
     }),
   );
   ctx.globalAlpha = 1;
-  if (byHand || cell < SMALL * 1.8 * scale) return;
+  if (track.byHand || cell < SMALL * 1.8 * scale) return;
   ctx.fillStyle = colourOf("--ink");
   ctx.font = font(Math.round(cell * 0.26));
   ctx.textAlign = "right";

@@ -32,7 +32,7 @@ export const LAYERS = [
     name: "Battery range",
     hint: "The cells in reach of the battery, with the units left there",
     key: "b",
-    on: ({ stage, byHand }) => stage.track !== null && byHand(stage.track),
+    on: ({ stage }) => stage.track?.byHand ?? false,
     when: ({ world }) => Boolean(world?.task.pads),
     draw: drawRange,
   },

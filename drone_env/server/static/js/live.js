@@ -32,7 +32,11 @@ export class Live extends Emitter {
     // A full server accepts the connection and then closes it: only an answer proves that there is room.
     socket.onopen = () => this.send({ type: "pause" });
     socket.onmessage = (event) => {
-      if (this.state !== "open") this.opened();
+      if (this.state !== "open") {
+        this.failures = 0;
+        this.change("open", 0, "");
+        if (this.topics.length) this.subscribe(this.topics);
+      }
       const message = JSON.parse(event.data);
       this.emit(message.type, message);
     };
@@ -47,12 +51,6 @@ export class Live extends Emitter {
   subscribe(topics) {
     this.topics = topics;
     this.send({ type: "subscribe", topics });
-  }
-
-  opened() {
-    this.failures = 0;
-    this.change("open", 0, "");
-    if (this.topics.length) this.subscribe(this.topics);
   }
 
   closed(event) {

@@ -21,9 +21,9 @@ export function mountMapValues(context) {
     const { track, frame, clock } = stage;
     if (!track) return null;
     const range = context.shows("range");
-    if (context.secret(track)) return range ? "range" : null;
+    if (track.secret) return range ? "range" : null;
     const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
-    if (track.showsValues || track.forkedAt !== null || range || values) return "values";
+    if (track.provenance.values_used || track.forkedAt !== null || range || values) return "values";
     return frame.done || frame.value === null || stage.flying || clock.playing ? null : "moves";
   }
 

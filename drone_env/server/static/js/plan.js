@@ -4,12 +4,12 @@ import { counted, title, variants } from "./format.js";
 import { copyLink } from "./router.js";
 
 /** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
-export function mountPlan(root, context, fleet, acts) {
+export function mountPlan(root, context, race, acts) {
   const { stage } = context;
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, label, seed, fresh, edit, copy, typing } = mapForm(context, fleet, acts, () => update());
+  const { form, label, seed, fresh, edit, copy, typing } = mapForm(context, race, acts, () => update());
   const choices = el("div.plan-choices", tasks, pilots, form);
   const details = el("details.plan-details", heading, choices);
   root.append(details, el("div.plan-ways", fresh, copy));
@@ -75,8 +75,8 @@ export function mountPlan(root, context, fleet, acts) {
     return { pilot, row, name, box, about };
   }
 
-  const isPast = () => Boolean(stage.world) && !fleet.shown;
-  const chosen = () => (isPast() ? [] : fleet.setup.pilots);
+  const isPast = () => Boolean(stage.world) && !race.shown;
+  const chosen = () => (isPast() ? [] : race.setup.pilots);
 
   const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
@@ -84,10 +84,10 @@ export function mountPlan(root, context, fleet, acts) {
   const chooseTask = (task) => acts.start({ task: task.short_name, seed: null, pilots: [] }).finally(update);
 
   function update() {
-    const { setup } = fleet;
+    const { setup } = race;
     const past = isPast();
-    const task = past ? stage.world.task : fleet.task();
-    const names = fleet.starting ? setup.pilots.map((id) => fleet.pilot(id).name) : stage.tracks.map(({ name }) => name);
+    const task = past ? stage.world.task : race.task;
+    const names = race.starting ? setup.pilots.map((id) => context.pilot(id).name) : stage.tracks.map(({ name }) => name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
     fresh.hidden = label.hidden = seed.hidden = !variants(task);
     const number = !fresh.hidden && map !== "" && `map ${map}`;
@@ -98,7 +98,7 @@ export function mountPlan(root, context, fleet, acts) {
     copy.disabled = !stage.track || (past && !stage.track.episode);
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const { pilot, row, name, box, about } of rows) {
-      const able = fleet.flies(pilot.id, task);
+      const able = race.flies(pilot.id, task);
       box.checked = !past && setup.pilots.includes(pilot.id);
       const last = box.checked && setup.pilots.length === 1;
       name.disabled = !able;
@@ -110,7 +110,7 @@ export function mountPlan(root, context, fleet, acts) {
     if (!typing()) seed.value = map;
   }
 
-  fleet.on("setup", update);
+  race.on("setup", update);
   stage.on("load", update);
   update();
   return choices;
@@ -121,7 +121,7 @@ function taskNote(task) {
   return `Deliver ${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
 
-function mapForm({ router, stage }, fleet, acts, update) {
+function mapForm({ router, stage }, race, acts, update) {
   let typed = false;
   const seed = el("input.input", {
     id: "seed",
@@ -136,7 +136,7 @@ function mapForm({ router, stage }, fleet, acts, update) {
   function open() {
     typed = false;
     if (!seed.validity.badInput && seed.value === "") seed.value = stage.world?.seed ?? "";
-    else if (seed.reportValidity() && Number(seed.value) !== (fleet.shown ? fleet.setup : stage.world)?.seed)
+    else if (seed.reportValidity() && Number(seed.value) !== (race.shown ? race.setup : stage.world)?.seed)
       acts.start({ seed: Number(seed.value) }).finally(update);
   }
   const fresh = el("button.button.small", { id: "new-map", press: acts.newMap, title: "Another map (N)", text: "New map" });

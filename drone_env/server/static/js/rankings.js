@@ -37,8 +37,7 @@ const lost = (row) => {
   return el("span", within(row.regret, row.regret_ci95, points), some);
 };
 
-const colourOf = ({ pilots }, { pilot }) =>
-  `var(--pilot-${pilots.find(({ id }) => id === pilot)?.colour ?? "other"})`;
+const colourOf = (context, { pilot }) => `var(--pilot-${context.pilot(pilot).colour})`;
 
 /** A pilot as in a row: its id and its name. */
 const known = (context, agent) => ({ agent, pilot: agent, name: who(context, agent) });

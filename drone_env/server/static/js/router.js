@@ -1,6 +1,7 @@
 // The address is the state of the page: the view, the flight and its moment. Back, Forward and Reload restore it.
 import { Emitter } from "./base.js";
 import { copyText } from "./dom.js";
+import { decoded, readProvenance } from "./track.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 
@@ -109,6 +110,9 @@ export function says(address, flown) {
   );
 }
 
+/** The parts that are counts, with their least values. */
+const LEAST = { step: 0, fork: 0, lesson: 1, selected: 1, ended: 0 };
+
 /** @returns {Address} */
 function read({ search }) {
   const link = new URLSearchParams(search);
@@ -119,7 +123,7 @@ function read({ search }) {
   };
   const unread = [];
   /** @returns {number|null} */
-  const count = (name, least = 0) => {
+  const count = (name, least) => {
     const value = number(name);
     if (value === null) return null;
     if (typeof value === "number" && value >= least) return value;
@@ -129,36 +133,28 @@ function read({ search }) {
   const named = link.get("view") ?? "fly";
   const view = VIEWS.has(named) ? named : "fly";
   if (view !== named) unread.push(`view=${named}`);
-  const [step, fork, lesson] = [count("step"), count("fork"), count("lesson", 1)];
-  const [selected, ended] = [count("selected", 1), count("ended")];
-  const moves = link.get("actions") ?? "";
-  const unknown = /[^UDLRW]/.test(moves) || moves.length < fork;
-  if (unknown) unread.push(`actions=${moves}`);
+  const counts = Object.entries(LEAST).map(([name, least]) => [name, count(name, least)]);
+  const texts = ["task", "profile", "episode", "actions", "of"].map((name) => [name, text(name)]);
+  const found = { ...NOTHING, ...Object.fromEntries([...counts, ...texts]) };
+  const moves = found.actions ?? "";
+  const known = unread.length;
+  if (/[^UDLRW]/.test(moves) || moves.length < found.fork) unread.push(`actions=${moves}`);
+  if (found.of === null ? found.fork !== null : readProvenance(found.of) === null) unread.push(`of=${found.of ?? ""}`);
   // Without its step, a fork has no moves: they would be the visitor's own.
-  const forkless = unknown || (link.get("fork") && fork === null);
+  const forkless = unread.length > known || (text("fork") && found.fork === null);
   return {
+    ...found,
+    ...(forkless && { fork: null, actions: null, of: null }),
     view,
-    task: text("task"),
     seed: number("seed"),
-    profile: text("profile"),
     // Split before decoding: names may contain commas.
     pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
-    episode: text("episode"),
-    step,
-    fork: forkless ? null : fork,
-    actions: forkless ? null : text("actions"),
-    of: forkless ? null : text("of"),
-    selected,
-    ended,
-    lesson,
     unread,
   };
 }
 
 /** @param {Partial<Address>} address */
 export const copyLink = (address) => copyText(linkOf(address).href, "Link copied.");
-
-const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
 /** The link to an address. @param {Partial<Address>} address */
 export function linkOf(address) {

@@ -2,19 +2,7 @@
 import { Emitter, nextFrame } from "./base.js";
 
 /** @param {Answer<"FlightHeader">} opening @param {Answer<"TaskInfo">[]} tasks @returns {World} */
-export function worldOf(opening, tasks) {
-  return {
-    task: tasks.find((task) => task.id === opening.task),
-    seed: opening.seed,
-    profile: opening.reward_profile,
-    width: opening.width,
-    height: opening.height,
-    maxSteps: opening.max_steps,
-    capacity: opening.battery_capacity,
-    cells: opening.cells,
-    parcels: opening.parcels,
-  };
-}
+export const worldOf = (opening, tasks) => ({ ...opening, task: tasks.find(({ id }) => id === opening.task) });
 
 /** Steps a second that can be chosen. */
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
@@ -37,12 +25,6 @@ export class Clock {
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
-  }
-
-  /** Shows a step at once. */
-  jump(step) {
-    this.goTo(step);
-    this.position = this.cursor;
   }
 
   /** Goes to a step; at the newest one, the clock follows live flights again. */
@@ -158,7 +140,9 @@ export class Stage extends Emitter {
     this.followed = followed;
     this.selected = selected;
     this.values = null;
-    this.clock.jump(step);
+    this.clock.goTo(step);
+    // At once, without gliding there.
+    this.clock.position = this.clock.cursor;
     this.tell("load");
   }
 

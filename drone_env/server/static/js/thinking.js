@@ -4,9 +4,8 @@ import { ARROWS, fixed, isLost, points } from "./format.js";
 
 const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loss", true]];
 
-/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-export function mountThinking(root, context, fleet, acts) {
-  const { stage } = context;
+/** @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountThinking(root, { stage }, race, acts) {
   const rows = Object.keys(ARROWS).map((action) => {
     const cells = COLUMNS.slice(1).map(() => el("td.num"));
     const press = () => play(action);
@@ -19,13 +18,13 @@ export function mountThinking(root, context, fleet, acts) {
     id: "ask-values",
     text: "Show values",
     title: "The record then notes that you flew with values",
-    press: () => fleet.help(),
+    press: () => race.help(),
   });
   root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown);
 
   /** Plays a move: continues the visitor's own flight, or forks another one. */
   function play(action) {
-    if (fleet.atHand) fleet.fly(action);
+    if (race.atHand) race.fly(action);
     else acts.fork({ action });
   }
 
@@ -46,7 +45,7 @@ export function mountThinking(root, context, fleet, acts) {
       node.classList.toggle("best", exact !== null && !isLost(best - exact[action]));
       name.disabled = frame.done;
     }
-    ask.hidden = !context.secret(track);
+    ask.hidden = !track.secret;
   }
 
   stage.on("change", draw);

@@ -47,7 +47,7 @@ export function mountTimeline(root, context) {
   }
 
   /** The width of the graph in steps; a live flight has some free steps on the right. */
-  const wide = () => Math.max(SHORTEST, stage.clock.end(), stage.over ? 0 : Math.min(stage.world.maxSteps, stage.clock.end() + 5));
+  const wide = () => Math.max(SHORTEST, stage.clock.end(), stage.over ? 0 : Math.min(stage.world.max_steps, stage.clock.end() + 5));
 
   function refresh() {
     if (!stage.world) return nextFrame(draw);

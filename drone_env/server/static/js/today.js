@@ -25,7 +25,8 @@ function results() {
   }
 }
 
-export function mountByHand(root, { api, stage }, fleet, acts) {
+export function mountByHand(root, context, race, acts) {
+  const { api, stage } = context;
   let [today, best, drawn] = [null, null, ""];
   const head = el("h2.eyebrow");
   const figures = el("dl.by-hand");
@@ -52,7 +53,7 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
     remember(NAME, field.value);
     // A refused one stays in sight, to be corrected.
     if (fits) field.blur();
-    if (fleet.mine?.steps === 0) acts.reset();
+    if (race.mine?.steps === 0) acts.reset();
     else if (fits) toast("Used from your next flight on.");
     if (!fits) about.scrollIntoView({ block: "nearest" });
   }
@@ -67,17 +68,17 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
   function draw() {
     const { world, track } = stage;
     const day = world && today?.task === world.task.short_name && today.seed === world.seed ? today : null;
-    root.hidden = !day && !best && !fleet.own;
+    root.hidden = !day && !best && !race.own;
     if (root.hidden) return;
-    if (fleet.own) keep(fleet.own);
-    unlisted.hidden = !fleet.own || fleet.own.plain;
+    if (race.own) keep(race.own);
+    unlisted.hidden = !race.own || race.own.plain;
     const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
     const shown = [
-      [fleet.own?.name, fleet.own?.annotation?.score],
+      [race.own?.name, race.own?.annotation?.score],
       ["Your best", best?.[1]],
       ["Possible", optimum ?? best?.[2]],
-      [fleet.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
+      [context.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
       ["Best today", day?.best[0]?.score],
     ];
     const now = JSON.stringify([title, shown, day?.best]);
@@ -93,12 +94,12 @@ export function mountByHand(root, { api, stage }, fleet, acts) {
 
   /** Without an answer, the page shows the list that it has. */
   async function ask() {
-    if (!fleet.own) return;
+    if (!race.own) return;
     today = await api.get("today").catch(() => today);
     draw();
   }
 
   stage.on("load", () => (best = results().find(([one]) => one === map()) ?? null));
   stage.on("change", draw);
-  for (const event of ["begun", "ended"]) fleet.on(event, ask);
+  for (const event of ["begun", "ended"]) race.on(event, ask);
 }

@@ -1,38 +1,50 @@
 // The flight of one drone.
+import { who } from "./format.js";
 
-/** Who flew, as links write it: the pilot, or several fields as JSON. @param {Provenance} provenance */
-export function writeProvenance(provenance) {
-  const { pilot, ...more } = provenance;
-  const plain = !Object.values(more).some(Boolean) && !pilot.startsWith("{");
-  return plain ? pilot : JSON.stringify(provenance, (_, value) => value || undefined);
+const WRITTEN = /^([^~]+)(?:~([\p{L}\p{N}_-]{0,20})(?:~(v?u?)(?:~([1-9]\d{0,5})~(.+))?)?)?$/u;
+
+/** Who flew, as links write it: `human~Ada~vu~3~greedy` is Ada with values and undo from step 3 of Greedy. @param {Provenance} provenance */
+export function writeProvenance({ pilot, person, values_used, undo_used, parent }) {
+  const help = (values_used ? "v" : "") + (undo_used ? "u" : "");
+  const before = parent ? [parent.step, writeProvenance(parent)] : [];
+  const parts = [encodeURIComponent(pilot).replaceAll("~", "%7E"), person ?? "", help, ...before];
+  return parts.join("~").replace(/~+$/, "");
 }
 
-/** @param {string} text @returns {Provenance} */
+/** The same from a link; null if the link is damaged. @param {string} text @returns {Provenance|null} */
 export function readProvenance(text) {
-  try {
-    return text.startsWith("{") ? JSON.parse(text) : { pilot: text };
-  } catch {
-    return { pilot: text };
-  }
+  const [, pilot, person, help = "", step, before] = text.match(WRITTEN) ?? [];
+  const parent = before ? readProvenance(before) : null;
+  if (!pilot || (before && !parent)) return null;
+  return {
+    pilot: decoded(pilot),
+    person: person || null,
+    values_used: help.includes("v"),
+    undo_used: help.includes("u"),
+    parent: parent && { .../** @type {any} */ (parent), step: Number(step) },
+  };
 }
+
+/** A part of an address; a damaged one is kept as it is. @param {string} text */
+export const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
 export class Track {
-  /** @param {Answer<"EpisodeView">} flown @param {{name: string, colour: string}} pilot @param {boolean} live Whether it may continue. */
-  constructor({ opening, frames }, { name, colour }, live = false) {
+  /** @param {Context} context @param {Answer<"EpisodeView">} flown @param {boolean} live Whether it may continue. */
+  constructor(context, { opening, frames }, live = false) {
     this.opening = opening;
     this.pilot = opening.pilot;
     const { person, values_used, undo_used, parent } = opening;
     /** Who flew, and with what help. @type {Provenance} */
     this.provenance = { pilot: this.pilot, person, values_used, undo_used, parent };
-    /** The same in words. */
-    this.by = opening.by;
+    const { name, colour, automatic } = context.pilot(this.pilot);
+    this.automatic = automatic;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
-    this.colour = colour;
+    this.colour = `--pilot-${colour}`;
     this.frames = [...frames];
     /** Whether it was over when the page met it: a flight from the store or a link. */
     this.brought = !live || this.done;
     /** In flights of this page the visitor is "You". */
-    this.called = (this.brought && person) || name;
+    this.called = this.brought ? (person ?? who(context, this.pilot)) : name;
     /** Whether it was not flown by this page. */
     this.past = !live;
     this.live = live;
@@ -50,26 +62,20 @@ export class Track {
     return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
   }
 
-  /** The provenance without the name that a person chose. @returns {Provenance} */
-  get unnamed() {
-    return { ...this.provenance, person: null };
-  }
-
   /** Whether it was flown without values, undo and forks. */
   get plain() {
     const { values_used, undo_used, parent } = this.provenance;
     return !values_used && !undo_used && !parent;
   }
 
-  /** Whether the visitor turned the values on while flying. */
-  get showsValues() {
-    return this.provenance.values_used;
+  /** Whether a visitor flies it. */
+  get byHand() {
+    return this.live && !this.done && !this.automatic;
   }
 
-  /** Takes over what a message says of its help. */
-  helped({ by, values_used, undo_used }) {
-    this.by = by;
-    Object.assign(this.provenance, { values_used, undo_used });
+  /** Whether values are hidden: a visitor flies without them. */
+  get secret() {
+    return this.byHand && !this.provenance.values_used;
   }
 
   get weighed() {

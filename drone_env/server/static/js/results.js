@@ -8,8 +8,8 @@ import { writeProvenance } from "./track.js";
 /** Milliseconds without taps after the end of a flight by hand. */
 const REST = 700;
 
-/** @param {HTMLElement} root @param {Context} context @param {Fleet} fleet */
-export function mountStrip(root, context, fleet, acts) {
+/** @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountResults(root, context, race, acts) {
   const { stage } = context;
   const head = el("h2", { id: "results-title" });
   const why = el("p.note");
@@ -25,14 +25,14 @@ export function mountStrip(root, context, fleet, acts) {
     },
   });
   const worstLine = el("div.strip-worst", see, tryIt);
-  const again = el("button.button.primary", { id: "again", "aria-describedby": "undoes", press: () => tryAgain(context, fleet, acts) });
+  const again = el("button.button.primary", { id: "again", "aria-describedby": "undoes", press: () => tryAgain(context, race, acts) });
   const afresh = el("button.button", { id: "start-over", text: "Start over", press: acts.reset });
   const watch = el("button.button", {
     id: "watch",
     press: () => acts.start({ pilots: [stage.track.annotation.network] }, { play: true }),
   });
   const undoes = el("p.note", { id: "undoes", text: "Trying again counts as Undo: not listed, not kept as your best." });
-  const next = el("button.button.primary", { id: "next", press: () => goOn(context, fleet, acts) });
+  const next = el("button.button.primary", { id: "next", press: () => goOn(context, race, acts) });
   const efficiency = el("p.note.strip-efficiency", { id: "efficiency-parts" });
   const analysis = el("p.note.strip-analysis");
   const reason = el("p.strip-reason");
@@ -41,7 +41,7 @@ export function mountStrip(root, context, fleet, acts) {
   root.append(first, why, counts, worstLine, more);
   const view = document.getElementById("view-fly");
   let announced = null;
-  fleet.on("ended", (track) => track === stage.track && nextFrame(() => bring(first)));
+  race.on("ended", (track) => track === stage.track && nextFrame(() => bring(first)));
 
   function draw() {
     const { track } = stage;
@@ -59,13 +59,13 @@ export function mountStrip(root, context, fleet, acts) {
     again.hidden = !annotation?.why;
     if (!again.hidden) {
       const step = annotation.rescue_step ? `step ${annotation.rescue_step}` : "the start";
-      setText(again, fleet.pilot(track.pilot).automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
+      setText(again, track.automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
     }
-    const own = !fleet.pilot(track.pilot).automatic && track.forkedAt === null;
+    const own = !track.automatic && track.forkedAt === null;
     undoes.hidden = !own || !annotation?.rescue_step;
     afresh.hidden = !own || (!again.hidden && undoes.hidden);
     watch.hidden = !own || !annotation?.network;
-    if (!watch.hidden) setText(watch, `Watch ${fleet.pilot(annotation.network).name}`);
+    if (!watch.hidden) setText(watch, `Watch ${context.pilot(annotation.network).name}`);
     setText(efficiency, efficiencyOf(last));
     worstLine.hidden = !worst || !isLost(worst.regret);
     tryIt.hidden = !again.hidden;
@@ -138,28 +138,28 @@ function nextTask(families, task) {
   return group[(group.indexOf(task) + 1) % group.length];
 }
 
-/** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Fleet} fleet */
-function tryAgain({ stage }, fleet, acts) {
-  const { annotation, unnamed: by, forkedAt, pilot } = stage.track;
+/** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Race} race */
+function tryAgain({ stage }, race, acts) {
+  const { annotation, automatic, provenance, forkedAt } = stage.track;
   const step = annotation.rescue_step ?? 0;
   leaveFocus();
-  if (fleet.pilot(pilot).automatic || forkedAt !== null) {
+  if (automatic || forkedAt !== null) {
     stage.clock.goTo(step);
     acts.fork();
   } else if (step === 0) acts.reset();
   else {
     // The record notes that moves were taken back.
-    const of = writeProvenance({ ...by, undo_used: true });
+    const of = writeProvenance({ ...provenance, person: null, undo_used: true });
     acts.start({ of, actions: stage.track.lettersTo(step) });
   }
 }
 
-function goOn(context, fleet, acts) {
+function goOn(context, race, acts) {
   const next = nextTask(context.families, context.stage.world.task);
-  const flown = fleet.shown ? fleet.setup.pilots : [context.stage.track.pilot];
-  const pilots = [...new Set(flown)].filter((id) => fleet.flies(id, next));
+  const flown = race.shown ? race.setup.pilots : [context.stage.track.pilot];
+  const pilots = [...new Set(flown)].filter((id) => race.flies(id, next));
   acts.start({ task: next.short_name, seed: null, pilots });
   // The focus moves to Start; if the visitor flies, the keys are for the drone.
-  if (fleet.byHand) leaveFocus();
+  if (race.byHand) leaveFocus();
   else document.getElementById("start").focus({ preventScroll: true });
 }

@@ -1,8 +1,7 @@
 // The live flights of this page: requests to the server, and its messages.
 import { Emitter, recall, remember } from "./base.js";
 import { toast } from "./dom.js";
-import { NEXT } from "./fleet_states.js";
-import { sentence, who } from "./format.js";
+import { sentence } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
@@ -15,12 +14,33 @@ const KEPT = 200;
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
 
 /**
+ * The states, and what leads from one to another. idle: nothing is asked of the server. playing: it flies the pilots.
+ * starting: a start waits for its answer, or for the connection. launching: likewise, and then the pilots fly.
+ * interrupted: the connection is lost while they fly. attaching: a new connection asks for the same flights. returning:
+ * likewise, and then the pilots fly on.
+ */
+/** @type {Partial<Record<RaceCause, RaceState>>} */
+const START = { start: "starting", launch: "launching" };
+/** @type {Partial<Record<RaceCause, RaceState>>} */
+const ANSWER = { flights: "idle", refused: "idle" };
+/** The next state after each cause; a cause that is not listed changes nothing. @type {Record<RaceState, Partial<Record<RaceCause, RaceState>>>} */
+const NEXT = {
+  idle: { ...START, attach: "attaching", plays: "playing", lost: "idle" },
+  playing: { ...START, plays: "playing", pauses: "idle", flights: "idle", lost: "interrupted" },
+  starting: { ...START, ...ANSWER, rest: "idle" },
+  launching: { ...START, ...ANSWER, rest: "idle", pause: "starting" },
+  interrupted: { pause: "idle", attach: "returning" },
+  attaching: { ...START, ...ANSWER },
+  returning: { ...START, ...ANSWER, pause: "attaching" },
+};
+
+/**
  * `setup` describes the flights as an `Address` of router.js.
  *
  * Events: "setup" other flights are chosen, "playing" the state or the speed changes, "refused" (text), "begun" the
  * server has opened the flights, "ended" (track) a flight has ended and is stored.
  */
-export class Fleet extends Emitter {
+export class Race extends Emitter {
   /** @param {Context} context */
   constructor(context) {
     super();
@@ -30,7 +50,7 @@ export class Fleet extends Emitter {
     this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
     /** The flights that the server runs for this page. @type {Track[]} */
     this.tracks = [];
-    /** @type {FleetState} */
+    /** @type {RaceState} */
     this.state = "idle";
     this.number = 0;
     /** Finished flights that are shown beside them. @type {Track[]} */
@@ -55,7 +75,7 @@ export class Fleet extends Emitter {
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
   }
 
-  /** Goes to the next state. @param {FleetCause} cause */
+  /** Goes to the next state. @param {RaceCause} cause */
   turn(cause) {
     const next = NEXT[this.state][cause];
     if (!next) return;
@@ -79,7 +99,7 @@ export class Fleet extends Emitter {
   }
 
   get human() {
-    return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
+    return this.tracks.findIndex(({ automatic }) => !automatic);
   }
 
   get forked() {
@@ -133,7 +153,7 @@ export class Fleet extends Emitter {
     };
     if (this.forked) return chosen;
     // A finished flight is not credited to the visitor who opens its link.
-    const by = track && (track.done ? track.provenance : track.unnamed);
+    const by = track && { ...track.provenance, ...(!track.done && { person: null }) };
     return { ...chosen, of: track && (track.steps || !track.plain) ? writeProvenance(by) : null };
   }
 
@@ -142,30 +162,19 @@ export class Fleet extends Emitter {
   }
 
   get automatic() {
-    return this.tracks.some(({ pilot, done }) => !done && this.pilot(pilot).automatic);
+    return this.tracks.some(({ automatic, done }) => automatic && !done);
   }
 
-  /** @returns {Object} A pilot of `GET /pilots`, or a placeholder for an unknown id. */
-  pilot(id) {
-    const unknown = { id, name: id, summary: "", automatic: true, tasks: [], colour: "other" };
-    return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
+  /** The task of the setup. */
+  get task() {
+    return this.context.task(this.setup.task);
   }
 
-  /** The name and the colour of a pilot. In flights of other visitors, a person is not called "You". */
-  look(id, past = false) {
-    const { name, colour } = this.pilot(id);
-    return { name: past ? who(this.context, id) : name, colour: `--pilot-${colour}` };
+  flies(id, task) {
+    return !task || this.context.pilot(id).tasks.includes(task.id);
   }
 
-  task(name = this.setup.task) {
-    return this.context.task(name);
-  }
-
-  flies(id, task = this.task()) {
-    return !task || this.pilot(id).tasks.includes(task.id);
-  }
-
-  able(task = this.task()) {
+  able(task) {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
@@ -173,12 +182,12 @@ export class Fleet extends Emitter {
   complete(address) {
     const { lesson, ...rest } = { ...NOTHING, ...address };
     const { task, pilots } = rest;
-    const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
+    const known = this.context.task(task ?? this.setup.task) ?? this.context.tasks[0];
     const named = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
     return {
       ...rest,
       view: "fly",
-      task: task === null || this.task(task) ? known.short_name : task, // the server rejects an unknown one
+      task: task === null || this.context.task(task) ? known.short_name : task, // the server rejects an unknown one
       pilots: named.length ? named : this.able(known).slice(0, 1),
     };
   }
@@ -213,7 +222,7 @@ export class Fleet extends Emitter {
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork !== null || of !== null)
-      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of: readProvenance(of ?? "") };
+      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of: readProvenance(of) };
     if (ended ?? step) request.step = ended ?? step;
     this.context.live.send({ type: "start", number: ++this.number, ...request });
   }
@@ -225,21 +234,21 @@ export class Fleet extends Emitter {
     const kept = (one) => one !== track && (one.past || one.forkedAt === null);
     const left = track === this.forked ? this.stage.tracks.filter(kept) : [track];
     // Automatic pilots repeat their flights when the link is opened; any other flight must be stored.
-    const again = left.filter((one) => this.pilot(one.pilot).automatic && !one.past && one.forkedAt === null);
+    const again = left.filter((one) => one.automatic && !one.past && one.forkedAt === null);
     const along = again.filter((one) => !one.done);
     const stored = left.find((one) => !again.includes(one));
     const idsOf = (tracks) => [...tracks.map((one) => one.pilot), pilot];
     const change = {
       task: world.task.short_name,
       seed: world.seed,
-      profile: world.profile,
+      profile: world.reward_profile,
       pilots: idsOf([...again.filter((one) => one.done), ...along]),
       episode: stored?.episode?.id ?? null,
       fork: step,
       actions: track.lettersTo(step),
       of: writeProvenance(track.provenance),
     };
-    const play = this.pilot(pilot).automatic;
+    const play = this.context.pilot(pilot).automatic;
     const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
     this.start(change, { play, beside, flown: idsOf(along), moves: action ? [action] : [] });
   }
@@ -282,7 +291,7 @@ export class Fleet extends Emitter {
 
   /** Shows values to a visitor who flies; the record notes it. */
   help() {
-    if (this.mine && !this.mine.showsValues) this.context.live.send({ type: "help", flight: this.human });
+    if (this.mine && !this.mine.provenance.values_used) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {
@@ -299,7 +308,7 @@ export class Fleet extends Emitter {
     if (!flights.length) return;
     const { state, starting } = this;
     const wasShown = this.shown || starting;
-    this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot, flown.frames.at(-1).done), true));
+    this.tracks = flights.map((flown) => new Track(this.context, flown, true));
     const { fork, step, selected: chosen } = this.setup;
     if (fork !== null) this.tracks.at(-1).forkedAt = fork;
     for (const track of this.beside) track.live = false;
@@ -347,20 +356,18 @@ export class Fleet extends Emitter {
     }
   }
 
-  undone(message) {
-    const { flight, step } = message;
+  undone({ flight, step, values_used, undo_used }) {
     const track = this.tracks[flight];
     if (track.plain) toast(UNLISTED);
-    track.helped(message);
+    Object.assign(track.provenance, { values_used, undo_used });
     track.frames.length = step + 1;
     this.stage.changed(track);
     this.stage.clock.seek(this.stage.clock.newest());
   }
 
-  helped(message) {
-    const { flight, frame } = message;
+  helped({ flight, frame, values_used, undo_used }) {
     const track = this.tracks[flight];
-    track.helped(message);
+    Object.assign(track.provenance, { values_used, undo_used });
     track.frames[frame.step] = frame;
     this.stage.changed(track);
   }
@@ -376,10 +383,9 @@ export class Fleet extends Emitter {
     if (!track) return;
     track.episode = episode;
     track.live = false;
-    const { automatic, name } = this.pilot(track.pilot);
     const flown = (recall(FLOWN) ?? "").split(" ");
-    if (!automatic && flown.includes(episode.id)) track.called = name;
-    else if (!automatic && !track.brought) remember(FLOWN, [episode.id, ...flown].slice(0, KEPT).join(" "));
+    if (!track.automatic && flown.includes(episode.id)) track.called = this.person.name;
+    else if (!track.automatic && !track.brought) remember(FLOWN, [episode.id, ...flown].slice(0, KEPT).join(" "));
     this.stage.changed(track);
     this.emit("ended", track);
   }
@@ -397,7 +403,7 @@ export class Fleet extends Emitter {
     if ((state === "idle" || state === "playing") && code === "wrong_moment") return;
     if (starting) {
       // Without flights that stay, the next start is one that every visitor can fly.
-      const known = { ...NOTHING, task: (this.task() ?? this.context.tasks[0]).short_name };
+      const known = { ...NOTHING, task: (this.task ?? this.context.tasks[0]).short_name };
       Object.assign(this, this.tracks.length ? this.left : { setup: known });
       this.emit("setup");
     }

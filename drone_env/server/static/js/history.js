@@ -5,11 +5,10 @@ import { flightName, sentence } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
-export class Past {
-  /** @param {Context} context @param {Fleet} fleet Knows the pilots. */
-  constructor(context, fleet) {
+export class FlightHistory {
+  /** @param {Context} context */
+  constructor(context) {
     this.context = context;
-    this.fleet = fleet;
     /** Id of the stored flight that is shown, or null. */
     this.episode = null;
     /** The records of the opened file, one of which is shown. */
@@ -72,7 +71,7 @@ export class Past {
   async flown(record) {
     await this.context.meet(record?.task);
     const flown = await this.context.api.post("replay", record);
-    const track = new Track(flown, this.fleet.look(flown.opening.pilot, true));
+    const track = new Track(this.context, flown);
     track.record = record;
     return track;
   }
@@ -87,7 +86,7 @@ export class Past {
 
   /** Loads the prompts and answers of a language model. */
   async askForCalls(track) {
-    if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
+    if (track.ours) return;
     const answer = await tried(() => this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`));
     if (!answer?.calls.length) return;
     const steps = new Map();
@@ -128,11 +127,14 @@ async function readFlights(file) {
   } catch {
     if (!text.trim()) throw new Error(`${file.name} is empty.`);
     return text.split("\n").flatMap((line, i) => {
+      if (!line.trim()) return [];
       try {
-        return line.trim() ? [JSON.parse(line)] : [];
+        const record = JSON.parse(line);
+        if (["task", "seed", "agent"].every((name) => name in Object(record))) return [record];
       } catch (error) {
         throw new Error(`${file.name}, line ${i + 1} is not JSON: ${error.message}.`);
       }
+      throw new Error(`${file.name}, line ${i + 1} is not a flight.`);
     });
   }
 }
@@ -146,11 +148,11 @@ export function mountRecord(root, context) {
 }
 
 async function saveRecord(context) {
-  const { task, seed } = context.stage.world;
-  const { track } = context.stage;
-  const name = `${task.short_name}-${seed}-${track.by}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
+  const { track, world } = context.stage;
   const record = await tried(() => recordOf(context, track));
-  if (record) download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
+  if (!record) return;
+  const name = `${world.task.short_name}-${world.seed}-${record.agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
+  download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
 }
 
 /** The file field, and the choice of a flight if the file contains several. */
