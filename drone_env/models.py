@@ -104,13 +104,11 @@ class DroneObservation(StrictModel):
 
 def observation_fields(episode: Episode) -> dict[str, Any]:
     """Return the fields of `DroneObservation.of(episode)` without validation, which takes a third of a step's time."""
-    numbers = observation_numbers(episode)
-    width, cells = episode.task.width, episode.grid().tobytes()
-    rows = [row_as_emoji(cells[start : start + width]) for start in range(0, len(cells), width)]
+    rows = [row_as_emoji(row) for row in _rows(episode)]
     return {
         "grid": [emoji for emoji, _ in rows],
         "cell_types": [list(names) for _, names in rows],
-        **numbers,
+        **observation_numbers(episode),
         "legend": LEGEND,
     }
 
@@ -143,7 +141,7 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
 
 def flat_json(episode: Episode) -> str:
     """Return the JSON of `DroneObservation.of(episode)`."""
-    return to_json(observation_fields(episode)).decode()
+    return _with_map(episode, {**observation_numbers(episode), "legend": LEGEND})
 
 
 def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
@@ -154,17 +152,35 @@ def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
         reward: The reward of the last step, None after a reset.
         more: Further fields of the observation. OpenEnv repeats `metadata` outside of it, unless it is empty.
     """
-    fields = observation_fields(episode)
-    outside = {"reward": reward, "done": fields.pop("done")}
+    numbers = observation_numbers(episode)
+    outside = {"reward": reward, "done": numbers.pop("done")}
     if more.get("metadata"):
         outside["metadata"] = more["metadata"]
-    return to_json({"observation": {**fields, "metadata": {}, **more}, **outside}).decode()
+    observation = _with_map(episode, {**numbers, "legend": LEGEND, "metadata": {}, **more})
+    return f'{{"observation":{observation},{to_json(outside).decode()[1:]}'
+
+
+def _rows(episode: Episode) -> list[bytes]:
+    width, cells = episode.task.width, episode.grid().tobytes()
+    return [cells[start : start + width] for start in range(0, len(cells), width)]
+
+
+def _with_map(episode: Episode, fields: dict[str, Any]) -> str:
+    """Return JSON of the map and of further fields."""
+    grid, cell_types = map(",".join, zip(*[_row_as_json(row) for row in _rows(episode)], strict=True))
+    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{to_json(fields).decode()[1:]}'
 
 
 @lru_cache(maxsize=4096)
 def row_as_emoji(row: bytes) -> tuple[str, tuple[str, ...]]:
     """Return a row of cell ids as emoji and as names. Cached: a step changes one or two rows of a map."""
     return "".join([EMOJI[cell] for cell in row]), tuple([NAMES[cell] for cell in row])
+
+
+@lru_cache(maxsize=4096)
+def _row_as_json(row: bytes) -> tuple[str, str]:
+    emoji, names = map(to_json, row_as_emoji(row))
+    return emoji.decode(), names.decode()
 
 
 class PathPoint(StrictModel):

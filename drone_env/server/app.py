@@ -108,8 +108,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
+    app.add_middleware(flight.Steps, app_state=app_state)
     app.add_middleware(Security, settings=settings, log=app_state.requests)
-    app.include_router(flight.stepping)
     for routes in (flight, predict, catalogue, history, compare, runs, replay, annotate, values, maps, page, openenv):
         app.include_router(routes.router)
     for path in ("/ws", "/mcp"):

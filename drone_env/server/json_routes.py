@@ -116,20 +116,9 @@ class JsonRoute(APIRoute):
         async def handle(request: Request) -> Response:
             with_body = JsonRequest(request.scope, request.receive)
             await with_body.read((self.openapi_extra or {})[LIMIT])
-            return await self.answer(with_body, answer)
+            return await answer(with_body)
 
         return handle
-
-    async def answer(
-        self, request: JsonRequest, validated: Callable[[Request], Coroutine[Any, Any, Response]]
-    ) -> Response:
-        """Handle a request with a parsed body.
-
-        Args:
-            request: The request.
-            validated: FastAPI's handler, which validates it.
-        """
-        return await validated(request)
 
 
 async def received(socket: WebSocket, most: int) -> AsyncGenerator[bytes | None, None]:

@@ -1,18 +1,19 @@
 """The routes that fly: reset, step, the state of the session's episode; and which session a request flies."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
+from drone_env.errors import DroneEnvError
 from drone_env.flights.sessions import Session, Sessions
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import (
@@ -31,8 +32,8 @@ from drone_env.models import (
 )
 from drone_env.server.addresses import shared_address
 from drone_env.server.best_flights import best_flight
-from drone_env.server.exceptions import WHAT_TO_DO, RequestError, error_responses
-from drone_env.server.json_routes import JsonRequest, JsonRoute
+from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
+from drone_env.server.json_routes import SMALL, JsonRequest, JsonRoute
 from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
@@ -271,28 +272,49 @@ async def solution(request: Request, app_state: AppStateDep, session: SessionDep
     )
 
 
-class StepRoute(JsonRoute):
-    """Flies a valid step without FastAPI, whose overhead exceeds the cost of the step.
+class Steps:
+    """Middleware that flies a valid step without FastAPI, whose overhead exceeds the cost of the step.
 
     Invalid ones go to FastAPI, which explains the error.
     """
 
-    async def answer(
-        self, request: JsonRequest, validated: Callable[[Request], Coroutine[Any, Any, Response]]
-    ) -> Response:
-        """The response to a request with a parsed body."""
-        caller = Caller.of(request)
-        if len(caller.named or "") > LONGEST_ID:
-            return await validated(request)
+    def __init__(self, app: ASGIApp, app_state: AppState) -> None:
+        self.app = app
+        self._app_state = app_state
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a step, or pass on the request."""
+        if scope["type"] != "http" or scope["path"] != "/step" or scope["method"] != "POST":
+            await self.app(scope, receive, send)
+            return
+        request = JsonRequest(scope, receive)
         try:
-            body = StepRequest.model_validate(request.value)
-            after = STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
-        except ValidationError:
-            return await validated(request)
-        app_state: AppState = request.app.state.shared
-        return await asyncio.get_running_loop().run_in_executor(
-            app_state.steps, _advance, app_state, caller, body, after
-        )
+            await request.read(SMALL)
+            step = _valid_step(request)
+            if step is None:
+                body = iter([{"type": "http.request", "body": request.content}])
+
+                async def receive_again() -> Message:
+                    return next(body, None) or await receive()
+
+                await self.app(scope, receive_again, send)
+                return
+            loop, app_state = asyncio.get_running_loop(), self._app_state
+            answer = await loop.run_in_executor(app_state.steps, _advance, app_state, *step)
+        except DroneEnvError as error:
+            answer = answer_to(error, scope)
+        await answer(scope, receive, send)
+
+
+def _valid_step(request: JsonRequest) -> tuple[Caller, StepRequest, int | None] | None:
+    caller = Caller.of(request)
+    if len(caller.named or "") > LONGEST_ID:
+        return None
+    try:
+        body = StepRequest.model_validate(request.value)
+        return caller, body, STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
+    except ValidationError:
+        return None
 
 
 def _advance(app_state: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
@@ -309,11 +331,7 @@ def _step_result(episode: Episode) -> str:
     return openenv_json(episode, episode.reward_last)
 
 
-stepping = APIRouter(tags=["flight"], route_class=StepRoute)
-"""Matched first, because most requests are steps."""
-
-
-@stepping.post(
+@router.post(
     "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | error_responses(400, 413, 415)
 )
 def step(
