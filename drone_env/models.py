@@ -141,7 +141,7 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
 
 def flat_json(episode: Episode) -> str:
     """Return the JSON of `DroneObservation.of(episode)`."""
-    return _with_map(episode, {**observation_numbers(episode), "legend": LEGEND})
+    return _with_map(episode, {**observation_numbers(episode), "legend": LEGEND}).decode()
 
 
 def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
@@ -157,7 +157,7 @@ def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
     if more.get("metadata"):
         outside["metadata"] = more["metadata"]
     observation = _with_map(episode, {**numbers, "legend": LEGEND, "metadata": {}, **more})
-    return f'{{"observation":{observation},{to_json(outside).decode()[1:]}'
+    return b"".join((b'{"observation":', observation, b",", to_json(outside)[1:])).decode()
 
 
 def _rows(episode: Episode) -> list[bytes]:
@@ -165,10 +165,11 @@ def _rows(episode: Episode) -> list[bytes]:
     return [cells[start : start + width] for start in range(0, len(cells), width)]
 
 
-def _with_map(episode: Episode, fields: dict[str, Any]) -> str:
+def _with_map(episode: Episode, fields: dict[str, Any]) -> bytes:
     """Return JSON of the map and of further fields."""
-    grid, cell_types = map(",".join, zip(*[_row_as_json(row) for row in _rows(episode)], strict=True))
-    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{to_json(fields).decode()[1:]}'
+    rows = [_row_as_json(row) for row in _rows(episode)]
+    grid, cell_types = b",".join([emoji for emoji, _ in rows]), b",".join([names for _, names in rows])
+    return b"".join((b'{"grid":[', grid, b'],"cell_types":[', cell_types, b"],", to_json(fields)[1:]))
 
 
 @lru_cache(maxsize=4096)
@@ -178,9 +179,9 @@ def row_as_emoji(row: bytes) -> tuple[str, tuple[str, ...]]:
 
 
 @lru_cache(maxsize=4096)
-def _row_as_json(row: bytes) -> tuple[str, str]:
-    emoji, names = map(to_json, row_as_emoji(row))
-    return emoji.decode(), names.decode()
+def _row_as_json(row: bytes) -> tuple[bytes, bytes]:
+    emoji, names = row_as_emoji(row)
+    return to_json(emoji), to_json(names)
 
 
 class PathPoint(StrictModel):

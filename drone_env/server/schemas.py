@@ -99,6 +99,8 @@ def route_text(value: object) -> str:
         ValueError: if it is anything else, empty, or longer than `MAX_ROUTE`.
     """
     if isinstance(value, str):
+        if value in Action.__members__:
+            return value
         reading = read_answer(Answer(text=value), plan=True)
         if reading.kind != "ok":
             raise ValueError(f"{reading.reason}; actions: {', '.join(Action.__members__)}")
