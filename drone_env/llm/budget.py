@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -26,7 +25,7 @@ class Options:
     Tokens and cost are known only after an answer: requests that are open when a limit is reached are still paid.
 
     Args:
-        concurrency: Maximum number of requests at once; fewer if more bring no more answers.
+        concurrency: Number of requests at once; an overloaded endpoint gets fewer.
         timeout: Maximum duration of a request in seconds.
         tries: Maximum number of tries of a call that fails with 408, 409, 429, 5xx or a network error.
         backoff: Upper bound of the first random wait in seconds; it doubles with each try, up to 30 s.
@@ -39,7 +38,7 @@ class Options:
         server: Also fly every step on the server at this address.
     """
 
-    concurrency: int = 64
+    concurrency: int = 8
     timeout: float = 120.0
     tries: int = 6
     backoff: float = 1.0
@@ -88,13 +87,6 @@ class Budget:
     prompt_tokens: int | None = None
     completion_tokens: int | None = None
 
-    @cached_property
-    def limited(self) -> bool:
-        """Whether there is a limit."""
-        return any(
-            most is not None for most in (self.options.max_calls, self.options.max_tokens, self.options.max_cost)
-        )
-
     @property
     def tokens(self) -> int | None:
         """Number of all tokens that the answers report; None if none of them does."""
@@ -136,19 +128,6 @@ class Budget:
             if most is not None and used is not None and used >= most:
                 return f"{round(used, 4)} of {most} {unit} have been used"
         return None
-
-    def calls_left(self, active: int) -> float:
-        """The number of requests that the limits still allow; of tokens and cost, by their mean so far.
-
-        Args:
-            active: Number of open requests, whose tokens are not counted yet.
-        """
-        limits = self.options
-        left = math.inf if limits.max_calls is None else limits.max_calls - self.requests
-        for most, used in ((limits.max_tokens, self.tokens), (limits.max_cost, self.cost)):
-            if most is not None:  # one flight goes ahead until an answer shows what answers use
-                left = min(left, (most - used) * self.answers / used - active if used else 0)
-        return left
 
 
 def added(*counts: int | None) -> int | None:

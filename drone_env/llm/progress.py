@@ -11,8 +11,8 @@ from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
 from drone_env.flights.store import Store
 from drone_env.llm.answers import Reading, in_common
+from drone_env.llm.budget import Budget
 from drone_env.llm.config import RunConfig
-from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import EpisodeIds
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.results.tables import known_sum

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
 from drone_env.llm.budget import LimitReachedError
-from drone_env.llm.config import RunConfig, host_of, is_loopback
+from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.follow import following
 from drone_env.llm.limiter import RateLimiter, now
@@ -25,8 +25,6 @@ from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
-FIRST_CONCURRENCY = 8
-"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
 OVERLOADED = {429, 503, 529}
 LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
@@ -159,7 +157,7 @@ class Calls:
         limiter, options = self.limiter, self.limiter.options
         since: float | None = None
         while True:
-            async with limiter.slot(key.flight, key.turn) as sent:
+            async with limiter.slot() as sent:
                 request = run.request(self.changes)
                 if not run.turns:
                     self.progress.on_steps(run)
@@ -172,11 +170,10 @@ class Calls:
                     if failed.retried and not failed.changes and not failed.starting:
                         overload = failed.timed_out or failed.status in OVERLOADED
                         limiter.failed(sent, min(retry_after, MAX_WAIT), overload)
-                    if failed.timed_out:
-                        await limiter.abandoned()
                 else:
                     self.reached = True
-                    return answer, limiter.answered(sent, answer)
+                    limiter.answered()
+                    return answer, now() - sent
             if failed.changes:
                 # Each part is rejected once at most, so this ends, also without tries left.
                 if failed.changes.items() - self.changes.items():
@@ -218,12 +215,7 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
     prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
         budget.resume(transcript.calls, len(transcript.sent))
-        first = 1 if is_loopback(host_of(config.base_url)) else FIRST_CONCURRENCY
-        most = min(options.concurrency, config.flights)
-        longest = 1 if prompt.plan else config.task_config.max_steps
-        turns = len({(key.flight, key.turn) for key in transcript.sent})
-        limiter = RateLimiter(budget, first, most, longest, turns)
-        calls = Calls(config, endpoint, transcript, limiter, progress)
+        calls = Calls(config, endpoint, transcript, RateLimiter(budget), progress)
 
         async def worker() -> None:
             for number in numbers:
@@ -236,7 +228,6 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
                         await calls.fly_turn(run)
                     if follow is not None:
                         await follow(run.episode)
-                limiter.ended(number)
                 # A flight that reached a limit before its first answer has not begun.
                 if run.status != "budget_stop" or run.attempt == 2 or run.step_errors:
                     flights.append(run)
@@ -244,7 +235,7 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
                 if calls.fatal is not None:
                     raise EndpointError(calls.fatal)
 
-        workers = [asyncio.ensure_future(worker()) for _ in range(most)]
+        workers = [asyncio.ensure_future(worker()) for _ in range(min(options.concurrency, config.flights))]
         try:
             await asyncio.gather(*workers)
         except EndpointError as error:

@@ -73,8 +73,6 @@ def test_a_run_changes_its_requests_and_stays_true(endpoint: Start) -> None:
 
 def test_requests_on_their_way_are_repeated_after_a_change(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", latency=0.05, rejects={"max_tokens": USE_OTHER})
-    # Elsewhere a run begins with several requests at once.
-    scripted.monkeypatch.setattr("drone_env.llm.runner.is_loopback", lambda host: False)
     done = scripted.infer("--episodes", "6", "--task", "easy", "--tries", "1")
     assert (done.status, done.err.count("max_tokens is sent as")) == (0, 1), done.err
     assert sum("max_tokens" in request["body"] for request in scripted.requests()) == 6
