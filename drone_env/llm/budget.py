@@ -100,10 +100,10 @@ class Budget:
             return None
         return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
 
-    def resume(self, calls: Iterable["Call"], requests: int) -> None:
+    def resume(self, calls: Iterable["Call"]) -> None:
         """Count the requests and the tokens of earlier calls."""
-        self.requests += requests
         for call in calls:
+            self.requests += call.requests
             self.count(call)
 
     def count(self, call: "Call") -> None:

@@ -157,7 +157,7 @@ def report(run: VerifiedRun, options: Options = NO_PRICES, moves: bool = True) -
     verdict, reason = verdict_of(run.config.flights, [str(result.status) for result in run.results])
     answered = [call for call in run.calls if call.answer is not None]
     budget = Budget(options)
-    budget.resume(run.calls, run.requests)
+    budget.resume(run.calls)
     return RunReport(
         run=run,
         verdict=verdict,

@@ -161,9 +161,8 @@ class Calls:
                 request = run.request(self.changes)
                 if not run.turns:
                     self.progress.on_steps(run)
-                call_id = self.transcript.sending(key)
                 try:
-                    answer = await self.endpoint.send(request, call_id)
+                    answer = await self.endpoint.send(request, str(key))
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after or 0.0
                     self.reached |= failed.status > 0 or not failed.starting
@@ -214,7 +213,7 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
     flights, fatal, budget = list[EpisodeRun](), None, progress.budget
     prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
-        budget.resume(transcript.calls, len(transcript.sent))
+        budget.resume(transcript.calls)
         calls = Calls(config, endpoint, transcript, RateLimiter(budget), progress)
 
         async def worker() -> None:
