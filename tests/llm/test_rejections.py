@@ -61,9 +61,9 @@ def test_a_run_changes_its_requests_and_stays_true(endpoint: Start) -> None:
     assert [failure["waited"] for failure in done.calls[0]["failures"]] == [0, 0, 0]
     verified(done)
     found = report(verified_run(done.folder), moves=False)
-    assert found.changes == dict.fromkeys(parts, len(done.calls))
+    assert found.report["changes"] == dict.fromkeys(parts, len(done.calls))
     write_report(found)
-    row = f"| answers for which temperature is not sent | {len(done.calls)} |"
+    row = f"| temperature is not sent | {len(done.calls)} |"
     assert row in (done.folder / "report.md").read_text()
     # A request that was not sent so does not verify.
     path = done.folder / "calls.jsonl"
