@@ -16,7 +16,7 @@ from drone_env import __version__
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer, finish_kind
 from drone_env.llm.config import host_of, is_private
-from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for, options_for
+from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for
 
 RETRIED = {408, 409, 429}
 TIMED_OUT = {408, 504, 524}
@@ -189,9 +189,6 @@ class Endpoint:
         after = _retry_after(headers) if retried else None
         changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
         timed_out, starting = status in TIMED_OUT, status == 503 and LOADING.search(text) is not None
-        options = ["--max-answer-tokens"] if timed_out else [] if changes or retried else options_for(text, request)
-        if options:
-            reason = f"{reason} (see {', '.join(options)})"
         return TryFailedError(status, reason, retried, after, False, changes, timed_out, starting)
 
     def _clean(self, text: str) -> str:

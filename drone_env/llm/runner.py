@@ -17,7 +17,7 @@ from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.follow import following
 from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.progress import Progress
-from drone_env.llm.rejections import Changes, described, missing_text
+from drone_env.llm.rejections import Changes, described
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, digest
@@ -83,7 +83,6 @@ class Calls:
         progress: Shows the progress.
         fatal: Why every further request would fail; None if there is no such reason.
         changes: What requests change because the endpoint rejected it.
-        reached: Whether the endpoint has taken a connection.
         told: Statuses of an endpoint that is starting that have been printed.
     """
 
@@ -94,7 +93,6 @@ class Calls:
     progress: Progress
     fatal: str | None = None
     changes: Changes = field(init=False)
-    reached: bool = False
     told: set[int] = field(default_factory=set[int])
 
     def __post_init__(self) -> None:
@@ -108,7 +106,6 @@ class Calls:
             run.answer(stored.answer_to(run.request(stored.changes)))
         elif (reading := await self._reading(run, key)) is not None:
             run.take(reading)
-            self.progress.on_reading(reading)
         else:
             return
         self.progress.on_steps(run)
@@ -118,8 +115,6 @@ class Calls:
         failures, answer, reading, latency = list[Failure](), None, None, 0.0
         try:
             answer, latency = await self._send(run, key, failures)
-            if not self.transcript.answered and (warning := missing_text(run.body, answer)):
-                self.progress.notice(warning)
             reading = read_answer(answer, run.prompt.plan, run.prompt.marks)
             outcome = reading.kind
         except LimitReachedError as error:
@@ -165,12 +160,10 @@ class Calls:
                     answer = await self.endpoint.send(request, str(key))
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after or 0.0
-                    self.reached |= failed.status > 0 or not failed.starting
                     if failed.retried and not failed.changes and not failed.starting:
                         overload = failed.timed_out or failed.status in OVERLOADED
                         limiter.failed(sent, min(retry_after, MAX_WAIT), overload)
                 else:
-                    self.reached = True
                     limiter.answered()
                     return answer, now() - sent
             if failed.changes:
@@ -180,11 +173,8 @@ class Calls:
                     self.progress.notice(f"{'; '.join(described(failed.changes))}: the endpoint returned {failed}")
                 failures.append(Failure(status=failed.status, reason=failed.reason, waited=0.0))
                 continue
-            has_system = request["messages"][0]["role"] == "system"
-            if failed.status == 500 and has_system and not self.transcript.answered:
-                failed.reason += "; if the model has no system role, try --system merge"
             since = now() if since is None else since
-            patience = LOADING_SECONDS if self.reached else UNKNOWN_SECONDS
+            patience = LOADING_SECONDS if failed.status or self.transcript.answered else UNKNOWN_SECONDS
             patient = failed.starting and options.tries > 1 and now() - since < patience
             again = failed.retried and (patient or len(failures) + 1 < options.tries) and retry_after <= MAX_WAIT
             wait = random.uniform(0, min(MAX_BACKOFF, options.backoff * 2 ** min(len(failures), 30)))
