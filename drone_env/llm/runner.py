@@ -11,11 +11,10 @@ from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
-from drone_env.llm.budget import LimitReachedError
+from drone_env.llm.budget import LimitReachedError, RateLimiter, now
 from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.follow import following
-from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights

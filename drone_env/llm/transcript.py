@@ -67,11 +67,6 @@ class Call(StrictModel):
         """Its key."""
         return CallKey(self.flight, self.turn, self.attempt)
 
-    @property
-    def requests(self) -> int:
-        """The number of requests sent."""
-        return len(self.failures) + (self.answer is not None)
-
     def answer_to(self, request: Mapping[str, Any]) -> Answer:
         """The answer, if this call sent the same request as the run sends now."""
         sent = (self.messages, self.request_digest, self.sampling_seed)
