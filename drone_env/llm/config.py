@@ -187,7 +187,6 @@ class RunConfig(StrictModel):
         default="role", description="`merge`: the system text is the beginning of the first user message."
     )
     answers: Literal["text", "json", "tool"]
-    stream: Literal[False] = Field(default=False, description="Answers are not streamed.")
     sampling: Sampling
 
     @field_validator("model")

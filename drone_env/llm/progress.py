@@ -113,4 +113,4 @@ def last_line(run: EpisodeRun) -> str:
 
     The score of a flight that a limit stopped is that of waiting to the end; an errored flight has no score.
     """
-    return end_line(run.success, None if run.status == "errored" else run.score, run.rewards)
+    return end_line(run.success, None if run.status == "errored" else run.score, run.episode.rewards)

@@ -130,11 +130,8 @@ class Calls:
             outcome = "api_error"
         call = Call(
             **key._asdict(),
-            seed=run.seed,
-            repeat=run.repeat,
             messages=run.body["messages"],
             request_digest=digest(run.body),
-            sampling_seed=run.body.get("seed"),
             changes=dict(run.changes),
             answer=answer,
             outcome=outcome,

@@ -46,13 +46,10 @@ class Call(StrictModel):
     """One call, with all its tries."""
 
     flight: Count
-    seed: Count
-    repeat: Count
     turn: int = Field(ge=1)
     attempt: Literal[1, 2]
     messages: list[ChatMessage]
     request_digest: str = Field(description="Digest of the request's body.")
-    sampling_seed: int | None = Field(default=None, description="The seed in the request: the run's plus `repeat`.")
     changes: dict[Part, str | None] = Field(
         default={}, description="Fields that the endpoint rejects: the name that was sent instead; null for none."
     )
@@ -69,8 +66,7 @@ class Call(StrictModel):
 
     def answer_to(self, request: Mapping[str, Any]) -> Answer:
         """The answer, if this call sent the same request as the run sends now."""
-        sent = (self.messages, self.request_digest, self.sampling_seed)
-        if self.answer is None or sent != (request["messages"], digest(request), request.get("seed")):
+        if self.answer is None or (self.messages, self.request_digest) != (request["messages"], digest(request)):
             raise InvalidValueError(f"call {self.key} has another request than this run sends")
         return self.answer
 
