@@ -31,14 +31,12 @@ class Progress:
         budget: Its requests and tokens.
         folder: Its folder.
         store: Gets each finished episode, once however often the run is resumed; None to store none.
-        not_stored: The errors of flights that are not in the store.
     """
 
     config: RunConfig
     budget: Budget
     folder: Path
     store: Store | None = None
-    not_stored: list[str] = field(default_factory=list[str])
     _flights: int = 0
     _printed: int = 0  # lines of the flight
     _line_shown: float = field(default_factory=time.monotonic)
@@ -81,7 +79,7 @@ class Progress:
                 self.store.add_episode(run.episode, self.config.model, EpisodeIds(self.folder).of(run.index))
         except StoreError as error:
             # The flight is paid for: the run continues without the store.
-            self.not_stored.append(str(error))
+            print(f"map {run.seed} is not in the store, --resume adds it: {error}", file=sys.stderr)
         self._print(run)
         print(last_line(run), flush=True)
         self._printed = 0

@@ -25,7 +25,8 @@ from drone_env.results.statistics import Summary
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
-OVERLOADED = {429, 503, 529}
+OVERLOADED = {0, 408, 429, 503, 504, 524, 529}
+"""Also without a response: a server that is too slow."""
 LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
 """How long a call waits for an endpoint that is starting, and for one that has taken no connection yet."""
 MAX_BACKOFF = 30.0
@@ -157,8 +158,7 @@ class Calls:
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after or 0.0
                     if failed.retried and not failed.changes and not failed.starting:
-                        overload = failed.timed_out or failed.status in OVERLOADED
-                        limiter.failed(sent, min(retry_after, MAX_WAIT), overload)
+                        limiter.failed(sent, min(retry_after, MAX_WAIT), failed.status in OVERLOADED)
                 else:
                     limiter.answered()
                     return answer, now() - sent
