@@ -48,7 +48,7 @@ class RunOptions:
             --server, that server stores them.
         out: The run folder. Default: a new folder in llm/ of the data folder.
         resume: Continue the run in --out, under the same configuration.
-        report: Verify the whole run and write report.json and report.md into its folder.
+        report: Verify the whole run and write report.json into its folder.
         moves: Count blunders and other moves in the report, by the exact value of every state.
         allow_plain_http: Send the token over http:// also to a public host, where others can read it.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations

@@ -1,19 +1,18 @@
 """The report of a run: scores with the optimum of each map and the scores of other agents on the same maps."""
 
-import json
 import math
 from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from statistics import fmean, median_high
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
-from drone_env.files import write_json, write_text
+from drone_env.files import write_json
 from drone_env.llm.answers import Unusable
 from drone_env.llm.budget import Budget, Options
 from drone_env.llm.rejections import described
@@ -24,7 +23,6 @@ from drone_env.results.analysis import LABELS, Label, Move, analyse_actions
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, map_rows
 from drone_env.results.statistics import Summary, mean_of, normalised
-from drone_env.results.tables import Table
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -174,38 +172,5 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
 
 
 def write_report(entry: LeaderboardEntry) -> None:
-    """Write `report.json`, and its values as tables in `report.md`, each whole or not at all."""
-    from drone_env.results.pages import render
-
-    figures = entry.report
-    config, unusable = figures["config"], Unusable(figures["unusable"]["answers"], figures["unusable"]["of"])
-    text = render(
-        "llm.md",
-        tables=_tables(figures),
-        title=f"{config['model']} on {config['task']}, prompt {config['prompt']}",
-        verdict=figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"],
-        reason=figures["reason"],
-        unusable=unusable,
-    )
-    write_json(entry.path / "report.json", figures)
-    write_text(entry.path / "report.md", text)
-
-
-def _tables(figures: dict[str, Any]) -> list[Table]:
-    """A table of the single figures, and one for each group or list of them that is not empty."""
-    single: list[tuple[str, str]] = []
-    tables = [Table("figures", (), single)]
-    for name, value in figures.items():
-        if value and isinstance(value, dict):
-            group = cast(dict[str, object], value)
-            tables.append(Table(name, (), [(key, _cell(inner)) for key, inner in group.items()]))
-        elif value and isinstance(value, list) and isinstance(value[0], dict):
-            rows = cast(list[dict[str, object]], value)
-            tables.append(Table(name, list(rows[0]), [[*map(_cell, row.values())] for row in rows]))
-        else:
-            single.append((name, _cell(cast(object, value))))
-    return tables
-
-
-def _cell(value: object) -> str:
-    return "-" if value in (None, "") else value if isinstance(value, str) else json.dumps(value)
+    """Write `report.json` into the folder of a run, whole or not at all."""
+    write_json(entry.path / "report.json", entry.report)

@@ -69,7 +69,7 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(tmp_path: Path) -
     assert summary_lines(flown.result)[0].startswith(f"mean score {figures['score']:.4f} over 3 flights")
 
 
-def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_text(tmp_path: Path) -> None:
+def test_errored_flights_are_kept_out_and_shown(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>|x![](http://h)"
     folder, fails = tmp_path / "run", TryFailedError(500, hostile, retried=True)
     fly(Scripted(fails=lambda number: fails if number > 3 else None), folder, seeds=(14, 16), model=hostile)
@@ -78,17 +78,14 @@ def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_te
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
-    write_report(found)
-    text = (folder / "report.md").read_text()
-    assert "<script" not in text
-    assert "| 15 | 0 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x!&#91;](http://h) |" in text
+    errored = {"seed": 15, "repeat": 0, "status": "errored", "error": f"500: {hostile}"}
+    assert figures["not_finished"] == [errored]
 
 
 def test_a_run_without_a_score_has_a_report(tmp_path: Path) -> None:
     fly(Scripted(fails=lambda _: TryFailedError(400, "no", retried=True)), tmp_path, seeds=(14, 16))
     write_report(report(verified_run(tmp_path)))
     assert json.loads((tmp_path / "report.json").read_text())["score"] is None
-    assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (tmp_path / "report.md").read_text()
 
 
 def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) -> None:
