@@ -1,8 +1,7 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
 import sys
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -215,11 +214,9 @@ def _fly(
 
         folder = ResultsFolder(out, keys)
     total = sum(key.seeds[1] - key.seeds[0] for key in keys)
-    with noted_interrupts() as interrupts, progress_bar("maps", total) as advance:
+    with progress_bar("maps", total) as advance:
 
         def arrived(chunk: Results) -> None:
-            if interrupts:
-                raise KeyboardInterrupt
             advance(len(chunk.seeds), f"{chunk.key.task} {chunk.key.agent}")
 
         if engine == "local":
@@ -230,17 +227,6 @@ def _fly(
             from drone_env.cluster.episodes import fly_on_nodes
 
             return evaluate_keys(keys, fly_on_nodes, folder, arrived)
-
-
-@contextmanager
-def noted_interrupts() -> Generator[list[bool], None, None]:
-    """Yield a list that contains an entry for each Ctrl-C whose exception a callback of the compiler has lost."""
-    noted, hook = list[bool](), sys.unraisablehook
-    sys.unraisablehook = lambda lost: noted.append(True) if lost.exc_type is KeyboardInterrupt else hook(lost)
-    try:
-        yield noted
-    finally:
-        sys.unraisablehook = hook
 
 
 def json_file(json: str | None) -> Path | None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from drone_env.llm.config import InferenceSettings, RunConfig
 
 PROMPTS = "minimal|grid|coordinates|compass|plan|think|think-plan|original|FILE.toml"
-PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
+PromptName = Annotated[str, tyro.conf.arg(metavar=PROMPTS)]
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 
@@ -38,8 +38,7 @@ class RunOptions:
         split: Fly the first maps of this split. Default: test.
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map, for pass^k; each sends its own sampling seed.
-        prompt: The prompt: name (the newest version), id such as grid-2, or your own file. Default: minimal, or with
-            --resume that of the run.
+        prompt: The prompt: name (the newest version), id such as grid-2, or your own file.
         history: Number of last steps that the prompt shows.
         system: Send the system text as a message of its own, or merge it into the first user message, for models
             without a system role.
@@ -49,7 +48,7 @@ class RunOptions:
             --server, that server stores them.
         out: The run folder. Default: a new folder in llm/ of the data folder.
         resume: Continue the run in --out, under the same configuration.
-        report: Verify the whole run and write report.json and report.md into its folder.
+        report: Verify the whole run and write report.json into its folder.
         moves: Count blunders and other moves in the report, by the exact value of every state.
         allow_plain_http: Send the token over http:// also to a public host, where others can read it.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations
@@ -63,7 +62,7 @@ class RunOptions:
     split: SplitName = None
     seeds: SeedRange = None
     repeats: int = 1
-    prompt: PromptName = None
+    prompt: PromptName = "minimal"
     history: int = 0
     system: Literal["role", "merge"] = "role"
     answers: Literal["text", "json", "tool"] = "text"
@@ -83,7 +82,6 @@ class SamplingOptions:
 
     Args:
         temperature: Sampling temperature.
-        no_temperature: Send no temperature, for models that reject it.
         top_p: Nucleus sampling. Default: not sent.
         max_answer_tokens: Maximum length of an answer in tokens, sent as max_tokens; 0 sends none.
         sampling_seed: Sampling seed of the endpoint, plus the number of the repeat: with --repeats 3 and 5, the flights
@@ -92,7 +90,6 @@ class SamplingOptions:
     """
 
     temperature: float = 0.0
-    no_temperature: Flag = False
     top_p: Number = None
     max_answer_tokens: int = 1024
     sampling_seed: Whole = None
@@ -156,16 +153,7 @@ def infer(
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
-        finally:
-            if errors := progress.not_stored:
-                missing = f"{len(errors)} flights are not in the store: {errors[0]}"
-                print(f"{missing}; to add them, {to_resume}", file=sys.stderr)
-        more = {
-            "stopped": "to continue",
-            "incomplete": "to continue with a higher limit",
-            "invalid": "to repeat the calls that failed",
-        }
-        resume = [f"{more[result.verdict]}, {to_resume}"] if result.verdict in more else []
+        resume = [] if result.verdict == "valid" else [f"to continue, {to_resume}"]
         print(*runner.summary_lines(result), f"run: {path}", *resume, sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[result.verdict]
 
@@ -173,17 +161,13 @@ def infer(
 def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSettings") -> "RunConfig":
     from pydantic import ValidationError
 
-    from drone_env.llm import run_folder
     from drone_env.llm.config import RunConfig, Sampling, check_url
     from drone_env.llm.prompt import get_prompt
 
     split, maps = select_maps(run.seeds, run.split, run.episodes, 1)
     name = settings.drone_task if run.task is None else run.task
     task = register_city(name) if name.endswith(".toml") else get_task(name)
-    if run.resume and run.out and run.prompt is None and (run.out / run_folder.CONFIG).exists():
-        prompt = run_folder.load_config(run.out).load_prompt()
-    else:
-        prompt = get_prompt(run.prompt or "minimal")
+    prompt = get_prompt(run.prompt)
     try:
         return RunConfig(
             model=settings.model_name if run.model is None else run.model,
@@ -203,7 +187,7 @@ def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSett
             system=run.system,
             answers=run.answers,
             sampling=Sampling(
-                temperature=None if sampling.no_temperature else sampling.temperature,
+                temperature=sampling.temperature,
                 top_p=sampling.top_p,
                 max_tokens=sampling.max_answer_tokens or None,
                 seed=sampling.sampling_seed,

@@ -1,9 +1,10 @@
-"""The budget of a run: its options of speed and cost, and what it has used."""
+"""The budget of a run: its options of speed and cost, what it has used, and when its next request may be sent."""
 
+import asyncio
 import math
-from collections.abc import Iterable
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -26,7 +27,7 @@ class Options:
     Tokens and cost are known only after an answer: requests that are open when a limit is reached are still paid.
 
     Args:
-        concurrency: Maximum number of requests at once; fewer if more bring no more answers.
+        concurrency: Number of requests at once; an overloaded endpoint gets fewer.
         timeout: Maximum duration of a request in seconds.
         tries: Maximum number of tries of a call that fails with 408, 409, 429, 5xx or a network error.
         backoff: Upper bound of the first random wait in seconds; it doubles with each try, up to 30 s.
@@ -39,7 +40,7 @@ class Options:
         server: Also fly every step on the server at this address.
     """
 
-    concurrency: int = 64
+    concurrency: int = 8
     timeout: float = 120.0
     tries: int = 6
     backoff: float = 1.0
@@ -88,13 +89,6 @@ class Budget:
     prompt_tokens: int | None = None
     completion_tokens: int | None = None
 
-    @cached_property
-    def limited(self) -> bool:
-        """Whether there is a limit."""
-        return any(
-            most is not None for most in (self.options.max_calls, self.options.max_tokens, self.options.max_cost)
-        )
-
     @property
     def tokens(self) -> int | None:
         """Number of all tokens that the answers report; None if none of them does."""
@@ -108,10 +102,10 @@ class Budget:
             return None
         return (self.prompt_tokens * prompt + self.completion_tokens * completion) / 1e6
 
-    def resume(self, calls: Iterable["Call"], requests: int) -> None:
+    def resume(self, calls: Iterable["Call"]) -> None:
         """Count the requests and the tokens of earlier calls."""
-        self.requests += requests
         for call in calls:
+            self.requests += len(call.failures) + (call.answer is not None)
             self.count(call)
 
     def count(self, call: "Call") -> None:
@@ -137,18 +131,76 @@ class Budget:
                 return f"{round(used, 4)} of {most} {unit} have been used"
         return None
 
-    def calls_left(self, active: int) -> float:
-        """The number of requests that the limits still allow; of tokens and cost, by their mean so far.
+
+def now() -> float:
+    """The seconds of the running event loop, which only grow."""
+    return asyncio.get_running_loop().time()
+
+
+class RateLimiter:
+    """Decides when a request of a run is sent: the one that has waited longest goes first.
+
+    An overloaded endpoint halves the number of requests at once. It grows by one after as many answers.
+
+    Args:
+        budget: The requests and tokens so far, and the options.
+
+    Attributes:
+        active: Number of open requests.
+        limit: Maximum number of open requests.
+    """
+
+    def __init__(self, budget: Budget) -> None:
+        self.budget, self.options, self.active = budget, budget.options, 0
+        self.limit = budget.options.concurrency
+        self._answers = 0
+        self._next_request = self._paused_until = 0.0
+        self._halved_at = -1.0
+        self._first, self._room = asyncio.Lock(), asyncio.Event()
+
+    @asynccontextmanager
+    async def slot(self) -> AsyncGenerator[float, None]:
+        """Wait until a request may be sent, count it, and hold its slot during the `with`; yields the time.
+
+        Raises:
+            LimitReachedError: if the budget is spent.
+        """
+        async with self._first:
+            while self.active >= self.limit:
+                self._room.clear()
+                await self._room.wait()
+            while (wait := max(self._paused_until, self._next_request) - now()) > 0:
+                await asyncio.sleep(wait)
+            if (spent := self.budget.spent()) is not None:
+                raise LimitReachedError(spent)
+            # After an idle time, one request may follow without a gap.
+            gap = 60 / (self.options.requests_per_minute or math.inf)
+            self._next_request = max(self._next_request, now() - gap) + gap
+            self.active += 1
+            self.budget.requests += 1
+        try:
+            yield now()
+        finally:
+            self.active -= 1
+            self._room.set()
+
+    def answered(self) -> None:
+        """Allow one more request at once after as many answers."""
+        self._answers += 1
+        if self._answers >= self.limit:
+            self._answers, self.limit = 0, min(self.limit + 1, self.options.concurrency)
+
+    def failed(self, sent: float, pause: float, overload: bool) -> None:
+        """Send nothing during a pause, and allow half as many requests at once if there were too many.
 
         Args:
-            active: Number of open requests, whose tokens are not counted yet.
+            sent: When the failed request was sent; those from before the last halving do not halve again.
+            pause: Seconds.
+            overload: Whether it failed because the endpoint has too many.
         """
-        limits = self.options
-        left = math.inf if limits.max_calls is None else limits.max_calls - self.requests
-        for most, used in ((limits.max_tokens, self.tokens), (limits.max_cost, self.cost)):
-            if most is not None:  # one flight goes ahead until an answer shows what answers use
-                left = min(left, (most - used) * self.answers / used - active if used else 0)
-        return left
+        self._paused_until = max(self._paused_until, now() + pause)
+        if overload and sent > self._halved_at:
+            self.limit, self._answers, self._halved_at = max(1, self.limit // 2), 0, now()
 
 
 def added(*counts: int | None) -> int | None:

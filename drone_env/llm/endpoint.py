@@ -16,11 +16,9 @@ from drone_env import __version__
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer, finish_kind
 from drone_env.llm.config import host_of, is_private
-from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for, options_for
+from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for
 
 RETRIED = {408, 409, 429}
-TIMED_OUT = {408, 504, 524}
-"""A proxy has given up waiting, and the server behind it may not have."""
 REASON_CHARACTERS = 300
 MAX_TOKENS = 10**12
 """Larger counts are ignored."""
@@ -63,7 +61,6 @@ class TryFailedError(DroneEnvError):
         retry_after: Seconds to wait, as the endpoint requests; None if it does not.
         fatal: Whether every other call would fail too.
         changes: What to change in the request, if the endpoint rejects a part that can change.
-        timed_out: Whether the endpoint may still work on the request.
         starting: Whether the endpoint may still be starting: it loads its model, or takes no connection.
     """
 
@@ -73,7 +70,6 @@ class TryFailedError(DroneEnvError):
     retry_after: float | None = None
     fatal: bool = False
     changes: Changes = field(default_factory=lambda: NO_CHANGES)
-    timed_out: bool = False
     starting: bool = False
 
     def __str__(self) -> str:
@@ -126,18 +122,16 @@ class Endpoint:
         except asyncio.TimeoutError:
             advice = "a slow server needs a larger --timeout or a smaller --max-answer-tokens"
             reason = f"no answer within {self._timeout:g} s: {advice}, and may still work on this request"
-            raise TryFailedError(0, reason, retried=True, timed_out=True) from None
+            raise TryFailedError(0, reason, retried=True) from None
         except httpx.ConnectError as error:
             reason = self._clean(f"{self._host} takes no connection ({error}): check API_BASE_URL and the server")
             raise TryFailedError(0, reason, retried=True, starting=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
-        except ValueError as error:
-            raise TryFailedError(200, self._clean(f"not an answer: {error}")) from None
-        except (AttributeError, LookupError, TypeError, RecursionError) as error:
+        except (ValueError, AttributeError, LookupError, TypeError, RecursionError) as error:
             # Servers send anything in place of the objects and lists of the protocol.
-            raise TryFailedError(200, self._clean(f"not in the form of an answer: {error}")) from None
+            raise TryFailedError(200, self._clean(f"not an answer: {error}")) from None
 
     async def close(self) -> None:
         """Close all connections."""
@@ -149,9 +143,6 @@ class Endpoint:
             data = await _read(response)
         if not response.is_success:
             raise self._refusal(response.status_code, _error_text(data), data, response.headers, request)
-        if response.headers.get("content-type", "").startswith("text/event-stream"):
-            reason = "the response is a stream (text/event-stream), which was not requested: turn streaming off there"
-            raise TryFailedError(200, reason, fatal=True)
         if not data.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
         completion = _json(data)
@@ -188,11 +179,8 @@ class Endpoint:
         retried = status in RETRIED or status >= 500 or status == 200
         after = _retry_after(headers) if retried else None
         changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
-        timed_out, starting = status in TIMED_OUT, status == 503 and LOADING.search(text) is not None
-        options = ["--max-answer-tokens"] if timed_out else [] if changes or retried else options_for(text, request)
-        if options:
-            reason = f"{reason} (see {', '.join(options)})"
-        return TryFailedError(status, reason, retried, after, False, changes, timed_out, starting)
+        starting = status == 503 and LOADING.search(text) is not None
+        return TryFailedError(status, reason, retried, after, False, changes, starting)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token and without unprintable characters."""

@@ -10,18 +10,14 @@ from drone_env.core.actions import Action
 from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
 from drone_env.flights.store import Store
-from drone_env.llm.answers import Reading, in_common
+from drone_env.llm.budget import Budget
 from drone_env.llm.config import RunConfig
-from drone_env.llm.limiter import Budget
 from drone_env.llm.run_folder import EpisodeIds
 from drone_env.llm.text_episode import EpisodeRun
-from drone_env.results.tables import known_sum
 
 LINE_SECONDS = 10.0
 LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
-EARLY = 10
-"""The number of answers after which a run without a usable one prints what they have in common."""
 
 
 @dataclass
@@ -35,20 +31,16 @@ class Progress:
         budget: Its requests and tokens.
         folder: Its folder.
         store: Gets each finished episode, once however often the run is resumed; None to store none.
-        not_stored: The errors of flights that are not in the store.
     """
 
     config: RunConfig
     budget: Budget
     folder: Path
     store: Store | None = None
-    not_stored: list[str] = field(default_factory=list[str])
     _flights: int = 0
     _printed: int = 0  # lines of the flight
-    _retries: int = 0
     _line_shown: float = field(default_factory=time.monotonic)
     _wait_shown: float = 0.0
-    _early: list[Reading] | None = field(default_factory=list[Reading])
 
     @cached_property
     def _one_at_a_time(self) -> bool:
@@ -58,36 +50,23 @@ class Progress:
         """Print the new log lines of a flight, and a line of progress if the last one is old."""
         if self._one_at_a_time:
             self._print(run)
-        now, budget = time.monotonic(), self.budget
+        now = time.monotonic()
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
             flights = f"{self._flights} of {self.config.flights} flights"
-            cost = "" if budget.cost is None else f", {known_sum(budget.cost, budget.unmetered, '.4f')} US dollars"
-            tokens = "" if budget.tokens is None else f", {known_sum(budget.tokens, budget.unmetered, 'd')} tokens"
-            print(f"{flights}, {budget.requests} requests{tokens}{cost}", file=sys.stderr)
+            print(f"{flights}, {self.budget.requests} requests", file=sys.stderr)
 
     def _print(self, run: EpisodeRun) -> None:
         lines = log_lines(run, self.config.model, self._printed)
         print(*lines, sep="\n", end="\n" if lines else "", flush=True)
         self._printed += len(lines)
 
-    def on_reading(self, reading: Reading) -> None:
-        """If none of the first answers is usable, print once what they have in common."""
-        if reading.kind == "ok":
-            self._early = None
-        elif self._early is not None:
-            self._early.append(reading)
-            if len(self._early) == EARLY:
-                print(f"no usable answer so far: {in_common(self._early)}", file=sys.stderr)
-                self._early = None
-
     def on_wait(self, seconds: float, reason: str) -> None:
         """Print the wait before a retry, at most one short wait per second."""
-        self._retries += 1
         now = time.monotonic()
         if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:
             self._wait_shown = now
-            print(f"{reason}; next attempt in {seconds:.1f} s (retries so far: {self._retries})", file=sys.stderr)
+            print(f"{reason}; next attempt in {seconds:.1f} s", file=sys.stderr)
 
     def notice(self, text: str) -> None:
         """Print what happens once in a run."""
@@ -100,7 +79,7 @@ class Progress:
                 self.store.add_episode(run.episode, self.config.model, EpisodeIds(self.folder).of(run.index))
         except StoreError as error:
             # The flight is paid for: the run continues without the store.
-            self.not_stored.append(str(error))
+            print(f"map {run.seed} is not in the store, --resume adds it: {error}", file=sys.stderr)
         self._print(run)
         print(last_line(run), flush=True)
         self._printed = 0
@@ -132,4 +111,4 @@ def last_line(run: EpisodeRun) -> str:
 
     The score of a flight that a limit stopped is that of waiting to the end; an errored flight has no score.
     """
-    return end_line(run.success, None if run.status == "errored" else run.score, run.rewards)
+    return end_line(run.success, None if run.status == "errored" else run.score, run.episode.rewards)

@@ -180,8 +180,6 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
         raise InvalidValueError(f"{path}: {error}") from None
     except ValidationError as error:
         raise InvalidValueError(f"{path} is not a prompt: {text_of(error)}") from None
-    if own and Path(path).stem in prompt_ids():
-        raise InvalidValueError(f"{path}: the package has a prompt of this name: rename the file")
     names, parts = set[str](), _parts()
     texts = data.model_dump(include={"system", "user", "repair"})
     for field, allowed in (("system", VALUES), ("user", VALUES), ("repair", {"reason"})):

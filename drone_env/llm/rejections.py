@@ -4,21 +4,11 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from drone_env.llm.answers import Answer
-
 Part = Literal["system", "max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice"]
 Changes = Mapping[Part, str | None]
 """The new name of each changed field of a request; None for a field that is not sent. `system` becomes `merge`."""
 NO_CHANGES: Changes = {}
 PARAMETERS: tuple[Part, ...] = ("max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice")
-OPTIONS = {
-    **dict.fromkeys(("max_tokens", "max_completion_tokens"), "--max-answer-tokens"),
-    **dict.fromkeys(("response_format", "tools", "tool_choice"), "--answers"),
-    "temperature": "--temperature",
-    "top_p": "--top-p",
-    "seed": "--sampling-seed",
-}
-"""The option of `drone-env infer` for each field of a request; all others come from `--extra`."""
 UNSUPPORTED = (
     r"unsupported|(?:not|n't) (?:currently )?(?:support|permit|allow|available|compatible)|incompatible|forbidden"
     r"|unexpected|unknown|unrecogni[sz]ed|deprecated|can(?:not|'t) both"
@@ -51,12 +41,6 @@ def changes_for(reason: str, request: Mapping[str, Any]) -> Changes:
     return NO_CHANGES
 
 
-def options_for(reason: str, request: Mapping[str, Any]) -> list[str]:
-    """The options that decide the fields of a request that a refusal names."""
-    named = [name for name in request.keys() - {"model", "messages"} if re.search(rf"\b{re.escape(name)}\b", reason)]
-    return sorted({OPTIONS.get(name, "--extra") for name in named})
-
-
 def changed(request: Mapping[str, Any], changes: Changes) -> dict[str, Any]:
     """The body of a request after changes."""
     sent = dict(request)
@@ -81,20 +65,3 @@ def described(changes: Changes) -> list[str]:
         else f"{name} is sent as {other}"
         for name, other in changes.items()
     ]
-
-
-def missing_text(request: Mapping[str, Any], answer: Answer) -> str | None:
-    """A warning if the endpoint counts too few prompt tokens for a request; None if it does not.
-
-    Tokenizers split text at spaces and punctuation, so each number and each word is a token or more. The few that join
-    words join fewer than two on average, and no numbers. For the prompts of the package, common tokenizers count more
-    than twice as many.
-    """
-    text = " ".join(message["content"] for message in request["messages"])
-    numbers, words = len(re.findall(r"\d+", text)), len(re.findall(r"[^\W\d]+", text))
-    if answer.prompt_tokens is None or answer.prompt_tokens >= numbers + words / 2:
-        return None
-    has_system = request["messages"][0]["role"] == "system"
-    why = "drop the system message, which contains the rules: try --system merge" if has_system else "cut the prompt"
-    size = f"{words + numbers} words and numbers"
-    return f"warning: the endpoint counted {answer.prompt_tokens} tokens for a prompt of {size}: it may {why}"

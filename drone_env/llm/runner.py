@@ -11,13 +11,12 @@ from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
-from drone_env.llm.budget import LimitReachedError
-from drone_env.llm.config import RunConfig, host_of, is_loopback
+from drone_env.llm.budget import LimitReachedError, RateLimiter, now
+from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.follow import following
-from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.progress import Progress
-from drone_env.llm.rejections import Changes, described, missing_text
+from drone_env.llm.rejections import Changes, described
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, digest
@@ -25,10 +24,9 @@ from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
-FIRST_CONCURRENCY = 8
-"""Number of requests at once before the first answer; 1 on this machine, where many servers answer one at a time."""
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
-OVERLOADED = {429, 503, 529}
+OVERLOADED = {0, 408, 429, 503, 504, 524, 529}
+"""Also without a response: a server that is too slow."""
 LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
 """How long a call waits for an endpoint that is starting, and for one that has taken no connection yet."""
 MAX_BACKOFF = 30.0
@@ -85,7 +83,6 @@ class Calls:
         progress: Shows the progress.
         fatal: Why every further request would fail; None if there is no such reason.
         changes: What requests change because the endpoint rejected it.
-        reached: Whether the endpoint has taken a connection.
         told: Statuses of an endpoint that is starting that have been printed.
     """
 
@@ -96,7 +93,6 @@ class Calls:
     progress: Progress
     fatal: str | None = None
     changes: Changes = field(init=False)
-    reached: bool = False
     told: set[int] = field(default_factory=set[int])
 
     def __post_init__(self) -> None:
@@ -110,7 +106,6 @@ class Calls:
             run.answer(stored.answer_to(run.request(stored.changes)))
         elif (reading := await self._reading(run, key)) is not None:
             run.take(reading)
-            self.progress.on_reading(reading)
         else:
             return
         self.progress.on_steps(run)
@@ -120,8 +115,6 @@ class Calls:
         failures, answer, reading, latency = list[Failure](), None, None, 0.0
         try:
             answer, latency = await self._send(run, key, failures)
-            if not self.transcript.answered and (warning := missing_text(run.body, answer)):
-                self.progress.notice(warning)
             reading = read_answer(answer, run.prompt.plan, run.prompt.marks)
             outcome = reading.kind
         except LimitReachedError as error:
@@ -138,11 +131,8 @@ class Calls:
             outcome = "api_error"
         call = Call(
             **key._asdict(),
-            seed=run.seed,
-            repeat=run.repeat,
             messages=run.body["messages"],
             request_digest=digest(run.body),
-            sampling_seed=run.body.get("seed"),
             changes=dict(run.changes),
             answer=answer,
             outcome=outcome,
@@ -159,24 +149,19 @@ class Calls:
         limiter, options = self.limiter, self.limiter.options
         since: float | None = None
         while True:
-            async with limiter.slot(key.flight, key.turn) as sent:
+            async with limiter.slot() as sent:
                 request = run.request(self.changes)
                 if not run.turns:
                     self.progress.on_steps(run)
-                call_id = self.transcript.sending(key)
                 try:
-                    answer = await self.endpoint.send(request, call_id)
+                    answer = await self.endpoint.send(request, str(key))
                 except TryFailedError as error:
                     failed, retry_after = error, error.retry_after or 0.0
-                    self.reached |= failed.status > 0 or not failed.starting
                     if failed.retried and not failed.changes and not failed.starting:
-                        overload = failed.timed_out or failed.status in OVERLOADED
-                        limiter.failed(sent, min(retry_after, MAX_WAIT), overload)
-                    if failed.timed_out:
-                        await limiter.abandoned()
+                        limiter.failed(sent, min(retry_after, MAX_WAIT), failed.status in OVERLOADED)
                 else:
-                    self.reached = True
-                    return answer, limiter.answered(sent, answer)
+                    limiter.answered()
+                    return answer, now() - sent
             if failed.changes:
                 # Each part is rejected once at most, so this ends, also without tries left.
                 if failed.changes.items() - self.changes.items():
@@ -184,11 +169,8 @@ class Calls:
                     self.progress.notice(f"{'; '.join(described(failed.changes))}: the endpoint returned {failed}")
                 failures.append(Failure(status=failed.status, reason=failed.reason, waited=0.0))
                 continue
-            has_system = request["messages"][0]["role"] == "system"
-            if failed.status == 500 and has_system and not self.transcript.answered:
-                failed.reason += "; if the model has no system role, try --system merge"
             since = now() if since is None else since
-            patience = LOADING_SECONDS if self.reached else UNKNOWN_SECONDS
+            patience = LOADING_SECONDS if failed.status or self.transcript.answered else UNKNOWN_SECONDS
             patient = failed.starting and options.tries > 1 and now() - since < patience
             again = failed.retried and (patient or len(failures) + 1 < options.tries) and retry_after <= MAX_WAIT
             wait = random.uniform(0, min(MAX_BACKOFF, options.backoff * 2 ** min(len(failures), 30)))
@@ -217,13 +199,8 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
     flights, fatal, budget = list[EpisodeRun](), None, progress.budget
     prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
-        budget.resume(transcript.calls, len(transcript.sent))
-        first = 1 if is_loopback(host_of(config.base_url)) else FIRST_CONCURRENCY
-        most = min(options.concurrency, config.flights)
-        longest = 1 if prompt.plan else config.task_config.max_steps
-        turns = len({(key.flight, key.turn) for key in transcript.sent})
-        limiter = RateLimiter(budget, first, most, longest, turns)
-        calls = Calls(config, endpoint, transcript, limiter, progress)
+        budget.resume(transcript.calls)
+        calls = Calls(config, endpoint, transcript, RateLimiter(budget), progress)
 
         async def worker() -> None:
             for number in numbers:
@@ -236,7 +213,6 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
                         await calls.fly_turn(run)
                     if follow is not None:
                         await follow(run.episode)
-                limiter.ended(number)
                 # A flight that reached a limit before its first answer has not begun.
                 if run.status != "budget_stop" or run.attempt == 2 or run.step_errors:
                     flights.append(run)
@@ -244,7 +220,7 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
                 if calls.fatal is not None:
                     raise EndpointError(calls.fatal)
 
-        workers = [asyncio.ensure_future(worker()) for _ in range(most)]
+        workers = [asyncio.ensure_future(worker()) for _ in range(min(options.concurrency, config.flights))]
         try:
             await asyncio.gather(*workers)
         except EndpointError as error:

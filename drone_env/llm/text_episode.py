@@ -144,11 +144,6 @@ class TextEpisode:
         optimum = best_of(self.episode.task, self.seed)
         return None if optimum is None else optimum.score - self.score
 
-    @property
-    def rewards(self) -> list[float]:
-        """The reward of each step."""
-        return list(self.episode.rewards)
-
 
 def status_text(episode: Episode) -> str:
     """The position, battery, target and deliveries in words, as the answer to a tool call."""

@@ -1,16 +1,13 @@
 """The transcript: every call of a run, one JSON line each, in the file before its answer is used.
 
 Flights, records and figures follow from it, so a killed run resumes from it. A process that dies while it writes
-leaves at most a cut last line, and the answer on it was not used. The key of each request is in a second file before
-the request is sent, so that those under way when a process dies are counted.
+leaves at most a cut last line, and the answer on it was not used.
 """
 
 import hashlib
 import json
 import os
-import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -22,7 +19,6 @@ from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.rejections import Part
 from drone_env.models import Count, StrictModel
 
-SENT = "sent.txt"
 LONGEST_CALL = 1 << 24
 """Bytes of a line: an answer has at most 4 MiB, and JSON can escape it."""
 
@@ -50,13 +46,10 @@ class Call(StrictModel):
     """One call, with all its tries."""
 
     flight: Count
-    seed: Count
-    repeat: Count
     turn: int = Field(ge=1)
     attempt: Literal[1, 2]
     messages: list[ChatMessage]
     request_digest: str = Field(description="Digest of the request's body.")
-    sampling_seed: int | None = Field(default=None, description="The seed in the request: the run's plus `repeat`.")
     changes: dict[Part, str | None] = Field(
         default={}, description="Fields that the endpoint rejects: the name that was sent instead; null for none."
     )
@@ -73,8 +66,7 @@ class Call(StrictModel):
 
     def answer_to(self, request: Mapping[str, Any]) -> Answer:
         """The answer, if this call sent the same request as the run sends now."""
-        sent = (self.messages, self.request_digest, self.sampling_seed)
-        if self.answer is None or sent != (request["messages"], digest(request), request.get("seed")):
+        if self.answer is None or (self.messages, self.request_digest) != (request["messages"], digest(request)):
             raise InvalidValueError(f"call {self.key} has another request than this run sends")
         return self.answer
 
@@ -89,29 +81,19 @@ class Transcript:
     """A transcript to read from and append to, in a locked run folder. Not thread-safe.
 
     Args:
-        path: The file; it and `sent.txt` beside it are created if they are missing, and a cut last line is removed.
+        path: The file; it is created if it is missing, and a cut last line is removed.
 
     Attributes:
         calls: All calls.
-        sent: The call of each request sent before.
         answered: The calls with an answer.
     """
 
     def __init__(self, path: Path) -> None:
-        sent = path.with_name(SENT)
         path.touch()
-        sent.touch()
-        self.calls, self.sent = list(read_calls(path)), list(read_sent(sent))
-        self._file, self._sent = path.open("ab", buffering=0), sent.open("ab", buffering=0)
-        for file, lines in ((self._file, _whole_lines(path)), (self._sent, _whole_lines(sent))):
-            file.truncate(sum(len(line) for _, line in lines))
+        self.calls = list(read_calls(path))
+        self._file = path.open("ab", buffering=0)
+        self._file.truncate(sum(len(line) for _, line in _whole_lines(path)))
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
-
-    def sending(self, key: CallKey) -> str:
-        """Write that a request is about to be sent; returns the key as text."""
-        call_id = str(key)
-        append_line(self._sent, call_id)
-        return call_id
 
     def append(self, call: Call) -> None:
         """Write a call; it is in the file when this returns."""
@@ -123,25 +105,8 @@ class Transcript:
 
     def close(self) -> None:
         """Sync and close the file."""
-        for file in (self._file, self._sent):
-            os.fsync(file.fileno())
-            file.close()
-
-
-def requests_of(calls: Iterable[Call]) -> Counter[CallKey]:
-    """The number of requests of each call."""
-    requests: Counter[CallKey] = Counter()
-    for call in calls:
-        requests[call.key] += len(call.failures) + (call.answer is not None)
-    return requests
-
-
-def read_sent(path: Path) -> Iterator[CallKey]:
-    """The call of each request that was sent, in order, without a cut last line."""
-    for number, line in _whole_lines(path):
-        if not re.fullmatch(rb"(0|[1-9]\d*)-[1-9]\d*-[12]\n", line):
-            raise InvalidValueError(f"line {number} of {path} is not FLIGHT-TURN-ATTEMPT")
-        yield CallKey(*map(int, line.split(b"-")))
+        os.fsync(self._file.fileno())
+        self._file.close()
 
 
 def read_calls(path: Path) -> Iterator[Call]:

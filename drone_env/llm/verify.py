@@ -1,6 +1,5 @@
 """Verify a run folder: fly every flight again from the model's own answers."""
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import Prompt
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.text_episode import EpisodeRun
-from drone_env.llm.transcript import SENT, Call, CallKey, read_calls, read_sent, requests_of
+from drone_env.llm.transcript import Call, CallKey, read_calls
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,6 @@ class VerifiedRun:
         results: The result of each flight.
         flights: The flights, in the same order.
         calls: Its transcript.
-        requests: Number of requests sent.
     """
 
     path: Path
@@ -32,7 +30,6 @@ class VerifiedRun:
     results: list[FlightResult]
     flights: list[EpisodeRun]
     calls: list[Call]
-    requests: int
 
 
 def verified_run(path: Path) -> VerifiedRun:
@@ -43,7 +40,7 @@ def verified_run(path: Path) -> VerifiedRun:
         InvalidValueError: if they do not, or a file is damaged.
     """
     config, results, records = load_config(path), load_results(path), list(read_records(path / EPISODES))
-    calls, sent = list(read_calls(path / TRANSCRIPT)), list(read_sent(path / SENT))
+    calls = list(read_calls(path / TRANSCRIPT))
     answers = {call.key: call for call in calls if call.answer is not None}
     prompt, known, used = config.load_prompt(), {call.key: call for call in calls} | answers, set[CallKey]()
     try:
@@ -51,11 +48,9 @@ def verified_run(path: Path) -> VerifiedRun:
         flights = [_flown_again(config, prompt, *flown, known, used) for flown in zip(results, records, strict=True)]
         if used != answers.keys():
             raise InvalidValueError(f"{len(answers.keys() - used)} answers belong to no flight")
-        if missing := requests_of(calls) - Counter(sent):
-            raise InvalidValueError(f"{SENT} lacks a request of call {min(missing)}")
     except DroneEnvError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-    return VerifiedRun(path, config, results, flights, calls, len(sent))
+    return VerifiedRun(path, config, results, flights, calls)
 
 
 def _check_numbers(

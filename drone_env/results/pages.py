@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from drone_env.results.tables import Table, markdown_table, number
+from drone_env.results.tables import number
 
 TEMPLATES = Path(__file__).with_name("templates")
 ENTITIES = {letter: f"&#{ord(letter)};" for letter in "|`*\\"} | {"&": "&amp;", "<": "&lt;"}
@@ -38,10 +38,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    markdown.filters.update(number=number, table=_markdown_table)
+    markdown.filters.update(number=number)
     return markdown
-
-
-def _markdown_table(table: Table) -> Markup:
-    rows = [[as_markdown(cell) for cell in row] for row in table.rows]
-    return Markup(markdown_table(table.head or ("", ""), rows))

@@ -145,11 +145,6 @@ def test_which_failures_are_those_of_an_endpoint_that_starts(
     assert failed(send({"error": {"message": message}}, status)).starting == starting
 
 
-def test_a_stream_that_was_not_requested_is_named(send: Send) -> None:
-    failure = failed(send("data: {}\n\ndata: [DONE]\n\n", headers={"Content-Type": "text/event-stream; charset=utf-8"}))
-    assert (failure.reason.startswith("the response is a stream (text/event-stream)"), failure.fatal) == (True, True)
-
-
 @pytest.mark.parametrize("token", [TOKEN, "aZ9._~+/=|^-(hf)[sk]"])
 def test_a_token_is_taken_out_however_it_is_written(token: str) -> None:
     for written in (token, token.upper(), token.lower(), quote(token, safe="")):

@@ -3,7 +3,6 @@
 import asyncio
 import math
 import random
-from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,103 +11,28 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.budget import Budget, Options
+from drone_env.llm.budget import Budget, Options, RateLimiter, now
 from drone_env.llm.endpoint import TryFailedError
-from drone_env.llm.limiter import RateLimiter, now
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.verify import verified_run
 
 from .conftest import blocks
 from .stored_run import BEGAN, Scripted, fly, in_virtual_time
 
-ELSEWHERE = {"base_url": "https://api.example.com/v1"}
 
-
-class Server(Scripted):
-    """Answers as a greedy pilot. It does not notice that a client is gone, and works on.
-
-    Args:
-        batch: Number of requests that it answers at once; others wait.
-        seconds: Time for an answer of 100 tokens.
-        varying: Whether answers have 20 to 500 tokens.
-        loading: Seconds that the first answer takes longer.
-        refuses_above: Number of requests at once, above which it refuses.
-        fails: Share of requests that fail for no reason.
-
-    Attributes:
-        answers: Their number.
-        most_open: The most requests that it had at once.
-        most_of_a_call: The most requests of one call that it had at once.
-        open_seconds: The seconds that clients waited for answers, of all together.
-        worked: The seconds that all answers took alone.
-    """
-
-    def __init__(
-        self,
-        batch: int,
-        seconds: float = 1.0,
-        *,
-        varying: bool = False,
-        loading: float = 0.0,
-        refuses_above: int = 10**9,
-        fails: float = 0.0,
-    ) -> None:
-        super().__init__()
-        self._seconds, self._varying, self._loading = seconds, varying, loading
-        self._refuses_above, self._share = refuses_above, fails
-        self._random = random.Random(1)
-        self._places = asyncio.Semaphore(batch)
-        self._open: Counter[str] = Counter()
-        self.answers = self.most_open = self.most_of_a_call = 0
-        self.open_seconds = self.worked = 0.0
-
-    async def _work(self, call_id: str, tokens: int) -> None:
-        async with self._places:
-            loading, self._loading = self._loading, 0.0
-            await asyncio.sleep(loading + self._seconds * tokens / 100)
-        self._open[call_id] -= 1
-
-    async def tokens(self, call_id: str) -> int:
-        """Work on a request; the tokens of its answer."""
-        if self._open.total() >= self._refuses_above:
-            raise TryFailedError(429, "too many", retried=True)
-        if self._random.random() < self._share:
-            raise TryFailedError(500, "bad luck", retried=True)
-        tokens = self._random.choice([20, 50, 100, 100, 500]) if self._varying else 100
-        self._open[call_id] += 1
-        self.most_open = max(self.most_open, self._open.total())
-        self.most_of_a_call = max(self.most_of_a_call, self._open[call_id])
-        began = now()
-        try:
-            await asyncio.wait_for(asyncio.shield(asyncio.ensure_future(self._work(call_id, tokens))), 120)
-        except asyncio.TimeoutError:
-            raise TryFailedError(0, "no answer", retried=True, timed_out=True) from None
-        finally:
-            self.open_seconds += now() - began
-        self.answers += 1
-        self.worked += self._seconds * tokens / 100
-        return tokens
-
-    async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
-        tokens = await self.tokens(call_id)
-        return (await super().send(request, call_id)).model_copy(update={"completion_tokens": tokens})
-
-
-def with_limiter(
-    work: Callable[[RateLimiter], Awaitable[Any]], first: int = 8, most: int = 64, longest: int = 1, **options: Any
-) -> tuple[Any, float]:
+def with_limiter(work: Callable[[RateLimiter], Awaitable[Any]], **options: Any) -> tuple[Any, float]:
     """The result of a function that gets a limiter, and the virtual seconds that it took."""
 
     async def run() -> Any:
-        return await work(RateLimiter(Budget(Options(**options)), first, most, longest))
+        return await work(RateLimiter(Budget(Options(**options))))
 
     return in_virtual_time(run())
 
 
-async def answered(limiter: RateLimiter, flight: int = 0, turn: int = 1) -> float:
+async def answered(limiter: RateLimiter) -> float:
     """Send a request that is answered at once; the seconds until it was sent."""
-    async with limiter.slot(flight, turn) as sent:
-        limiter.answered(sent, Answer(text="UP"))
+    async with limiter.slot():
+        limiter.answered()
     return now() - BEGAN
 
 
@@ -130,67 +54,7 @@ def test_requests_per_minute(options: dict[str, float], idle: float, expected: l
     assert with_limiter(work, **options)[0] == pytest.approx(expected)
 
 
-async def answers_of(limiter: RateLimiter, server: Server, flights: int = 100, calls: int = 10) -> None:
-    """Fly flights that repeat what fails."""
-
-    async def fly_one(number: int) -> None:
-        left = calls
-        while left:
-            async with limiter.slot(number) as sent:
-                server.requests += 1
-                try:
-                    tokens = await server.tokens(str(number))
-                except TryFailedError as error:
-                    limiter.failed(sent, 0, overload=error.status == 429)
-                else:
-                    left -= 1
-                    # Half of them are not metered.
-                    metered = Answer(text="UP", completion_tokens=tokens)
-                    limiter.answered(sent, metered if left % 2 else Answer(text="UP. " * tokens))
-            await asyncio.sleep(0.1)
-
-    await asyncio.gather(*map(fly_one, range(flights)))
-
-
-@pytest.mark.parametrize(
-    ("first", "server", "most", "throughput", "most_open"),
-    [
-        (1, {"batch": 1}, 64, 0.95, 1.2),
-        (1, {"batch": 1, "loading": 90}, 64, 0.9, 1.2),
-        (8, {"batch": 1}, 64, 0.95, 2.5),
-        (1, {"batch": 4}, 64, 3.5, 6),
-        (8, {"batch": 16}, 64, 13, 20),
-        (8, {"batch": 10**6}, 64, 28, 64),
-        (8, {"batch": 10**6}, 3, 2.5, 3),
-        (8, {"batch": 10**6, "fails": 0.01}, 64, 24, 64),
-        (8, {"batch": 10**6, "refuses_above": 40}, 64, 20, 40),
-    ],
-    ids=str,
-)
-def test_a_server_gets_as_many_requests_at_once_as_it_can_use(
-    first: int, server: Any, most: int, throughput: float, most_open: float
-) -> None:
-    # Its answers take 0.2 to 5 s.
-    simulated = Server(**server, varying=True)
-    _, seconds = with_limiter(lambda limiter: answers_of(limiter, simulated), first, most)
-    assert simulated.worked / seconds >= throughput
-    assert simulated.open_seconds / seconds <= most_open
-    assert simulated.most_open <= most
-    assert simulated.requests <= 1.1 * simulated.answers
-
-
-def test_a_request_that_timed_out_keeps_its_slot_while_its_server_may_work_on_it(tmp_path: Path) -> None:
-    # The model is loaded 30 s after the first request was given up.
-    server = Server(1, loading=150)
-    assert fly(server, tmp_path / "loading", Options()).result.verdict == "valid"
-    assert (server.answers, server.most_of_a_call) == (4, 1)
-    # No answer ever comes in time.
-    server = Server(1, seconds=130)
-    assert fly(server, tmp_path / "slow", Options(), seeds=(14, 16)).result.verdict == "invalid"
-    assert (server.most_open, server.most_of_a_call) == (1, 1)
-
-
-def test_an_overload_halves_and_other_failures_only_if_they_are_many() -> None:
+def test_an_overload_halves_and_answers_bring_the_limit_back() -> None:
     async def work(limiter: RateLimiter) -> None:
         async def failed(overload: bool) -> int:
             await asyncio.sleep(1)
@@ -198,14 +62,35 @@ def test_an_overload_halves_and_other_failures_only_if_they_are_many() -> None:
                 limiter.failed(sent, 0, overload)
             return limiter.limit
 
-        assert [await failed(overload=False) for _ in range(3)] == [16, 8, 4]
+        assert await failed(overload=False) == 16
+        assert await failed(overload=True) == 8
         async with limiter.slot() as sent:
-            assert await failed(overload=True) == 2
+            assert await failed(overload=True) == 4
             limiter.failed(sent, 0, overload=True)  # sent before the last halving
-            assert limiter.limit == 2
-        assert [await failed(overload=True) for _ in range(2)] == [1, 1]
+            assert limiter.limit == 4
+        assert [await failed(overload=True) for _ in range(3)] == [2, 1, 1]
+        limits = list[int]()
+        for _ in range(140):
+            await answered(limiter)
+            limits.append(limiter.limit)
+        assert (limits[0], limits[2], limits[5], limits[-1]) == (2, 3, 4, 16)
 
-    with_limiter(work, first=16)
+    with_limiter(work, concurrency=16)
+
+
+def test_no_more_requests_are_open_than_the_limit_allows() -> None:
+    async def work(limiter: RateLimiter) -> int:
+        peaks = list[int]()
+
+        async def one() -> None:
+            async with limiter.slot():
+                peaks.append(limiter.active)
+                await asyncio.sleep(1)
+
+        await asyncio.gather(*(one() for _ in range(10)))
+        return max(peaks)
+
+    assert with_limiter(work, concurrency=4) == (4, 3)
 
 
 def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> None:
@@ -218,58 +103,26 @@ def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> No
     assert with_limiter(work)[0] == 7
 
 
-def test_waiting_requests_go_by_flight_and_a_cancelled_one_leaves_its_place() -> None:
+def test_waiting_requests_go_in_order_and_a_cancelled_one_leaves_its_place() -> None:
     async def work(limiter: RateLimiter) -> None:
         order: list[int] = []
 
-        async def one(flight: int) -> None:
-            async with limiter.slot(flight):
-                order.append(flight)
+        async def one(number: int) -> None:
+            async with limiter.slot():
+                order.append(number)
 
         # One is cancelled while it waits, and one when it is let in, before it begins.
-        for flights, cancelled, late in (((3, 1, 2, 0, 1), 2, False), ((4, 5), 0, True)):
-            async with limiter.slot(9):
-                waiting = [asyncio.ensure_future(one(flight)) for flight in flights]
+        for numbers, cancelled, late in (((0, 1, 2, 3), 2, False), ((4, 5), 0, True)):
+            async with limiter.slot():
+                waiting = [asyncio.ensure_future(one(number)) for number in numbers]
                 await asyncio.sleep(1)
                 if not late:
                     waiting[cancelled].cancel()
             waiting[cancelled].cancel()
             await asyncio.wait(waiting)
-        assert (order, limiter.active) == ([0, 1, 1, 3, 5], 0)
+        assert (order, limiter.active) == ([0, 1, 3, 5], 0)
 
-    with_limiter(work, most=1)
-
-
-@pytest.mark.parametrize("concurrency", [1, 64])
-@pytest.mark.parametrize("limit", [{"max_calls": 200}, {"max_tokens": 40_000}, {"max_cost": 0.02}], ids=str)
-def test_a_budget_ends_as_many_flights_as_it_can(tmp_path: Path, concurrency: int, limit: Any) -> None:
-    # A call takes 200 tokens, 100 millionths of a dollar. Of hard, a greedy pilot takes about 40.
-    options = Options(concurrency=concurrency, price_prompt=0.5, price_completion=0.5, **limit)
-    flown = fly(Server(10**6), tmp_path / "run", options, task="hard", seeds=range(20), **ELSEWHERE).result
-    assert [flight.status for flight in flown.flights] == ["finished"] * 4 + ["budget_stop"]
-
-
-def test_a_rejected_request_is_no_progress_of_its_flight() -> None:
-    async def work(limiter: RateLimiter) -> None:
-        for _ in range(2):
-            await answered(limiter)
-        waiting = asyncio.ensure_future(answered(limiter, 1))
-        await asyncio.sleep(1)
-        # Five turns at two requests each are left of the first flight, but only eight requests.
-        assert not waiting.done()
-        limiter.ended(0)
-        await waiting
-
-    with_limiter(work, longest=5, max_calls=10)
-
-
-def test_a_budget_that_suffices_for_all_holds_no_flight_back(tmp_path: Path) -> None:
-    most_open: list[int] = []
-    for name, options in (("free", Options()), ("limited", Options(max_calls=60 * 20))):
-        server = Server(10**6)
-        assert fly(server, tmp_path / name, options, seeds=range(20), **ELSEWHERE).result.verdict == "valid"
-        most_open.append(server.most_open)
-    assert most_open[0] == most_open[1] > 16
+    with_limiter(work, concurrency=1)
 
 
 def test_the_limit_of_calls_holds_exactly_and_a_resumed_run_goes_on(tmp_path: Path) -> None:
@@ -286,7 +139,9 @@ def test_the_limit_of_calls_holds_exactly_and_a_resumed_run_goes_on(tmp_path: Pa
     done = fly(sender, tmp_path / "run", **run)
     assert (done.result.verdict, sender.requests) == ("valid", len(done.calls) + 1)
     assert len({call.key for call in done.calls}) == len(done.calls)
-    assert verified_run(tmp_path / "run").requests == sender.requests
+    budget = Budget(Options())
+    budget.resume(verified_run(tmp_path / "run").calls)
+    assert budget.requests == sender.requests
 
 
 def test_a_flight_that_the_limit_did_not_let_begin_is_none(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

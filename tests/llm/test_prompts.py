@@ -80,9 +80,6 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InvalidValueError, match=why):
             get_prompt(str(path))
-    (tmp_path / "grid-2.toml").write_text("format = 1" + rest)
-    with pytest.raises(InvalidValueError, match=r"grid-2\.toml: the package has a prompt of this name"):
-        read_prompt(tmp_path / "grid-2.toml")
 
 
 @pytest.mark.parametrize("template", ["{{ task.__class__.__mro__ }}", "{{ 1 // 0 }}"])
@@ -123,12 +120,12 @@ def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     config = json.loads((first.folder / "run.json").read_text())
     assert (config["prompt"], config["prompt_text"]) == ("mine", OWN)
     assert scripted.requests()[0]["body"]["messages"][0]["content"].startswith("The grid is 10 x 10:")
-    # Another file is another run; without one, it goes on with its own.
+    # Another text is another run.
     mine.write_text(OWN.replace("{{ reason }}", "Again!"))
     again = ("--seeds", "14:15", "--resume", "--max-calls", "5")
     refused = scripted.infer(*again, "--prompt", str(mine), folder=first.folder)
     assert (refused.status, "prompt_digest: " in refused.err) == (2, True)
-    mine.unlink()
-    resumed = scripted.infer(*again, folder=first.folder)
+    mine.write_text(OWN)
+    resumed = scripted.infer(*again, "--prompt", str(mine), folder=first.folder)
     assert resumed.turns == {"ok": 5, "budget_stop": 1}
     verified(resumed)

@@ -29,8 +29,8 @@ def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(tmp_path: Path) -> 
     flown = fly(sender, tmp_path / "run", repeats=4, sampling=Sampling(seed=5))
     assert [flight.success for flight in flown.result.flights] == [True, False, True, True]
     # Each flight is another draw from the model.
-    assert [call.sampling_seed for call in flown.calls] == [5] * 4 + [6] * 60 + [7] * 3 + [8] * 3
-    figures = report(verified_run(tmp_path / "run"), moves=False).to_json()
+    assert [flight.parameters["seed"] for flight in flown.result.flights] == [5, 6, 7, 8]
+    figures = report(verified_run(tmp_path / "run"), moves=False).report
     assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
     assert figures["success_rate"] == 0.75
 
@@ -44,7 +44,7 @@ def test_a_wait_that_the_model_did_not_choose_is_none_of_its_moves(
     tmp_path: Path, usable: Any, waits: int, labels: int, accuracy: float | None
 ) -> None:
     fly(Scripted(lambda number: "greedy" if usable(number) else "Hm."), tmp_path / "run")
-    figures = report(verified_run(tmp_path / "run")).to_json()
+    figures = report(verified_run(tmp_path / "run")).report
     moves = figures["moves"]
     assert (figures["waits"], sum(moves["labels"].values())) == (waits, labels)
     assert (moves["decisive"], moves["accuracy"]) == (labels, accuracy)
@@ -62,33 +62,30 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(tmp_path: Path) -
     once = fly(Scripted(), tmp_path / "once", seeds=(14, 16))
     sender = Scripted(fails=lambda number: TryFailedError(400, "no") if number == len(once.calls) else None)
     flown = fly(sender, tmp_path / "run", seeds=(14, 16), repeats=2)
-    figures = report(verified_run(tmp_path / "run"), moves=False).to_json()
+    figures = report(verified_run(tmp_path / "run"), moves=False).report
     assert figures["flights"]["errored"] == 1
     assert figures["score"] == pytest.approx(figures["baselines"]["greedy"], abs=1e-12)
     assert figures["pass_hat_k"] == {"1": 1.0}
     assert summary_lines(flown.result)[0].startswith(f"mean score {figures['score']:.4f} over 3 flights")
 
 
-def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_text(tmp_path: Path) -> None:
+def test_errored_flights_are_kept_out_and_shown(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>|x![](http://h)"
     folder, fails = tmp_path / "run", TryFailedError(500, hostile, retried=True)
     fly(Scripted(fails=lambda number: fails if number > 3 else None), folder, seeds=(14, 16), model=hostile)
     found = report(verified_run(folder), moves=False)
-    figures = found.to_json()
+    figures = found.report
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
-    write_report(found)
-    text = (folder / "report.md").read_text()
-    assert "<script" not in text
-    assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x!&#91;](http://h) |" in text
+    errored = {"seed": 15, "repeat": 0, "status": "errored", "error": f"500: {hostile}"}
+    assert figures["not_finished"] == [errored]
 
 
 def test_a_run_without_a_score_has_a_report(tmp_path: Path) -> None:
     fly(Scripted(fails=lambda _: TryFailedError(400, "no", retried=True)), tmp_path, seeds=(14, 16))
     write_report(report(verified_run(tmp_path)))
     assert json.loads((tmp_path / "report.json").read_text())["score"] is None
-    assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (tmp_path / "report.md").read_text()
 
 
 def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) -> None:
@@ -123,16 +120,16 @@ def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("usage", "tokens", "cost", "rows"),
+    ("usage", "tokens", "cost"),
     [
-        ([None] * 3, (None, None, None), None, ("-", "-", "3", "-")),
-        ([(None, 2)] * 3, (None, 6, 6), None, ("-", "at least 6", "3", "-")),
-        ([(100, 2), None, (100, 4)], (200, 6, 206), 0.00086, ("at least 200", "at least 6", "1", "at least 0.0009")),
-        ([(100, 2)] * 3, (300, 6, 306), 0.00126, ("300", "6", "0", "0.0013")),
+        ([None] * 3, (None, None, None), None),
+        ([(None, 2)] * 3, (None, 6, 6), None),
+        ([(100, 2), None, (100, 4)], (200, 6, 206), 0.00086),
+        ([(100, 2)] * 3, (300, 6, 306), 0.00126),
     ],
 )
 def test_tokens_that_no_answer_reports_are_unknown_not_0(
-    usage: list[Any], tokens: tuple[object, ...], cost: float | None, rows: tuple[str, ...], tmp_path: Path
+    usage: list[Any], tokens: tuple[object, ...], cost: float | None, tmp_path: Path
 ) -> None:
     class Metered(Scripted):
         async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
@@ -142,13 +139,9 @@ def test_tokens_that_no_answer_reports_are_unknown_not_0(
 
     fly(Metered(), tmp_path)
     found = report(verified_run(tmp_path), Options(price_prompt=4, price_completion=10), moves=False)
-    figures = found.to_json()
+    figures = found.report
     assert tuple(figures["tokens"].values()) == tokens
     assert figures["cost_usd"] == (cost and pytest.approx(cost))
-    write_report(found)
-    names = ("tokens: prompt", "tokens: completion", "answers without a count of tokens", "cost in US dollars")
-    table = "".join(f"| {name} | {row} |\n" for name, row in zip(names, rows, strict=True))
-    assert table in (tmp_path / "report.md").read_text()
 
 
 def boards(capsys: pytest.CaptureFixture[str], *folders: Path) -> Any:

@@ -69,15 +69,6 @@ def test_plain_http_reaches_every_host_without_a_token_and_private_ones_with_a_t
         assert keyed.token_for(url) == "EMPTY-no-key"
 
 
-@pytest.mark.parametrize("key", ["hf_abcdef", "sk-proj-abcT3BlbkFJdef"])
-def test_the_key_of_a_provider_goes_unencrypted_to_no_other_machine(key: str) -> None:
-    keyed = settings(openai_api_key=key)
-    with pytest.raises(InvalidValueError, match="OpenAI and is not sent unencrypted to vllm"):
-        keyed.token_for("http://vllm:8000/v1")
-    assert keyed.token_for("http://127.0.0.1:4000/v1") == keyed.token_for("https://gateway.example/v1") == key
-    assert keyed.token_for("http://vllm:8000/v1", allow_plain_http=True) == key
-
-
 @pytest.mark.feature("I1")
 def test_the_key_of_openai_alone_is_for_openai() -> None:
     def used(url: str | None = None, **written: str) -> tuple[str, str, str | None]:

@@ -17,13 +17,13 @@ def test_a_flight_by_text() -> None:
     assert again[:2] == [system, user]
     assert again[2] == {"role": "assistant", "content": "Let us go left!"}
     assert "the answer is not one action" in again[3]["content"]
-    assert flight.rewards == []
+    assert flight.episode.rewards == []
     assert flight.answer("LEFT")[1]["content"].endswith("Last steps:\n1. LEFT -> (5, 3). On the way.")
     assert (flight.score, flight.success) == (0.01, False)  # as if it waited to the end
     flight.answer("UP")
     assert flight.answer("UP") == flight.messages == []
     assert (flight.turns, flight.step_errors) == (["repaired", "ok", "ok"], [None, None, None])
-    assert (flight.score, flight.success, flight.rewards) == (0.99, True, [0.15, 0.15, 0.99])
+    assert (flight.score, flight.success, flight.episode.rewards) == (0.99, True, [0.15, 0.15, 0.99])
     assert flight.regret == solve("easy", 14).score - 0.99
     with pytest.raises(EpisodeError, match="the flight is over"):
         flight.answer("UP")

@@ -1,17 +1,12 @@
 """The folder that an evaluation goes on from."""
 
-import ctypes
 import json
-import signal
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from drone_env.cli import main
 from drone_env.results import folder as results_folder
-from drone_env.results.evaluate import run_episodes
-from drone_env.results.result import EpisodesKey, Results
 
 
 def test_an_evaluation_goes_on_where_it_was_stopped(
@@ -39,26 +34,3 @@ def test_an_evaluation_goes_on_where_it_was_stopped(
     monkeypatch.setattr(results_folder, "__version__", "99.0")
     assert main(command) == 2
     assert "is now '99.0'" in capsys.readouterr().err
-
-
-def test_ctrl_c_counts_where_a_callback_of_the_compiler_loses_the_exception(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    press = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
-
-    def fly(keys: Sequence[EpisodesKey], agents: object) -> Iterator[Results]:
-        for key in keys:
-            press()
-            yield run_episodes(key)
-
-    monkeypatch.setattr("drone_env.commands.evaluate.local_engine", fly)
-    folder = tmp_path / "results"
-    command = ["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]
-    # What a shell starts in the background ignores SIGINT.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        assert main(command) == 130
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert len(list((folder / "pieces").iterdir())) == 1
-    assert f"interrupted; the same command goes on from {folder}" in capsys.readouterr().err
