@@ -16,9 +16,10 @@ from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from tests.llm.conftest import ROOT
 from tests.same import assert_same
+from tests.tools import eventually
 from tests.toy import PLUGIN_OF_HOPS
 
-from .conftest import node_killed_when
+from .conftest import MEMORY
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(36_000)]
 TASK = os.environ.get("DRONE_ENV_CLUSTER_TASK", "easy")
@@ -44,17 +45,18 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
         folder.mkdir()
     assert main(arguments(local, "--checkpoint", str(network))) == 0
     expected = contents(local / "results")
-    pieces: list[int] = []
 
-    def in_the_middle() -> bool:
-        pieces.append(len(list((on_ray / "results").glob("pieces/*.npz"))))
-        return pieces[-1] > 0
+    def kill_a_node() -> int:
+        eventually(lambda: [*on_ray.glob("results/pieces/*.npz")])
+        cluster.remove_node(next(iter(cluster.worker_nodes)), allow_graceful=False)
+        return len([*on_ray.glob("results/pieces/*.npz")])
 
-    with node_killed_when(cluster, in_the_middle):
-        assert (
-            main(arguments(on_ray, "--checkpoint", str(network), "--engine", "ray", "--address", cluster.address)) == 0
-        )
-    assert pieces[-1] < len(expected)
+    with ThreadPoolExecutor() as threads:
+        there = threads.submit(kill_a_node)
+        options = ["--checkpoint", str(network), "--engine", "ray", "--address", cluster.address]
+        assert main(arguments(on_ray, *options)) == 0
+    cluster.add_node(num_cpus=1, object_store_memory=MEMORY)
+    assert there.result() < len(expected), "all was done before the node was killed"
     assert (on_ray / "figures.json").read_bytes() == (local / "figures.json").read_bytes()
     assert_same(contents(on_ray / "results"), expected)
 

@@ -1,6 +1,5 @@
 """Extracts of OpenStreetMap become cities."""
 
-import bz2
 import gzip
 import re
 from collections.abc import Callable
@@ -125,7 +124,6 @@ WRITTEN: dict[str, Callable[[str], str | bytes]] = {
     "negative ids": numbered(lambda number: -number),
     "large ids": numbered(lambda number: number + 2**62),
     "gzip": lambda text: gzip.compress(text.encode()),
-    "bzip2": lambda text: bz2.compress(text.encode()),
     "UTF-16": lambda text: text.encode("utf-16"),
 }
 
@@ -158,10 +156,8 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     "the world": (with_bounds(bounds(-180, -85, 180, 85)), r"nodes are in 25 59.9.* with --bbox WEST"),
     "across 180 degrees": (with_bounds(bounds(179.9, -1, -179.9, 1)), "with --bbox WEST"),
     "JSON": (lambda text: '{"elements": []}', "neither XML nor PBF; allowed are XML"),
-    "HTML": (lambda text: "<html></html>", "cut short or damaged"),
     "half": (lambda text: text[:700], "cut short or damaged"),
     "half of a gzip": (lambda text: gzip.compress(text.encode())[:-9], "ended before the end-of-stream"),
-    "nothing": (lambda text: b"", "neither XML nor PBF"),
 }
 
 

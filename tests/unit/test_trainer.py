@@ -12,7 +12,6 @@ import torch
 
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_of
-from drone_env.core.tasks import TASKS, get_task
 from drone_env.rl.common import Validation
 from drone_env.rl.model import PathQNet
 from drone_env.rl.run import load_checkpoint, save_checkpoint
@@ -137,21 +136,6 @@ def test_a_target_by_episodes_is_copied_every_so_many() -> None:
         copies[trainer.episodes // 8] = all(map(torch.equal, parameters(trainer.target), first))
     assert copies == {0: True, 1: False, 2: False}
     assert_same(parameters(trainer.target), parameters(trainer.online))  # the last step ended with a copy
-
-
-def test_training_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a map of 3 x 3 the network soon delivers what chance seldom does."""
-    task = replace(get_task("easy"), id="tiny_city", short_name="tiny_city", width=3, height=3, buildings=0, trees=0,
-                   obstacles=0, max_steps=9, battery_capacity=9)  # fmt: skip
-    monkeypatch.setitem(TASKS, task.id, task)
-    config = replace(SMALL, task="tiny_city", episodes=300, num_envs=16, batch_size=64, steps_per_update=8,
-                     learning_rate=2e-3, replay_size=8000, epsilon_steps=2000, validation_every=100,
-                     validation_maps=40)  # fmt: skip
-    trainer = Trainer(config)
-    untrained = trainer.validator.validate(trainer.act).score
-    finished(trainer)
-    assert untrained < 0.6 * trainer.validator.optimum
-    assert trainer.best_score > 0.95 * trainer.validator.optimum
 
 
 # What it logs
