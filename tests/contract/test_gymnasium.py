@@ -99,13 +99,10 @@ def test_the_limit_that_libraries_read_truncates_nothing() -> None:
 
 
 MEASURED = [task for task in TASKS.values() if task.id in REWARD_THRESHOLDS]
-QUICK = ("easy_delivery", "skyline_medium")
 
 
-@pytest.mark.parametrize(
-    "task",
-    [pytest.param(task, id=task.id, marks=[] if task.id in QUICK else [pytest.mark.long]) for task in MEASURED],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("task", MEASURED, ids=lambda task: task.id)
 def test_the_threshold_lies_near_the_optimum(task: TaskConfig) -> None:
     episodes = [Episode(task, seed=seed) for seed in split_seeds("validation", 100)]
     best = np.mean([episode.copy().fly(best_actions(episode)).waited_out().reward_total for episode in episodes])

@@ -38,9 +38,7 @@ def test_fly_shows_maps_and_saves_a_picture_beside_the_log(tmp_path: Path, capsy
     assert np.asarray(Image.open(picture)).std() > 10
 
 
-def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_map_that_is_too_large_to_be_solved_has_bounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = "".join(f"{row!r},".replace("'", '"') for row in ["· " * 6] * 4 + ["🔋" + "· " * 5])
     numbers = "deliveries = 16\nmax_steps = 200\nbattery_capacity = 30"
     (tmp_path / "full.toml").write_text(f"format = 1\n[task]\n{numbers}\n[terrain]\nrows = [{rows}]", "utf-8")
@@ -50,13 +48,6 @@ def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
     assert "GB are allowed" in output
     low, high = map(float, re.findall(r"0\.\d{4}", output))
     assert 0.8 < low < high < 0.99
-    assert main(["evaluate", *task, "--agents", "greedy", "optimal", "--episodes", "2", "--json", "-"]) == 0
-    (figures,) = json.loads(capsys.readouterr().out)["tasks"].values()
-    greedy, optimal = figures["agents"]["greedy"], figures["agents"]["optimal"]
-    assert greedy["mean_score"] > 0
-    assert greedy["mean_optimal_score"] is greedy["mean_regret"] is None
-    assert optimal["mean_score"] is None
-    assert "GB are allowed" in optimal["unsupported"]
 
 
 def test_a_named_network_must_fit_one_of_the_tasks(capsys: pytest.CaptureFixture[str]) -> None:

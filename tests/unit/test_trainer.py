@@ -154,14 +154,6 @@ def test_its_figures_are_those_of_its_flights() -> None:
     assert [line.episode for line in trainer.history] == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_line_is_logged_every_so_many_episodes_and_at_the_end(whole: Trainer) -> None:
-    assert [line.episode for line in whole.history] == list(range(5, 41, 5))
-    # The first validation is at 10 episodes.
-    assert [bool(np.isnan(line.validation)) for line in whole.history] == [True] + 7 * [False]
-    assert whole.history[-1].validation == whole.validation.score
-    assert whole.history[-1].epsilon == whole.epsilon < whole.history[0].epsilon
-
-
 def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
     """Short flights went well: logged as they end, a run would seem to unlearn from its first line on."""
     config = replace(SMALL, num_envs=64, episodes=128, log_every=16, replay_size=4000, epsilon_end=1.0)
