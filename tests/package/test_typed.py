@@ -4,13 +4,11 @@ Each way to start the server and the Python client are in tests/api/test_startin
 is typed to build and to hand in in tests/container.
 """
 
-import json
 import os
 import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,14 +17,6 @@ from tests.package.installed import copy_tracked
 from tests.tools import ROOT, find_tool, missing_tool, ran
 
 TRAIN = "train.py --task easy_delivery --episodes 500"
-
-
-def ask(url: str, call: str) -> dict[str, Any]:
-    """The answer of a server to a call by curl."""
-    words = shlex.split(call.replace("http://localhost:8000", url))
-    said = subprocess.run([*words, "--silent", "--show-error", "--fail-with-body"], capture_output=True, text=True)
-    assert said.returncode == 0, f"{call}: {said.stderr}{said.stdout}"
-    return json.loads(said.stdout)
 
 
 @pytest.mark.long
@@ -54,9 +44,9 @@ def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
     assert validated[-1] > 0.9
     assert "500" in train()
     with serving(tmp_path / "data") as server:
-        assert ask(server.url, "curl http://localhost:8000/logs")["lines"] == logged.splitlines()[-50:]
-        ask(server.url, "curl -X POST http://localhost:8000/reset -H 'Content-Type: application/json' -d '{}'")
-        assert ask(server.url, "curl -X POST http://localhost:8000/predict")["model"]
+        assert server.client.get("/logs").json()["lines"] == logged.splitlines()[-50:]
+        server.client.post("/reset").raise_for_status()
+        assert server.client.post("/predict").json()["model"]
 
 
 @pytest.mark.long
