@@ -133,7 +133,6 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("summary = 'x'", "id: missing"),
         ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),

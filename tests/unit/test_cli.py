@@ -109,7 +109,6 @@ def test_the_maps_of_a_command() -> None:
         (["evaluate", "--json", "/missing/x.json"], "'/missing/x.json'"),
         (["trian"], "unknown command 'trian'; did you mean 'train'?"),
         (["analyse-flight"], "takes the file of a record alone, or --task"),
-        (["analyse-flight", "flight.json", "--seed", "7"], "the file of a record alone"),
         (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
         (["compare", "greedy", "greedy"], "each once; got greedy greedy"),
