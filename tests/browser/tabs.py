@@ -8,6 +8,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, ConsoleMessage, Page, Response, sync_playwright
 
+WIDE = {"width": 1440, "height": 900}
 SMALL = {"width": 1120, "height": 700}
 """The smallest window with the wide layout: each cell that is drawn costs CPU time."""
 NARROW = {"width": 390, "height": 844}
