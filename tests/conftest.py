@@ -21,6 +21,7 @@ from drone_env.envs.registry import PLUGINS
 from drone_env.errors import install_command
 from drone_env.flights import store
 from drone_env.graders import GRADERS
+from tests.api.serving import Server, serving
 from tests.tools import PATIENCE, missing_in, missing_package
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
@@ -51,6 +52,13 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> Generator[None, None, None]:
         for names in (TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry):
             restored.enter_context(patch.dict(names))
         yield
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
+    """A server process that all tests share."""
+    with serving(tmp_path_factory.mktemp("server") / "data", CAPACITY="2000") as running:
+        yield running
 
 
 @pytest.fixture(scope="session", autouse=True)

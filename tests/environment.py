@@ -6,13 +6,9 @@ SETTINGS = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_T
 """The variables of `drone-env infer`; all others of the package begin with `DRONE_ENV_`."""
 KNOBS = (
     "DRONE_ENV_CACHE",  # where compiled code is kept: a run of the tests may share it with others
-    "DRONE_ENV_CLUSTER_FLIGHTS",
-    "DRONE_ENV_CLUSTER_MAPS",
-    "DRONE_ENV_CLUSTER_TASK",
     "DRONE_ENV_EXAMPLES",
     "DRONE_ENV_FRAMES",
     "DRONE_ENV_LLM_ROUTES",
-    "DRONE_ENV_NGINX_SESSIONS",
     "DRONE_ENV_PARITY_STEPS",
     "DRONE_ENV_PROMPT_MAPS",
     "DRONE_ENV_REQUIRE_TOOLS",

@@ -28,12 +28,12 @@ environment() {
   $python tools/install_torch.py "$VENV/$1/bin/python" "$TORCH"
 }
 
-# OpenEnv's stock clients; then the tests that need TRL, Inspect, tianshou, TorchRL, RLlib or MoviePy.
+# OpenEnv's stock clients; then the tests that need TRL, Inspect, tianshou, TorchRL or RLlib.
 adapters() {
   $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
   "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,server,trl]' \
-    'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'tianshou>=2.0.1' 'torchrl>=0.14' \
+    'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'tianshou>=2.0.1' 'torchrl>=0.14' \
     'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
 }

@@ -23,6 +23,8 @@ OPENAI = "https://api.openai.com/v1"
 OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
 PRIVATE_NAMES = (".local", ".localhost", ".internal", ".lan", ".home.arpa", ".svc")
+PROVIDERS_KEY = re.compile(r"\Ahf_|\Ask-.*T3BlbkFJ")
+"""Beginning of a key of Hugging Face, and a part of every key of OpenAI."""
 RESERVED = {
     *("model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"),
     *("tools", "tool_choice", "response_format"),
@@ -77,7 +79,7 @@ class InferenceSettings(BaseSettings):
 
         Raises:
             InvalidValueError: if the token for the host is not set or cannot be in a header, or would be sent
-                unencrypted to a public host.
+                unencrypted to a public host, or, as a key of Hugging Face or OpenAI, to another machine.
         """
         parts = urlsplit(check_url(url))
         host = host_of(url)
@@ -91,11 +93,18 @@ class InferenceSettings(BaseSettings):
         if not re.fullmatch(r"[!#-&(-[\]-~]+", token):
             # JSON escapes quotes and backslashes, so such a token would not be found in an answer that quotes it.
             raise InvalidValueError(f"{name} must be printable ASCII without spaces, quotes and backslashes")
-        if parts.scheme == "https" or is_private(host) or allow_plain_http:
+        if parts.scheme == "https" or is_loopback(host) or allow_plain_http:
             return token
-        raise InvalidValueError(
-            f"{name} is not sent unencrypted to {host}, a public host: use https://, or add --allow-plain-http"
-        )
+        if not is_private(host):
+            raise InvalidValueError(
+                f"{name} is not sent unencrypted to {host}, a public host: use https://, or add --allow-plain-http"
+            )
+        if PROVIDERS_KEY.search(token):
+            raise InvalidValueError(
+                f"{name} is a key of Hugging Face or OpenAI and is not sent unencrypted to {host}: set it to the key "
+                "of this endpoint (any word if it has none), use https://, or add --allow-plain-http"
+            )
+        return token
 
 
 def load_settings(api_base_url: str | None = None) -> InferenceSettings:
@@ -136,6 +145,14 @@ def check_url(url: str) -> str:
 def host_of(url: str) -> str:
     """The host of an address, in small letters and without the dot of a full name."""
     return (urlsplit(url).hostname or "").rstrip(".")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return f".{host}".endswith(".localhost")
 
 
 def is_private(host: str) -> bool:

@@ -11,7 +11,6 @@ from starlette.testclient import TestClient
 
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
-from tests.api.serving import Server, serving
 
 NO_COOKIES = DefaultCookiePolicy(allowed_domains=())
 """Rejects all cookies, so that only the header identifies a session."""
@@ -28,13 +27,6 @@ def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
     """A client without cookies."""
     with TestClient(create_app(Settings(**settings))) as running:
         running.cookies.jar.set_policy(NO_COOKIES)
-        yield running
-
-
-@pytest.fixture(scope="session")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
-    """A server process that all tests share."""
-    with serving(tmp_path_factory.mktemp("server") / "data", CAPACITY="2000") as running:
         yield running
 
 

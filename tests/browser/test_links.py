@@ -74,15 +74,6 @@ def test_the_address_changes_at_once_and_then_only_when_the_browser_allows_it(pa
     assert said == ["3", "3", "4"]
 
 
-def test_a_loss_counts_if_one_decimal_shows_it(page: Page) -> None:
-    show(page, "/?view=learn")
-    losses = page.evaluate("""async () => {
-        const { isLost, points } = await import(new URL("static/js/format.js", document.baseURI));
-        return [-0.01, 0, 0.0004, 0.0006, 0.01].map((regret) => [isLost(regret), points(regret)]);
-    }""")
-    assert losses == [[False, "\N{MINUS SIGN}1.0"], [False, "0.0"], [False, "0.0"], [True, "0.1"], [True, "1.0"]]
-
-
 def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, server: Server) -> None:
     flights = [frames(server, flown("medium", 7, agent)) for agent in ("greedy", "random")]
     over(page, 7, "/?task=medium&seed=7&pilots=greedy,random&step=9")

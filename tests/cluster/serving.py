@@ -5,7 +5,6 @@ import re
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from tests.api.serving import Server
 from tests.tools import PATIENCE, ROOT, eventually, find_tool, is_taken, reserved_port
@@ -45,11 +44,7 @@ class Nginx:
     def close(self) -> None:
         """End it."""
         self.process.terminate()
-        try:
-            self.process.wait(PATIENCE)
-        finally:
-            self.process.kill()
-            self.process.wait()
+        self.process.wait(PATIENCE)
 
 
 class Cluster:
@@ -75,19 +70,10 @@ class Cluster:
             self.close()
             raise
 
-    def latest(self, port: int) -> int:
-        """The number of the last request that a server has answered, counted since it was started."""
-        return max((request["number"] for request in self._requests(port)), default=0)
-
-    def answered(self, port: int, path: str, since: int = 0) -> int:
-        """How many requests for `path` a server has answered after that number; it keeps the last 200 of all."""
-        requests = [request for request in self._requests(port) if request["number"] > since]
-        assert not requests or requests[0]["number"] == since + 1, "the server has forgotten some of them"
-        return sum(request["path"] == path for request in requests)
-
-    def _requests(self, port: int) -> list[dict[str, Any]]:
-        # Its client keeps no connection, which would count as a session of the server when it is drained.
-        return self.servers[port].client.get("/terminal_logs").json()["requests"]
+    def answered(self, path: str) -> dict[int, int]:
+        """How many of the last 200 requests of each server were for a path."""
+        logs = {port: server.client.get("/terminal_logs").json() for port, server in self.servers.items()}
+        return {port: sum(request["path"] == path for request in log["requests"]) for port, log in logs.items()}
 
     def start(self, port: int) -> Server:
         """Start the server of a port, also again."""

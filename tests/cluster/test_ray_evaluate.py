@@ -14,15 +14,13 @@ import pytest
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
-from tests.llm.conftest import ROOT
 from tests.same import assert_same
+from tests.tools import ROOT, eventually, ran
 from tests.toy import PLUGIN_OF_HOPS
 
-from .conftest import node_killed_when
+from .conftest import MEMORY
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(36_000)]
-TASK = os.environ.get("DRONE_ENV_CLUSTER_TASK", "easy")
-MAPS = int(os.environ.get("DRONE_ENV_CLUSTER_MAPS", "2500"))
 
 
 def contents(folder: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -31,7 +29,7 @@ def contents(folder: Path) -> dict[str, dict[str, np.ndarray]]:
 
 
 def arguments(folder: Path, *more: str) -> list[str]:
-    maps = ("--task", TASK, "--seeds", f"0:{MAPS}", "--agents", "pathqnet")
+    maps = ("--task", "easy", "--seeds", "0:2500", "--agents", "pathqnet")
     return ["evaluate", *maps, "--out", str(folder / "results"), "--json", str(folder / "figures.json"), *more]
 
 
@@ -39,42 +37,35 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
     local, on_ray = tmp_path / "local", tmp_path / "ray"
     # The network lies where nodes of another machine would not find it under this name.
     network = tmp_path / "mine.safetensors"
-    shutil.copy(shipped_network(get_task(TASK)), network)
+    shutil.copy(shipped_network(get_task("easy")), network)
     for folder in (local, on_ray):
         folder.mkdir()
     assert main(arguments(local, "--checkpoint", str(network))) == 0
     expected = contents(local / "results")
-    pieces: list[int] = []
 
-    def in_the_middle() -> bool:
-        pieces.append(len(list((on_ray / "results").glob("pieces/*.npz"))))
-        return pieces[-1] > 0
+    def kill_a_node() -> int:
+        eventually(lambda: [*on_ray.glob("results/pieces/*.npz")])
+        cluster.remove_node(next(iter(cluster.worker_nodes)), allow_graceful=False)
+        return len([*on_ray.glob("results/pieces/*.npz")])
 
-    with node_killed_when(cluster, in_the_middle):
-        assert (
-            main(arguments(on_ray, "--checkpoint", str(network), "--engine", "ray", "--address", cluster.address)) == 0
-        )
-    assert pieces[-1] < len(expected)
+    with ThreadPoolExecutor() as threads:
+        there = threads.submit(kill_a_node)
+        options = ["--checkpoint", str(network), "--engine", "ray", "--address", cluster.address]
+        assert main(arguments(on_ray, *options)) == 0
+    cluster.add_node(num_cpus=1, object_store_memory=MEMORY)
+    assert there.result() < len(expected), "all was done before the node was killed"
     assert (on_ray / "figures.json").read_bytes() == (local / "figures.json").read_bytes()
     assert_same(contents(on_ray / "results"), expected)
 
 
-def commands(*runs: tuple[list[str], Path, dict[str, str]]) -> list[subprocess.CompletedProcess[str]]:
-    """Run `drone-env` in processes of their own, all at once, each with its folder and its environment."""
-
-    def run(words: list[str], cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "drone_env.cli", *words]
-        env = {"PYTHONPATH": str(ROOT), **env}
-        return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=300, check=False)
-
-    with ThreadPoolExecutor() as threads:
-        return list(threads.map(lambda given: run(*given), runs))
+def drone_env(*words: str, cwd: Path = ROOT, **variables: str) -> "subprocess.CompletedProcess[str]":
+    return ran(sys.executable, "-m", "drone_env.cli", *words, cwd=cwd, **variables)
 
 
 def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
     words = ["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray", "--address", cluster.address]
-    without = {name: value for name, value in os.environ.items() if name != "RAY_AUTH_TOKEN"} | {"HOME": "/nonexistent"}
-    for done in commands((words, ROOT, without), (words, ROOT, without | {"RAY_AUTH_TOKEN": "0" * 64})):
+    for token in ("", "0" * 64):
+        done = drone_env(*words, HOME="/nonexistent", RAY_AUTH_TOKEN=token)
         assert (done.returncode, done.stdout) == (2, "")
         assert "RAY_AUTH_TOKEN" in done.stderr.splitlines()[-1]
 
@@ -83,11 +74,12 @@ def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Pat
     (tmp_path / "cluster_hops.py").write_text(PLUGIN_OF_HOPS)
     words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json", "-"]
     on_ray = [*words, "--engine", "ray", "--address", cluster.address]
-    plugged = {**os.environ, "DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+    plugged = {"DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     # The nodes look into the folder that the driver was started in, and were themselves started without this path.
-    refused, local, far = commands((on_ray, ROOT, plugged), (words, tmp_path, plugged), (on_ray, tmp_path, plugged))
+    refused = drone_env(*on_ray, **plugged)
     assert refused.returncode == 2
     assert "lacks a plugin of the driver" in refused.stderr
     assert "cluster_hops" in refused.stderr
+    local, far = (drone_env(*these, cwd=tmp_path, **plugged) for these in (words, on_ray))
     assert (local.returncode, far.returncode) == (0, 0), far.stderr
     assert far.stdout == local.stdout

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.graders import GRADERS
 from drone_env.models import DroneAction, DroneObservation, DroneState
 from drone_env.planning.optimal import solve
@@ -93,12 +93,6 @@ def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None
 
 
 class TestEnvironment:
-    @pytest.fixture
-    def env(self) -> Any:
-        from drone_env.server.grid_world_environment import DroneDeliveryEnvironment
-
-        return DroneDeliveryEnvironment()
-
     def test_it_begins_with_a_reset_and_its_rubric_has_the_last_score(self) -> None:
         from openenv.core.env_server.interfaces import Environment
 
@@ -115,19 +109,6 @@ class TestEnvironment:
             observation = env.step(DroneEnvAction(direction=action.name))
         assert env.rubric is not None
         assert env.rubric.last_score == observation.score == solve("medium", 3).score
-
-    def test_the_task_api_lists_the_maps_of_our_splits(self, env: Any) -> None:
-        splits = env.list_splits()
-        assert len(splits) == 3 * len(TASKS)
-        for split in splits:
-            name = split["name"]
-            assert env.num_tasks(name) in (2**52, 2**51)
-            spec = env.get_task(name, 12)
-            env.reset(split=name, index=12)
-            assert (env.state.task_name, env.state.seed) == (spec["task_name"], spec["seed"])
-        assert len(env.list_tasks("easy_delivery/test")) == 1000
-        with pytest.raises(UnknownNameError, match="easy_delivery/test"):
-            env.num_tasks("test")
 
 
 def test_the_validator_passes_the_running_server(server: Server) -> None:

@@ -4,7 +4,6 @@ import ast
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,22 +15,10 @@ from drone_env import cli, get_task
 from drone_env.commands.arguments import REGISTERED, parsed
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
-from tests.tools import ran
+from tests.package.installed import copy_tracked
+from tests.tools import ran, tracked
 
-# Outputs and large files.
-LEFT_OUT = (
-    ".*",
-    "__pycache__",
-    "*.egg-info",
-    "build",
-    "data",
-    "demo",
-    "dist",
-    "htmlcov",
-    "node_modules",
-    "results",
-    "runs",
-)
+FOLDERS = {name.partition("/")[0] for name in tracked() if "/" in name}
 SERVERS = ("drone-env serve", "python drone_env/server/app.py")
 SCRIPTS = {"train.py": "train", "inference.py": "infer"}
 # As in the installed command, modules are not imported from the working directory.
@@ -46,8 +33,7 @@ for _ in $(seq 600); do (: < /dev/tcp/127.0.0.1/{port}) 2>/dev/null && break; sl
 def checkout(folder: Path) -> Path:
     """Make a folder with a copy of the checkout, and a `bin` with `python` and `drone-env` beside it."""
     root, programs = folder / "checkout", folder / "bin"
-    shutil.copytree(ROOT, root, ignore=shutil.ignore_patterns(*LEFT_OUT), symlinks=True)
-    shutil.copy(ROOT / ".env.example", root)
+    copy_tracked(root)
     programs.mkdir()
     for name, arguments in {"python": "", "drone-env": f"-c {shlex.quote(INSTALLED)}"}.items():
         program = programs / name
@@ -143,8 +129,7 @@ def _simple_commands(command: str) -> Iterator[list[str]]:
 def _check_path(word: str, where: str) -> None:
     """Check a word that begins with a folder of the checkout and ends with a suffix."""
     folder, slash, _ = word.partition("/")
-    ours = slash and (ROOT / folder).is_dir() and folder not in LEFT_OUT and Path(word).suffix
-    if ours and not any(sign in word for sign in "*{$"):
+    if slash and folder in FOLDERS and Path(word).suffix and not any(sign in word for sign in "*{$"):
         assert (ROOT / word).exists(), f"{where}: there is no {word}"
 
 

@@ -32,8 +32,6 @@ else:
     import tomli as tomllib
 
 SHELL = ("bash", "sh", "console")
-# They start no server and take a second at most.
-SHORT = ("docs/gymnasium.md", "docs/vector.md")
 DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
 
 
@@ -135,9 +133,8 @@ def test_its_code_blocks_are_sound(page: Path, monkeypatch: pytest.MonkeyPatch) 
         check(block, monkeypatch)
 
 
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, id=name(page), marks=() if name(page) in SHORT else pytest.mark.long) for page in PAGES]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("page", PAGES, ids=name)
 def test_its_code_blocks_run(
     page: Path, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -138,3 +138,12 @@ def test_what_differs_between_runs_is_named() -> None:
         assert changed == [f"{name}: {getattr(config, name)!r} is now {value!r}"]
     with pytest.raises(ValueError, match=r"prompt minimal-2 is now .*; the run was made with 0000"):
         run_config(prompt_digest="0" * 16).load_prompt()
+
+
+@pytest.mark.parametrize("key", ["hf_abcdef", "sk-proj-abcT3BlbkFJdef"])
+def test_the_key_of_a_provider_goes_unencrypted_to_no_other_machine(key: str) -> None:
+    keyed = settings(openai_api_key=key)
+    with pytest.raises(InvalidValueError, match="OpenAI and is not sent unencrypted to vllm"):
+        keyed.token_for("http://vllm:8000/v1")
+    assert keyed.token_for("http://127.0.0.1:4000/v1") == keyed.token_for("https://gateway.example/v1") == key
+    assert keyed.token_for("http://vllm:8000/v1", allow_plain_http=True) == key

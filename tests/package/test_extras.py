@@ -5,12 +5,19 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
-from tests.package.extras import PROJECT, brought
-from tests.tools import LEFT_OUT, ROOT, ran
+from drone_env.toml_text import parse_toml
+from tests.tools import LEFT_OUT, ROOT, find_tool, ran
+
+INSTALLED = packages_distributions()
+PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env": (),
@@ -30,6 +37,22 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 
 NOT_INSTALLED = {("inspect",), ("trl",)}
 """Extras that are no part of the development tools."""
+
+
+@cache
+def brought(*extras: str) -> frozenset[str]:
+    """Return the top-level modules that the package with extras installs on this machine, as uv.lock has it."""
+    options = ["--frozen", "--offline", "--no-default-groups", "--no-emit-project", "--no-hashes"]
+    exported = ran(find_tool("uv"), "export", *options, *(f"--extra={extra}" for extra in extras))
+    assert exported.returncode == 0, exported.stderr
+    pins = [Requirement(line) for line in exported.stdout.splitlines() if re.match(r"\w", line)]
+    names = {canonicalize_name(pin.name) for pin in pins if pin.marker is None or pin.marker.evaluate()}
+    importable = {
+        module
+        for module, distributions in INSTALLED.items()
+        if any(canonicalize_name(distribution) in names for distribution in distributions)
+    }
+    return frozenset(importable | {name.replace("-", "_") for name in names})
 
 
 def needs(module: str) -> tuple[str, ...]:

@@ -4,13 +4,11 @@ Each way to start the server and the Python client are in tests/api/test_startin
 is typed to build and to hand in in tests/container.
 """
 
-import json
 import os
 import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,35 +17,6 @@ from tests.package.installed import copy_tracked
 from tests.tools import ROOT, find_tool, missing_tool, ran
 
 TRAIN = "train.py --task easy_delivery --episodes 500"
-JSON = "-H 'Content-Type: application/json'"
-CALLS = (
-    f"curl -X POST http://localhost:8000/reset {JSON} -d '{{}}'",
-    "curl -X POST http://localhost:8000/reset",
-    f"""curl -X POST http://localhost:8000/step {JSON} -d '{{"direction": "UP"}}'""",
-    "curl http://localhost:8000/state",
-    "curl http://localhost:8000/grade/easy_delivery",
-    "curl http://localhost:8000/path_history",
-    "curl -X POST http://localhost:8000/predict",
-    "curl http://localhost:8000/analyse/easy_delivery",
-    "curl http://localhost:8000/docs",
-    "curl http://localhost:8000",
-)
-"""Calls of its table, without a cookie or the id of a session; tests/test_api.py has those that need none."""
-
-
-def ask(url: str, call: str) -> dict[str, Any]:
-    """The answer of a server to a call by curl."""
-    words = shlex.split(call.replace("http://localhost:8000", url))
-    said = subprocess.run([*words, "--silent", "--show-error", "--fail-with-body"], capture_output=True, text=True)
-    assert said.returncode == 0, f"{call}: {said.stderr}{said.stdout}"
-    return json.loads(said.stdout) if said.stdout.startswith("{") else {}
-
-
-def test_every_call_by_curl_without_a_cookie_or_a_session(tmp_path: Path) -> None:
-    find_tool("curl")
-    with serving(tmp_path / "data") as server:
-        answers = {call.rpartition("8000/")[2].split()[0]: ask(server.url, call) for call in CALLS}
-    assert [answers[call]["step_count"] for call in ("step", "state", "path_history")] == [1, 1, 1]
 
 
 @pytest.mark.long
@@ -75,8 +44,9 @@ def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
     assert validated[-1] > 0.9
     assert "500" in train()
     with serving(tmp_path / "data") as server:
-        assert ask(server.url, "curl http://localhost:8000/logs")["lines"] == logged.splitlines()[-50:]
-        assert [ask(server.url, call) for call in CALLS if "/reset" in call or "/predict" in call][-1]["model"]
+        assert server.client.get("/logs").json()["lines"] == logged.splitlines()[-50:]
+        server.client.post("/reset").raise_for_status()
+        assert server.client.post("/predict").json()["model"]
 
 
 @pytest.mark.long

@@ -16,19 +16,12 @@ from tests.parity.golden import (
     golden_seeds,
 )
 from tests.tools import find_python, find_tool, missing_tool, ran
-from tests.which_tasks import DRAWN
 
 GOLDEN: Hashes = json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))
 FIRST = {name: {**hashes, **hashes["first"]} for name, hashes in GOLDEN.items()}
 """The hashes over the first seeds alone."""
 THOROUGH = int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000
 ELSEWHERE, EXPECTED = (N_SEEDS, GOLDEN) if THOROUGH else (N_FIRST, FIRST)
-
-
-def test_in_plain_python() -> None:
-    """Of the drawn tasks; the cities take a minute (`test_all_of_them_in_plain_python`)."""
-    expected = {name: FIRST[name] for name in DRAWN}
-    assert golden_hashes(Reference, golden_seeds(N_FIRST), at_once=1, tasks=DRAWN) == expected
 
 
 @pytest.mark.long

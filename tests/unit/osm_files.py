@@ -1,6 +1,6 @@
 """Small extracts of OpenStreetMap, drawn in cells of a known box and written as XML by hand."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -64,12 +64,10 @@ class Drawing:
         self._parts[kind].append(f'<{kind} id="{number}" version="1" {attributes}>{"".join(inner)}</{kind}>')
 
 
-def converted(source: Path, path: Path, keep: Callable[[str, int], bool] = lambda kind, number: True) -> Path:
-    """Write an extract, or some of it, in another format."""
+def converted(source: Path, path: Path) -> Path:
+    """Write an extract in another format."""
     box = osmium.io.Reader(str(source)).header()
-    form = "pbf,pbf_compression=none" if path.suffix == ".pbf" else ""
-    with osmium.SimpleWriter(osmium.io.File(str(path), form), header=box) as writer:
+    with osmium.SimpleWriter(str(path), header=box) as writer:
         for item in osmium.FileProcessor(str(source)):
-            if keep(item.type_str(), item.id):
-                writer.add(item)
+            writer.add(item)
     return path

@@ -66,16 +66,6 @@ def test_the_maximiser_is_the_best_of_all_flights(profile: str) -> None:
 SEEDS = [("easy", seed) for seed in split_seeds("test", 4)] + [("medium", 0)]
 
 
-@pytest.mark.parametrize("gamma", [1.0, 0.99])
-@pytest.mark.parametrize("profile", ["tiered", "composite"])
-def test_rewards_that_pay_for_time_are_exploitable(profile: str, gamma: float) -> None:
-    for task, seed in SEEDS[::2]:
-        audited = audit_map(task, seed, profile, gamma)
-        assert not audited.aligned
-        assert audited.score < 0.81
-        assert audited.maximum > audited.returns["honest"]
-
-
 @pytest.mark.parametrize("profile", ["aligned", "score"])
 def test_rewards_that_pay_the_score_are_aligned(profile: str) -> None:
     for task, seed in SEEDS:
@@ -141,7 +131,6 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("summary = 'x'", "id: missing"),
         ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),

@@ -14,7 +14,7 @@ from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city
-from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
+from drone_env.errors import CheckpointError, InvalidValueError, StoreError
 from drone_env.flights.store import Store
 from drone_env.llm.config import RunConfig
 from drone_env.rl.common import require_same
@@ -47,13 +47,6 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     assert (wide.width, wide.height, wide.pads, wide.max_steps, wide.battery_capacity) == (10, 6, 4, 80, 24)
     fixed = task_of(City(roads, start=(1, 1), parcels=((0, 0), (3, 3))), "a")
     assert (fixed.deliveries, fixed.terrain and fixed.terrain.start) == (2, (1, 1))
-
-
-def test_a_city_that_cannot_be_a_task_is_refused(yard: Path) -> None:
-    write_city(City(GRID, numbers={"pads": 0}), yard)
-    with pytest.raises(InvalidTaskError) as raised:
-        city_task(yard)
-    assert str(raised.value) == f"city {yard}: task 'yard': pads must be at least the 1 of the terrain, got 0"
 
 
 def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,19 +27,6 @@ def test_results_are_the_same_whole_or_in_pieces() -> None:
         assert_same(getattr(together, name), getattr(whole, name))
 
 
-@pytest.mark.parametrize("agent", ["greedy", "optimal"])
-def test_results_are_the_callers_own(agent: str) -> None:
-    key = episodes_key("medium", agent, range(7))
-    first = run_episodes(key)
-    before = {name: getattr(first, name).copy() for name in COLUMNS}
-    for done, name in enumerate(COLUMNS, start=1):
-        getattr(first, name)[:] = 0
-        for other in list(COLUMNS)[done:]:
-            assert np.array_equal(getattr(first, other), before[other]), other
-    second = run_episodes(key)
-    assert all(np.array_equal(getattr(second, name), before[name]) for name in COLUMNS)
-
-
 def test_figures_by_hand() -> None:
     results = Results(
         key=episodes_key("easy", "greedy", range(3)),

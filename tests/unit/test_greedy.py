@@ -19,7 +19,6 @@ from tests.toy import fly, toy_episode
         # The parcel that is two steps away costs 10; the one that is five away costs 5.
         (["BBBBBB", "0B@...", "BBBBB1"], 9, "RRRD"),
         # Of equally cheap ones the first in reading order.
-        (["....B", "1.@.0"], 9, "LL"),
         (["..1.B", ".....", "0.@.2"], 9, "UU"),
         # Impassable obstacles are flown round.
         (["@O0", ".O.", "..."], 1, "DDRRUU"),

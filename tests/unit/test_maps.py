@@ -40,7 +40,7 @@ STREETS = {
 
 
 class TestContents:
-    @pytest.mark.parametrize("task", [*DRAWN.values(), *STREETS.values()], ids=[*DRAWN, *STREETS])
+    @pytest.mark.parametrize("task", {**DRAWN, **STREETS}.values(), ids={**DRAWN, **STREETS})
     def test_right_number_of_every_kind_and_deliveries_where_the_grid_shows_them(self, task: TaskConfig) -> None:
         for seed in SEEDS:
             city = generate_city_map(task, seed)
@@ -59,11 +59,6 @@ class TestContents:
         changes = {"task": TASKS["skyline_easy"], "seed": 8, "start": (-1, 0), "deliveries": (), "grid": city.grid + 1}
         assert not any(city == replace(city, **{name: value}) for name, value in changes.items())
         assert city != 7
-
-    def test_a_map_without_a_free_cell_is_finished(self) -> None:
-        for full in ({"width": 2, "height": 2, "deliveries": 3, "trees": 0, "obstacles": 0}, {"buildings": 91}):
-            city = generate_city_map(replace(EASY, **{"buildings": 0, **full}), 0)
-            assert np.argwhere(city.grid == Cell.ROAD).tolist() == [[city.start[1], city.start[0]]]
 
 
 class TestStreets:

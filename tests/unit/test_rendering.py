@@ -55,12 +55,6 @@ class TestPicture:
         assert picture.dtype == np.uint8
         assert width < 2.6 * size
 
-    def test_equal_episodes_give_equal_pictures(self) -> None:
-        first = draw_picture(fly(Episode("hard", seed=3), 12))
-        rendering._city.cache_clear()
-        rendering.draw_figure.cache_clear()
-        assert np.array_equal(first, draw_picture(fly(Episode("hard", seed=3), 12)))
-
     def test_target_is_marked_and_only_while_there_is_one(self) -> None:
         episode = Episode(seed=7)
         layout = rendering._layout(EASY, 720)

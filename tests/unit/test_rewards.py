@@ -75,9 +75,6 @@ class TestAlignedAndScore:
         assert first == pytest.approx(float(Fraction(99, 100) * Fraction(84, 100) - Fraction(68, 100)))  # 0.1516
         assert last == pytest.approx(0.96 - 0.84)  # phi is 0 at the end, the score 0.8 + 0.2 * 0.8
 
-    def test_aligned_failure_ends_with_potential_zero_and_the_clamped_score(self) -> None:
-        assert fly(toy_episode(["@.0", "..."], "aligned", max_steps=1), "W") == pytest.approx([0.01 - 0.68])
-
     def test_aligned_delivery_counts_parcels_and_the_distance_to_the_next_target(self) -> None:
         # Before: phi = 0.2 + 0.4 * (1 - 1/6) = 8/15. After: phi = 0.2 + 0.4 * (2 - 2/6) = 13/15.
         reward = Fraction(99, 100) * Fraction(13, 15) - Fraction(8, 15)
@@ -86,9 +83,3 @@ class TestAlignedAndScore:
     def test_score_pays_nothing_before_the_end_and_the_score_there(self) -> None:
         assert fly(toy_episode(["@.0", "..."], "score"), "WRUR") == [0.0, 0.0, 0.0, 0.92]
         assert fly(toy_episode(["@.0", "..."], "score", max_steps=2), "WW") == [0.0, 0.01]
-
-    @pytest.mark.parametrize("profile", ["aligned", "score"])
-    def test_out_of_steps_pays_the_score_too(self, profile: str) -> None:
-        # Battery 3/5, steps 2/2: 0.2 * 0.5 * 0.6 = 0.06; the rest is the potential 0.68 taken back.
-        rewards = fly(toy_episode(["@.0", "..."], profile, max_steps=2, battery_capacity=5), "WW")
-        assert rewards[1] == pytest.approx(0.06 - 0.68 if profile == "aligned" else 0.06)

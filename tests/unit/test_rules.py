@@ -62,7 +62,7 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.feature("E3")
+@pytest.mark.feature("E3", "E8")
 @pytest.mark.parametrize("case", CASES)
 def test_by_hand(case: str) -> None:
     drawing, actions, changes, expected = CASES[case]

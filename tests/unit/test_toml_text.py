@@ -12,10 +12,8 @@ from drone_env.toml_text import parse_toml
     ("text", "why"),
     [
         ("x = 0x" + "f" * 100_000, "a number has more than 64 digits"),
-        ("x = " + "9" * 100_000, "integer string conversion"),
         ("x = 1e99999999999999999999", "exponent"),
         ("x = " + "[" * 100_000, "recursion|deep"),
-        ('x = """' + 'a""' * 40_000, "Unterminated string"),
         ("# \ud800", "surrogates not allowed"),
         (b"x = '\xff'", "utf-8"),
     ],

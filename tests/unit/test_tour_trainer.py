@@ -15,7 +15,7 @@ from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.samples import SampleGenerator, Samples
-from drone_env.rl.tour_config import SHARES, TourConfig, randomise, variant
+from drone_env.rl.tour_config import randomise
 from drone_env.rl.tournet import TourTrainer
 from tests.same import assert_same
 from tests.unit.small_training import SMALL_TOUR, finished, parameters
@@ -42,15 +42,6 @@ def test_samples_come_from_train_maps_of_the_tasks_by_their_shares(monkeypatch: 
     assert sum(shares.values()) == pytest.approx(1)
     counts = np.bincount([trainer._task_of(chunk) for chunk in range(4000)], minlength=len(shares)) / 4000
     assert counts == pytest.approx(list(shares.values()), abs=0.02)
-
-
-def test_the_tasks_of_a_training() -> None:
-    everything, one = TourConfig(), TourConfig(task="skyline_hard")
-    assert [task.short_name for task in everything.tasks()] == ["easy", "medium", "hard", *list(SHARES)[3:]]
-    assert "easy_delivery" not in {task.id for task in everything.sampled_tasks()}
-    assert [*one.sampled_tasks().items()] == [(get_task("skyline_hard"), 1.0)]
-    assert (everything.name, one.name) == ("tournet", "tournet_skyline_hard")
-    assert variant("skyline_easy", 2, 4) in everything.sampled_tasks()
 
 
 def test_a_task_with_other_numbers() -> None:

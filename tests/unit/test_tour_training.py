@@ -2,7 +2,6 @@
 
 import signal
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.rl.run import load_checkpoint, save_checkpoint
+from drone_env.rl.run import load_checkpoint
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
 from tests.same import assert_same
@@ -28,32 +27,6 @@ def shared(state: dict[str, Any]) -> dict[str, Any]:
     times = [state.pop("seconds", 1), state.pop("cpu_seconds"), *(line.pop("cpu_seconds") for line in state["history"])]
     assert min(times) > 0
     return state
-
-
-def windows(trainer: TourTrainer) -> list[Any]:
-    """The lessons that it holds."""
-    return list(map(list, trainer._windows))
-
-
-def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None:
-    """In a new trainer, and in one that still has some."""
-    config = replace(SMALL_TOUR, task="all", validation_maps=1, validation_every=12, states_per_map=4)
-    whole, parts = TourTrainer(config), TourTrainer(config)
-    list(islice(whole.train(), 8))
-    for updates in (1, 3, 4):
-        list(islice(parts.train(), updates))
-    assert_same(windows(whole), windows(parts))
-    save_checkpoint(tmp_path / "run.pth", parts.get_state())
-    # Another seed, for what the checkpoint fails to bring with it; its configuration is the same.
-    other = TourTrainer(replace(config, seed=1))
-    other.config = config
-    other.set_state(load_checkpoint(tmp_path / "run.pth"))
-    for trainer in (whole, parts, other):
-        next(iter(trainer.train()))
-    assert_same(windows(whole), windows(other))
-    assert max(len(window) for window in whole._windows) == config.window
-    for trainer in (parts, other):
-        assert_same(shared(whole.get_state()), shared(trainer.get_state()))
 
 
 def test_samples_without_a_choice_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,30 +58,6 @@ TRAIN = [
 EASY = [*TRAIN, "--task", "skyline_easy"]
 
 
-def test_the_command_trains_and_leaves_what_it_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(EASY) == 0
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "4/4 updates" in captured.err
-    evaluate = ["evaluate", "--task", "skyline_easy", "--agents", "greedy", "tournet"]
-    evaluate += ["--checkpoint", "data/tournet_skyline_easy.safetensors"]
-    assert f"next: drone-env {' '.join(evaluate)}" in captured.err
-    state = load_checkpoint(tmp_path / "data/tournet_skyline_easy.pth")
-    history = (tmp_path / "results/tournet_skyline_easy/history.csv").read_text()
-    assert f",{state['ratios']['skyline_easy']}" in history.splitlines()[-1]
-    log = (tmp_path / "data/train.log").read_text().splitlines()
-    assert [line.split()[0] for line in log] == ["update=2", "update=4"]
-    # The exported network is the validated average, with its origin.
-    network = load_tour_network(tmp_path / "data/tournet_skyline_easy.safetensors")
-    assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["average"]))
-    expected = {"network": "tournet", "tasks": {"skyline_easy": 2}, "updates": 4, "states": 64}
-    expected |= {"validation_shares": state["ratios"], "config": state["config"]}
-    assert {name: network.metadata[name] for name in expected} == expected
-
-
 def test_interrupted_it_saves_and_goes_on_to_the_same_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -134,4 +83,11 @@ def test_interrupted_it_saves_and_goes_on_to_the_same_end(
     assert main(["train", "--network", "tournet", "--task", "skyline_easy"]) == 0
     assert f"going on from data/{file}: 3 of 4 updates" in capsys.readouterr().err
     assert main([*EASY, "--data", "whole", "--results", "whole"]) == 0
-    assert_same(*(shared(load_checkpoint(tmp_path / folder / file)) for folder in ("data", "whole")))
+    state = load_checkpoint(tmp_path / "data" / file)
+    assert_same(shared(load_checkpoint(tmp_path / "whole" / file)), shared(dict(state)))
+    # The exported network is the validated average, with its origin.
+    network = load_tour_network(tmp_path / "data/tournet_skyline_easy.safetensors")
+    assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["average"]))
+    expected = {"network": "tournet", "tasks": {"skyline_easy": 2}, "updates": 4, "states": 64}
+    expected |= {"validation_shares": state["ratios"], "config": state["config"]}
+    assert {name: network.metadata[name] for name in expected} == expected

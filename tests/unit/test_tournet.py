@@ -102,19 +102,6 @@ def test_the_optimum_can_be_flown_by_the_options_that_are_offered(name: str) -> 
         assert episode.score == optimum
 
 
-@pytest.mark.parametrize("name", EVERY_TASK)
-def test_features_do_not_depend_on_the_rest_of_the_batch(name: str) -> None:
-    task = EVERY_TASK[name]
-    grids, telemetry = observations(task, 4, 9)
-    alone = [FeatureEncoder(task)(*one) for one in zip(grids[:, None], telemetry[:, None], strict=True)]
-    encoder = FeatureEncoder(task)
-    for i in range(0, len(grids), encoder.most):
-        some = slice(i, i + encoder.most)
-        for name, array in encoder(grids[some], telemetry[some])._asdict().items():
-            if name != "begins":
-                assert np.array_equal(array, np.concatenate([getattr(features, name) for features in alone[some]]))
-
-
 def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
     grids, telemetry = observations(HARD, 2, 1)
     for kind in (Cell.PAD, Cell.DELIVERY):
