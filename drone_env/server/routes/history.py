@@ -9,7 +9,6 @@ from pydantic_core import to_json
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
-from drone_env.core.tasks import get_task
 from drone_env.flights.episodes import Analysis
 from drone_env.flights.record import EpisodeRecord
 from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
@@ -22,7 +21,6 @@ from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
-ROLLING = 20
 LINES = 50
 FOLLOWERS = 32
 LISTED = 10
@@ -44,13 +42,6 @@ class EpisodePage(EpisodeSummaries):
     """A page of finished episodes, newest first."""
 
     next: int | None = Field(description="Value of `before` for the next page; null on the last page.")
-
-
-class History(EpisodeSummaries):
-    """The last finished episodes of a task, oldest first."""
-
-    task: str = Field(description="Id of the task.")
-    rolling_success: list[float] = Field(description="Success rate over 20 episodes up to each episode.")
 
 
 class FlightByHand(StrictModel):
@@ -123,18 +114,6 @@ def episodes(
 def episode(app_state: AppStateDep, episode_id: str) -> EpisodeRecord:
     """The record of a finished episode, as `drone-env replay` reads it."""
     return app_state.store.episode(episode_id).record
-
-
-@router.get("/history/{task_name}", responses=error_responses(404, 422, 503))
-def history(app_state: AppStateDep, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
-    """The last finished episodes of a task, for charts."""
-    found = listed(app_state.store, last, task_name)[::-1]
-    wins = [episode.success for episode in found]
-    return History(
-        task=get_task(task_name).id,
-        episodes=found,
-        rolling_success=[sum(wins[max(0, end - ROLLING) : end]) / min(ROLLING, end) for end in range(1, len(wins) + 1)],
-    )
 
 
 @router.get("/logs", responses=error_responses(503))
