@@ -1,7 +1,7 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
 from datetime import date, datetime, time, timezone
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
@@ -9,14 +9,15 @@ from pydantic_core import to_json
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
-from drone_env.flights.episodes import Analysis
+from drone_env.flights.episodes import Analysis, EpisodeSummary
 from drone_env.flights.record import EpisodeRecord
+from drone_env.flights.store import Store
 from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
 from drone_env.server import daily
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
+from drone_env.server.pilots import display_name
 from drone_env.server.state import AppStateDep
-from drone_env.server.summaries import ListedEpisode, listed
 from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
@@ -26,10 +27,18 @@ FOLLOWERS = 32
 LISTED = 10
 
 
-class AnalysisAnswer(Analysis):
-    """Statistics of the finished episodes of a task."""
+class ListedEpisode(EpisodeSummary):
+    """One row of a list of finished episodes."""
 
-    status: Literal["Success", "No data"] = Field(description="Whether there are any episodes.")
+    name: str = Field(description="`agent` for people.")
+
+
+def listed(store: Store, n: int, *filters: Any, **more: Any) -> list[ListedEpisode]:
+    """The last `n` finished episodes, newest first. Arguments and errors as `Store.listed`."""
+    return [
+        ListedEpisode(**vars(row), name=display_name(store.provenance(row.id)))
+        for row in store.listed(n, *filters, **more)
+    ]
 
 
 class EpisodeSummaries(StrictModel):
@@ -70,10 +79,9 @@ class LogLines(StrictModel):
 
 
 @router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
-def analyse(app_state: AppStateDep, task_name: str) -> AnalysisAnswer:
+def analyse(app_state: AppStateDep, task_name: str) -> Analysis:
     """Statistics of the finished episodes of a task."""
-    analysis = app_state.store.analysis(task_name)
-    return AnalysisAnswer(**dict(analysis), status="Success" if analysis.episodes else "No data")
+    return app_state.store.analysis(task_name)
 
 
 @router.get("/memory_logs", responses=error_responses(503))
