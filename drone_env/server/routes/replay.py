@@ -2,7 +2,7 @@
 
 import json
 from itertools import chain
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response
 
@@ -15,10 +15,6 @@ from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.state import AppStateDep
-
-if TYPE_CHECKING:
-    pass
-
 
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
 FLIGHT_ERRORS = error_responses(400, 413, 415, 422, 503)
