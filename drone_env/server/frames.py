@@ -49,7 +49,7 @@ class FlightHeader(Provenance):
     start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
-    def of(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
+    def at_start(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
         """The header of an episode at its start."""
         task, parent = episode.task, provenance.parent
         x, y = episode.position

@@ -31,7 +31,7 @@ async def replay_record(request: Request, app_state: AppStateDep, record: Record
 def _replayed(record: EpisodeRecord) -> str:
     steps = replay_steps(record)
     start = next(steps)
-    header = FlightHeader.of(start, record.provenance)
+    header = FlightHeader.at_start(start, record.provenance)
     network = job_context().networks.shown_network(header.pilot, start.task)
     frames = [frame_of(episode, network) for episode in chain([start], steps)]
     return EpisodeView(opening=header, frames=frames).model_dump_json()
