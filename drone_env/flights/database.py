@@ -259,6 +259,7 @@ def _make_tables(connection: sqlite3.Connection, path: Path) -> None:
     Raises:
         StoreError: if the file belongs to another program or another version.
     """
+    connection.rollback()  # a commit that a reader has delayed leaves the transaction open
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if not version and not tables:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from statistics import fmean
-from typing import Annotated, cast
+from typing import Annotated, Literal, cast
 
 from pydantic import Field, PlainSerializer, computed_field
 from typing_extensions import Self
@@ -134,6 +134,7 @@ class Analysis(StrictModel):
         ge=0, description="Mean of optimum - score, over the episodes with a known optimum."
     )
     regret_episodes: Count = Field(description="Episodes with a known optimum; the solver works on the others.")
+    status: Literal["Success", "No data"] = Field(description="Whether there are any episodes.")
 
 
 def _mean(values: Sequence[float]) -> float | None:
@@ -165,4 +166,5 @@ def analyse(task: TaskConfig, total: int, rows: Sequence[EpisodeSummary]) -> Ana
         action_distribution={action.name: flown.count(str(int(action))) / max(len(flown), 1) for action in Action},
         mean_regret=_mean(regrets),
         regret_episodes=len(regrets),
+        status="Success" if rows else "No data",
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.errors import DroneEnvError
 from drone_env.files import write_text
 
 LENGTH = 100
@@ -59,21 +59,11 @@ class MemoryView:
             self._due = False
         try:
             # Each process reads again after it writes, so no older view stays over a newer one.
-            while self._read() or not self._is_written:
-                self._write()
+            while (found := self._newer(self._lines[-1][0] if self._lines else 0)) or not self._is_written:
+                self._lines.extend(found)
+                write_text(self._path, HEAD + ",\n".join([line for _, line in self._lines if line]) + TAIL)
                 self._is_written = True
-        except DroneEnvError as error:
-            log.warning("%s could not be written: %s", self._path, error)
-
-    def _read(self) -> bool:
-        found = self._newer(self._lines[-1][0] if self._lines else 0)
-        self._lines.extend(found)
-        return bool(found)
-
-    def _write(self) -> None:
-        text = HEAD + ",\n".join([line for _, line in self._lines if line]) + TAIL
-        try:
-            write_text(self._path, text)
-        except (OSError, InvalidValueError) as error:
+        except (OSError, DroneEnvError) as error:
             # The episode is safe in the store: its caller must not get an error.
+            self._is_written = False
             log.warning("%s could not be written: %s", self._path, error)

@@ -1,7 +1,6 @@
 """Jobs of worker processes: a best flight over a map, and that of the preferred network."""
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
@@ -11,9 +10,6 @@ from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.server.frames import plan
 from drone_env.server.jobs import job_context
 from drone_env.server.pilots import PLANNER_PILOTS
-
-if TYPE_CHECKING:
-    pass
 
 
 def planner_of(task: TaskConfig) -> str | None:

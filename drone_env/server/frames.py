@@ -11,7 +11,7 @@ from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
 from drone_env.errors import EpisodeError
-from drone_env.flights.provenance import HUMAN, AgentLabel, Parent, PersonName, Provenance
+from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.flights.record import fly_directions
 from drone_env.models import (
     DIRECTIONS,
@@ -29,16 +29,11 @@ from drone_env.server.jobs import job_context
 from drone_env.server.pilots import display_name
 
 
-class FlightHeader(StrictModel):
-    """The pilot, the map and its state at the start."""
+class FlightHeader(Provenance):
+    """Who flies, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
-    pilot: AgentLabel = Field(description="Id of the pilot, or the agent of the record.")
-    person: PersonName | None = Field(description="The name that a person chose.")
-    values_used: bool = Field(description="Whether a person turned on values in flight.")
-    undo_used: bool = Field(description="Whether a person took back steps.")
-    parent: Parent | None = Field(description="The flight that this one continues; null if this is not a fork.")
-    by: str = Field(description="These five in words: `human (NAME) with undo from step 20 of pathqnet`.")
+    by: str = Field(description="Who flies in words: `human (NAME) with undo from step 20 of pathqnet`.")
     name: str = Field(description="The same for people.")
     forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")
@@ -54,7 +49,7 @@ class FlightHeader(StrictModel):
     start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
-    def of(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
+    def at_start(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
         """The header of an episode at its start."""
         task, parent = episode.task, provenance.parent
         x, y = episode.position
@@ -62,7 +57,7 @@ class FlightHeader(StrictModel):
         cells[y][x] = episode.under
         return cls(
             session=session,
-            **{name: getattr(provenance, name) for name in Provenance.model_fields},
+            **dict(provenance),
             by=provenance.label,
             name=display_name(provenance),
             forked_at=None if parent is None else parent.step,

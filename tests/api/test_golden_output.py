@@ -39,7 +39,6 @@ REQUESTS = (
     "paired/easy?a=greedy&b=random",
     "analyse/easy",
     "analyse/hard",
-    "history/easy",
     "memory_logs",
     "episodes?task=easy&limit=2",
 )

@@ -109,7 +109,7 @@ def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_cli
         socket.receive_json()
         socket.send_json({"type": "step", "data": {"route": [int(action) for action in solve("easy", 7).actions]}})
         assert socket.receive_json()["data"]["done"]
-        assert shared_client.get("/history/easy").json()
+        assert shared_client.get("/analyse/easy").json()
         closed = post(shared_client, "openenv/session/close", session_id=session)
         assert closed["result"] == {"session_id": session, "closed": True}
         socket.send_json({"type": "state"})

@@ -185,22 +185,6 @@ def test_flights_of_a_task_that_is_gone_with_its_plugin_are_listed_without_their
             assert rows == optima
 
 
-def test_the_history_of_a_task_for_charts(client: TestClient, settings: dict[str, Any]) -> None:
-    with Store(settings["data"]) as store:
-        for seed in (0, 1):
-            store.add_episode(record("easy", seed, "greedy"))
-        lost = record("easy", 2, "random")
-        for _ in range(23):
-            store.add_episode(lost)
-    history = client.get("/history/easy").json()
-    wins = [row["success"] for row in history["episodes"]]
-    assert [row["seed"] for row in history["episodes"]] == [0, 1, *[2] * 23]
-    assert wins == [True, True, *[False] * 23]
-    windows = [wins[max(0, end - 20) : end] for end in range(1, 26)]
-    assert history["rolling_success"] == [sum(window) / len(window) for window in windows]
-    assert client.get("/history/easy?last=3").json()["episodes"] == history["episodes"][-3:]
-
-
 def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> None:
     pilots = {pilot["id"]: pilot for pilot in shared_client.get("/pilots").json()["pilots"]}
     assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]

@@ -194,7 +194,7 @@ class LiveEpisode:
 
     def view_json(self, frames: str | None) -> str:
         """The JSON of its `EpisodeView`, with these frames as a JSON array; None for the current frame alone."""
-        header = FlightHeader.of(self.start, self.provenance, self.session.id).model_dump_json()
+        header = FlightHeader.at_start(self.start, self.provenance, self.session.id).model_dump_json()
         return f'{{"opening":{header},"frames":{frames or to_json([self.frame()]).decode()}}}'
 
     def _fly(self, action: int) -> Frame:

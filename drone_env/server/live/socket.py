@@ -24,8 +24,8 @@ from drone_env.server.frames import Frame
 from drone_env.server.json_routes import LARGE, TRY_LATER, received
 from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, Topic, parse_command
 from drone_env.server.live.episodes import LeftError, LiveEpisode, Opened, attach, end_all, open_flights
+from drone_env.server.routes.history import listed
 from drone_env.server.state import AppState, caller_address
-from drone_env.server.summaries import listed
 from drone_env.server.train_log import TrainLog
 
 log = logging.getLogger(__name__)

@@ -1,7 +1,5 @@
 """The route that analyses a flight move by move."""
 
-from typing import TYPE_CHECKING
-
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
@@ -11,16 +9,12 @@ from drone_env.core.episode import Episode, rollout
 from drone_env.flights.record import EpisodeRecord, replay
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Position, Score, StrictModel
 from drone_env.results.analysis import FlightAnalysis, Label, Move, analyse_flight
+from drone_env.server.best_flights import best_flight, network_flight
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
-from drone_env.server.state import AppStateDep
-
-if TYPE_CHECKING:
-    pass
-
-from drone_env.server.best_flights import best_flight, network_flight
 from drone_env.server.routes.replay import FLIGHT_ERRORS, Record
+from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
 

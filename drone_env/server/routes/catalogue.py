@@ -24,8 +24,6 @@ from drone_env.server.pilots import COLOURS, all_pilots
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["catalogue"])
-PUBLISHED = ("easy_delivery", "medium_delivery", "hard_delivery")
-"""The tasks of `openenv.yaml`."""
 STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
 """Events that do not change the distance to the target."""
 
@@ -65,7 +63,6 @@ class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
     )
     score_weights: dict[str, int] = Field(description="Points, of 100, for all parcels, a full battery and no step.")
     score_range: tuple[Score, Score] = Field(description="The lowest and the highest score.")
-    published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
 
     @classmethod
@@ -84,7 +81,6 @@ class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             score_weights=SCORE_WEIGHTS,
             score_range=(LOWEST, HIGHEST),
-            published=task.id in PUBLISHED,
             attribution=task.attribution,
         )
 
@@ -95,27 +91,10 @@ def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[f
     return {event.name.lower(): (table[event, 1:2] if event in STAYING else table[event]).tolist() for event in events}
 
 
-class ProfileInfo(StrictModel):
-    """The terms of a reward profile that are equal for all tasks. `TaskInfo.rewards` contains the others."""
-
-    id: str
-    summary: str = Field(description="One-line summary.")
-    shaping: float = Field(description="Reward per cell by which the distance to the target shrinks.")
-    clamp: tuple[float, float] | None = Field(description="Bounds of the sum of event reward and shaping.")
-    shaping_gamma: float | None = Field(description="Discount of potential-based shaping; null for none.")
-    pays_score: bool = Field(description="Whether the last step pays the graded score.")
-
-    @classmethod
-    def of(cls, profile: RewardProfile) -> Self:
-        """Describe a profile."""
-        return cls.model_validate(profile, from_attributes=True, strict=False)
-
-
 class TaskList(StrictModel):
-    """All tasks and reward profiles."""
+    """All tasks."""
 
     tasks: list[TaskInfo]
-    reward_profiles: list[ProfileInfo]
 
 
 class OneTask(StrictModel):
@@ -175,11 +154,8 @@ class Health(StrictModel):
 
 @router.get("/tasks")
 async def tasks() -> TaskList:
-    """All tasks with all their numbers, and the reward profiles."""
-    return TaskList(
-        tasks=[TaskInfo.of(task) for task in TASKS.values()],
-        reward_profiles=[ProfileInfo.of(profile) for profile in REWARD_PROFILES.values()],
-    )
+    """All tasks with all their numbers."""
+    return TaskList(tasks=[TaskInfo.of(task) for task in TASKS.values()])
 
 
 @router.get("/tasks/{task_name}", responses=error_responses(404, 422))

@@ -1,7 +1,7 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
 from datetime import date, datetime, time, timezone
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
@@ -9,29 +9,36 @@ from pydantic_core import to_json
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
-from drone_env.core.tasks import get_task
-from drone_env.flights.episodes import Analysis
+from drone_env.flights.episodes import Analysis, EpisodeSummary
 from drone_env.flights.record import EpisodeRecord
+from drone_env.flights.store import Store
 from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
 from drone_env.server import daily
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
+from drone_env.server.pilots import display_name
 from drone_env.server.state import AppStateDep
-from drone_env.server.summaries import ListedEpisode, listed
 from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
-ROLLING = 20
 LINES = 50
 FOLLOWERS = 32
 LISTED = 10
 
 
-class AnalysisAnswer(Analysis):
-    """Statistics of the finished episodes of a task."""
+class ListedEpisode(EpisodeSummary):
+    """One row of a list of finished episodes."""
 
-    status: Literal["Success", "No data"] = Field(description="Whether there are any episodes.")
+    name: str = Field(description="`agent` for people.")
+
+
+def listed(store: Store, n: int, *filters: Any, **more: Any) -> list[ListedEpisode]:
+    """The last `n` finished episodes, newest first. Arguments and errors as `Store.listed`."""
+    return [
+        ListedEpisode(**vars(row), name=display_name(store.provenance(row.id)))
+        for row in store.listed(n, *filters, **more)
+    ]
 
 
 class EpisodeSummaries(StrictModel):
@@ -44,13 +51,6 @@ class EpisodePage(EpisodeSummaries):
     """A page of finished episodes, newest first."""
 
     next: int | None = Field(description="Value of `before` for the next page; null on the last page.")
-
-
-class History(EpisodeSummaries):
-    """The last finished episodes of a task, oldest first."""
-
-    task: str = Field(description="Id of the task.")
-    rolling_success: list[float] = Field(description="Success rate over 20 episodes up to each episode.")
 
 
 class FlightByHand(StrictModel):
@@ -79,10 +79,9 @@ class LogLines(StrictModel):
 
 
 @router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
-def analyse(app_state: AppStateDep, task_name: str) -> AnalysisAnswer:
+def analyse(app_state: AppStateDep, task_name: str) -> Analysis:
     """Statistics of the finished episodes of a task."""
-    analysis = app_state.store.analysis(task_name)
-    return AnalysisAnswer(**dict(analysis), status="Success" if analysis.episodes else "No data")
+    return app_state.store.analysis(task_name)
 
 
 @router.get("/memory_logs", responses=error_responses(503))
@@ -123,18 +122,6 @@ def episodes(
 def episode(app_state: AppStateDep, episode_id: str) -> EpisodeRecord:
     """The record of a finished episode, as `drone-env replay` reads it."""
     return app_state.store.episode(episode_id).record
-
-
-@router.get("/history/{task_name}", responses=error_responses(404, 422, 503))
-def history(app_state: AppStateDep, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
-    """The last finished episodes of a task, for charts."""
-    found = listed(app_state.store, last, task_name)[::-1]
-    wins = [episode.success for episode in found]
-    return History(
-        task=get_task(task_name).id,
-        episodes=found,
-        rolling_success=[sum(wins[max(0, end - ROLLING) : end]) / min(ROLLING, end) for end in range(1, len(wins) + 1)],
-    )
 
 
 @router.get("/logs", responses=error_responses(503))

@@ -2,7 +2,7 @@
 
 import json
 from itertools import chain
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response
 
@@ -15,10 +15,6 @@ from drone_env.server.frames import EpisodeView, FlightHeader, frame_of
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.state import AppStateDep
-
-if TYPE_CHECKING:
-    pass
-
 
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
 FLIGHT_ERRORS = error_responses(400, 413, 415, 422, 503)
@@ -35,7 +31,7 @@ async def replay_record(request: Request, app_state: AppStateDep, record: Record
 def _replayed(record: EpisodeRecord) -> str:
     steps = replay_steps(record)
     start = next(steps)
-    header = FlightHeader.of(start, record.provenance)
+    header = FlightHeader.at_start(start, record.provenance)
     network = job_context().networks.shown_network(header.pilot, start.task)
     frames = [frame_of(episode, network) for episode in chain([start], steps)]
     return EpisodeView(opening=header, frames=frames).model_dump_json()

@@ -100,13 +100,7 @@ class ValuesAnswer(StrictModel):
     With `only`, the other fields are null.
     """
 
-    task: str = Field(description="Id of the task.")
-    task_version: int = Field(ge=1, description="Version of the task.")
-    seed: Count = Field(description="Number of the map.")
-    step_count: Count = Field(description="Steps flown.")
     position: Position = Field(description="[x, y] of the drone.")
-    battery_units: Count
-    deliveries_done: Count
     done: bool = Field(description="Whether the flight has ended.")
     unsolved: str | None = Field(description="Why the exact values are null; null if the map is solved.")
     optimum: Score | None = Field(description="The highest possible score on this map.")
@@ -140,13 +134,7 @@ def values_json(flight: FlightSoFar) -> str:
     if solver is not None:
         optimum, value = solver.value(Episode(episode.task, seed=episode.seed)), solver.value(episode)
     answer = ValuesAnswer(
-        task=episode.task.id,
-        task_version=episode.task.version,
-        seed=episode.seed,
-        step_count=episode.steps,
         position=episode.position,
-        battery_units=episode.battery_units,
-        deliveries_done=episode.deliveries_done,
         done=episode.ended,
         unsolved=unsolved,
         optimum=optimum,
