@@ -9,6 +9,7 @@ import hashlib
 import os
 import pickle
 import sys
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
@@ -16,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 
 PACKAGE = Path(__file__).parents[1]
@@ -38,19 +40,42 @@ LOADED = digest_of_sources()
 def cache_folder() -> Path:
     """Return the folder for the compiled code of these sources, and create it if necessary.
 
-    It is in `DRONE_ENV_CACHE`, else in `NUMBA_CACHE_DIR`, else in the user's cache folder.
+    It is in `DRONE_ENV_CACHE`, else in `NUMBA_CACHE_DIR`, else in the user's cache folder; if that cannot be used, in a
+    folder of this user in the temporary directory. Only this user may have write access to the last two, because the
+    process executes the code that it loads.
 
     Raises:
-        OSError: if it cannot be used, or the sources have changed since the process loaded them.
+        OSError: if there is no such folder, or the sources have changed since the process loaded them.
     """
-    from platformdirs import user_cache_path  # imported lazily: most processes compile nothing
-
     if not LOADED or digest_of_sources() != LOADED:
         raise FileNotFoundError(f"the sources in {PACKAGE} have changed since this program started")
     chosen = os.environ.get("DRONE_ENV_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
-    # Absolute, because the program may change its working directory.
-    folder = (Path(chosen).absolute() if chosen else user_cache_path("drone_env", appauthor=False)) / LOADED
-    folder.mkdir(parents=True, exist_ok=True)
+    with suppress(OSError):
+        # Absolute, because the program may change its working directory.
+        return _usable(Path(chosen).absolute(), private=False) if chosen else _usable(_users_folder(), private=True)
+    owner = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
+    return _usable(Path(tempfile.gettempdir(), f"drone_env{owner}"), private=True)
+
+
+def _users_folder() -> Path:
+    from platformdirs import user_cache_path  # imported lazily: most processes compile nothing
+
+    try:
+        folder = user_cache_path("drone_env", appauthor=False)
+    except RuntimeError as error:
+        raise FileNotFoundError(str(error)) from None
+    if not folder.is_absolute():
+        raise FileNotFoundError(f"{folder} is not absolute: this user has no home folder")
+    return folder
+
+
+def _usable(parent: Path, private: bool) -> Path:
+    """Return the folder in `parent`. Raises OSError if it is private but writable by others, or empty and read-only."""
+    for folder in (parent, parent / LOADED):
+        folder.mkdir(mode=0o700 if private else 0o777, parents=True, exist_ok=True)
+        found = folder.lstat()
+        if private and hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022):
+            raise PermissionError(f"others than this user can write to {folder}")
     if not os.access(folder, os.W_OK) and not any(folder.glob("*.code")):
         raise PermissionError(f"{folder} is not writable")
     return folder
@@ -109,6 +134,8 @@ def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         numba: Any = import_module("numba")
+        if numba.config.DISABLE_JIT:
+            raise InvalidValueError("NUMBA_DISABLE_JIT is set, but batches and planners need compiled code: unset it")
         dispatcher = numba.njit(**options)(function)
         with suppress(OSError):  # without a cache; `print_before_compiling` prints why
             dispatcher._cache = CodeCache(function, options, cache_folder())
@@ -134,5 +161,5 @@ def print_before_compiling() -> None:
             return
         cache = f"cached in {folder}"
     except OSError as error:
-        cache = f"not cached, so set DRONE_ENV_CACHE: {error}"
+        cache = f"not cached: {error}"
     print(f"drone_env: compiling the simulator for the first time, a few seconds; {cache}", file=sys.stderr)

@@ -1,8 +1,10 @@
 """Compiled code that is kept: found again by content alone, and never that of other sources."""
 
 import importlib.util
+import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -78,7 +80,7 @@ def test_all_functions_of_the_package_are_kept() -> None:
         for name, value in vars(module).items():
             if isinstance(value, numba.core.dispatcher.Dispatcher):
                 found[name] = type(value._cache)
-    assert {"step", "reset", "step_kernel", "value_kernel"} <= set(found)
+    assert {"step", "reset", "step_kernel", "value_kernel", "tour_kernel"} <= set(found)
     assert set(found.values()) == {CodeCache}
 
 
@@ -121,11 +123,20 @@ def test_the_folder_that_the_environment_names(
     assert not is_compiled(kernels.twice, range_kernel)
 
 
-def test_without_a_usable_folder_nothing_is_cached(
-    tmp_path: Path, chosen: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("variable", ["HOME", "DRONE_ENV_CACHE"])
+def test_a_folder_of_the_temporary_directory_replaces_one_that_cannot_be_used(
+    variable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    chosen.write_text("")  # like a folder without permissions, which stops no root
+    monkeypatch.delenv("DRONE_ENV_CACHE")
+    monkeypatch.setenv(variable, str(tmp_path / "home"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    users = cache_folder().parent
+    shutil.rmtree(users)
+    users.write_text("")  # like a folder without permissions, which stops no root
+    folder = cache_folder()
+    assert folder == tmp_path / f"drone_env-{os.getuid()}" / compile_cache.LOADED
     assert load(tmp_path / "kernels").twice(3) == 6
-    assert list(tmp_path.rglob("*.code")) == []
+    assert [file.parent for file in tmp_path.rglob("*.code")] == [folder]
+    folder.parent.chmod(0o777)  # others could replace the code that this process runs
     print_before_compiling()
-    assert "not cached, so set DRONE_ENV_CACHE: " in capsys.readouterr().err
+    assert f"not cached: others than this user can write to {folder.parent}" in capsys.readouterr().err
