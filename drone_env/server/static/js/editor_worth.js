@@ -57,21 +57,17 @@ export class Worth extends Emitter {
   /** Shows an answer, or why there is none; both null while the server computes. */
   show(answer, wrong) {
     this.answer = answer;
-    const { optimum, bounds, parcels } = answer ?? {};
+    const { optimum, parcels } = answer ?? {};
     setText(this.score, optimum ? points(optimum.score) : "–");
-    setText(this.note, answer ? inWords(optimum, bounds, parcels) : wrong === null ? "Computing …" : "");
+    setText(this.note, answer ? inWords(optimum, parcels) : wrong === null ? "Computing …" : "");
     this.problem.hidden = wrong === null;
     setText(this.problem, wrong ?? "");
     this.emit("answer", wrong);
   }
 }
 
-function inWords(optimum, bounds, parcels) {
-  if (!optimum) {
-    if (!bounds) return "This map is too large for the exact solver.";
-    const [least, most] = bounds.map((bound) => points(bound));
-    return `This map is too large for the exact solver: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
-  }
+function inWords(optimum, parcels) {
+  if (!optimum) return "This map is too large for the exact solver.";
   if (optimum.success) return `${["The parcel", "Both parcels"][parcels - 1] ?? `All ${parcels} parcels`} in ${counted(optimum.steps, "step")}`;
   return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
 }
