@@ -46,7 +46,7 @@ def _free(name: str) -> str:
     return name
 
 
-Number = Annotated[Decimal, BeforeValidator(_number)]
+RewardNumber = Annotated[Decimal, BeforeValidator(_number)]
 
 
 class RewardFile(BaseModel):
@@ -56,12 +56,12 @@ class RewardFile(BaseModel):
 
     id: Annotated[str, Field(min_length=1), AfterValidator(_free)]
     summary: str = ""
-    shaping: Number = Decimal(0)
-    clamp: Annotated[tuple[Number, Number] | None, Field(strict=False)] = None
-    shaping_gamma: Number | None = None
+    shaping: RewardNumber = Decimal(0)
+    clamp: Annotated[tuple[RewardNumber, RewardNumber] | None, Field(strict=False)] = None
+    shaping_gamma: RewardNumber | None = None
     pays_score: bool = False
     task_events: bool = False
-    events: dict[EventName, Number] = {}
+    events: dict[EventName, RewardNumber] = {}
 
 
 def chosen_profile(name: str | RewardProfile) -> RewardProfile:

@@ -112,7 +112,7 @@ def _shapes(metadata: dict[str, Any]) -> Shapes:
     return SHAPES | {"head.0.weight": (rows, inputs + telemetry_size)}
 
 
-CHUNK = 256
+MAPS_AT_ONCE = 256
 """Maximum number of maps per call of the network: their arrays fit into the processor's cache."""
 
 
@@ -155,7 +155,7 @@ class PathQNetAgent(StatelessAgent):
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The actions with the highest values, int64[N]."""
-        chunks = range(0, len(grids), CHUNK)
+        chunks = range(0, len(grids), MAPS_AT_ONCE)
         return np.concatenate(
-            [self._network(grids[i : i + CHUNK], telemetry[i : i + CHUNK]).argmax(axis=1) for i in chunks]
+            [self._network(grids[i : i + MAPS_AT_ONCE], telemetry[i : i + MAPS_AT_ONCE]).argmax(axis=1) for i in chunks]
         )

@@ -21,7 +21,7 @@ from drone_env.planning.paths import NO_STOP, UNREACHED, PathSearch, find_paths,
 from drone_env.planning.states import require_memory
 
 WAIT = int(Action.WAIT)
-CHUNK = 256
+STATES_AT_ONCE = 256
 """Maximum number of states per call: their features fit into the processor's cache."""
 CHUNK_BYTES = 1 << 25
 """Maximum size of their features, unless a single state takes more."""
@@ -442,7 +442,7 @@ class FeatureEncoder:
         options = n * search.paths.units.shape[1]
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
         require_memory("the features", task, size)
-        self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
+        self.most = max(1, min(STATES_AT_ONCE, CHUNK_BYTES // size))
         self._room = max(self.most, CACHE_BYTES // (12 * n * n))
         self._working_memory = search, np.zeros(n, np.int64), Distances(*np.zeros((3, self._room, n, n), np.int32))
         self._place_of: dict[bytes, int] = {}

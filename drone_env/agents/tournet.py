@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SHIPPED = WEIGHTS / "tournet_v1.safetensors"
 """The shipped network, for all tasks."""
-Network = Callable[["Features"], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
+TourForward = Callable[["Features"], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
 """From features to two logits of each option, float32[options] each: its choice, and whether the mission can be
 completed after it."""
 TIE = 1e-4
@@ -58,7 +58,7 @@ class TournetAgent(StatelessAgent):
 
 
 def choose(
-    encoder: "FeatureEncoder", network: "Network", grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+    encoder: "FeatureEncoder", network: "TourForward", grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
     """The first actions of the options that a network prefers, int64[N]; WAIT if there is none.
 

@@ -10,7 +10,7 @@
     parcels = [[3, 0]]
 
     [task]
-    deliveries = 1                                    # see `Number` for the other keys
+    deliveries = 1                                    # see `TaskNumber` for the other keys
 
     [terrain]
     rows = [
@@ -52,7 +52,7 @@ CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
 SYMBOL = re.compile("|".join(CELL_OF))
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
 TEXTS = ("attribution", "licence", "source")
-Number = Literal["width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads"]
+TaskNumber = Literal["width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads"]
 """The numbers of a task that a city can set; `task_of` sets the others."""
 DELIVERIES, PADS, CHARGE_RATE = 5, 4, 5
 BBox = tuple[float, float, float, float]
@@ -135,7 +135,7 @@ class CityFile(BaseModel):
     bbox: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None, Field(strict=False)] = None
     start: Annotated[XY | None, Field(strict=False)] = None
     parcels: Annotated[tuple[Annotated[XY, Field(strict=False)], ...], Field(strict=False, fail_fast=True)] = ()
-    task: dict[Number, int] = {}
+    task: dict[TaskNumber, int] = {}
     terrain: Rows
 
 
@@ -155,7 +155,7 @@ def city_text(city: City) -> str:
     lines += [f"bbox = {list(city.bbox or ())!r}"] * (city.bbox is not None)
     lines += [f"start = {list(city.start or ())!r}"] * (city.start is not None)
     lines += [f"parcels = {[list(parcel) for parcel in city.parcels]!r}"] * bool(city.parcels)
-    numbers = [f"{name} = {city.numbers[name]}" for name in get_args(Number) if name in city.numbers]
+    numbers = [f"{name} = {city.numbers[name]}" for name in get_args(TaskNumber) if name in city.numbers]
     lines += ["", "[task]", *numbers] if numbers else []
     lines += ["", "[terrain]", "rows = [", *(f'    "{row}",' for row in text_rows(city.grid)), "]"]
     return "\n".join(lines) + "\n"

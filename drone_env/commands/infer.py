@@ -16,7 +16,7 @@ from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
-from drone_env.llm.budget import Budget, Number, Options, Whole
+from drone_env.llm.budget import Budget, OptionalNumber, Options, Whole
 
 if TYPE_CHECKING:
     from drone_env.llm.config import InferenceSettings, RunConfig
@@ -90,7 +90,7 @@ class SamplingOptions:
     """
 
     temperature: float = 0.0
-    top_p: Number = None
+    top_p: OptionalNumber = None
     max_answer_tokens: int = 1024
     sampling_seed: Whole = None
     extra: str = "{}"

@@ -18,7 +18,7 @@ from drone_env.files import data_folder
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.tour_config import TourConfig
 
-Network = Literal["pathqnet", "tournet"]
+NetworkName = Literal["pathqnet", "tournet"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
 def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
-        network: Network = "pathqnet",
+        network: NetworkName = "pathqnet",
         preset: Literal["fast", "original"] = "fast",
         fresh: bool = False,
         data: Path | None = None,
@@ -101,7 +101,7 @@ train = _train_command(Settings(**vars(preset("fast", "easy"))))
 def _tour_command(defaults: TourSettings) -> Callable[..., int]:
     def train(
         config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
-        network: Network = "tournet",
+        network: NetworkName = "tournet",
         fresh: bool = False,
         data: Path | None = None,
         results: Path | None = None,

@@ -14,7 +14,7 @@ from drone_env.flights.database import Database
 from drone_env.planning.optimal import best_of
 
 SOLVE_SECONDS = 0.1
-CHUNK = 100
+MAPS_AT_ONCE = 100
 """Maximum number of maps per job."""
 WAITING = 4
 """Maximum number of callers that wait at once; others return without waiting, so that threads stay free."""
@@ -84,7 +84,7 @@ class Optima:
 
     def _start(self, task: TaskConfig) -> None:
         """Start the next job of a task; the caller holds the lock."""
-        seeds = list(islice(self._unsolved[task], CHUNK))
+        seeds = list(islice(self._unsolved[task], MAPS_AT_ONCE))
         try:
             job = self._submit(task, seeds)
         except (DroneEnvError, RuntimeError) as error:  # too many jobs, or a closed pool

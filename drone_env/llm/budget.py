@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MAX_CONCURRENCY = 10_000
 OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
-Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
+OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
 
 
@@ -44,12 +44,12 @@ class Options:
     timeout: float = 120.0
     tries: int = 6
     backoff: float = 1.0
-    requests_per_minute: Number = None
+    requests_per_minute: OptionalNumber = None
     max_calls: Whole = None
     max_tokens: Whole = None
-    max_cost: Number = None
-    price_prompt: Number = None
-    price_completion: Number = None
+    max_cost: OptionalNumber = None
+    price_prompt: OptionalNumber = None
+    price_completion: OptionalNumber = None
     server: Annotated[str | None, OPTIONAL] = None
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ from drone_env.planning.states import UNPAID, delivered_set, require_memory, sta
 WAIT = int(Action.WAIT)
 MAX_BETWEEN_PADS = 32 << 30
 """Limit of (sets delivered) * pads * stops * (battery units) * steps. A billion takes at most a second."""
-CHUNK = 64
+ROWS_AT_ONCE = 64
 """States per call. Other threads run between two chunks."""
 
 
@@ -368,8 +368,8 @@ class LegSolver(Solver):
         rows = np.stack(np.broadcast_arrays(delivered, cells, units, steps), axis=1)
         rows, which = np.unique(rows, axis=0, return_inverse=True)  # several actions lead to the same cell
         ranks = np.zeros(len(rows), np.int64)
-        for i in range(0, len(rows), CHUNK):
-            rank_kernel(self.legs, rows[i : i + CHUNK], ranks[i : i + CHUNK])
+        for i in range(0, len(rows), ROWS_AT_ONCE):
+            rank_kernel(self.legs, rows[i : i + ROWS_AT_ONCE], ranks[i : i + ROWS_AT_ONCE])
         return self.scores[ranks[which.ravel()]]
 
     def best_actions(self) -> list[Action]:

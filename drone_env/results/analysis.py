@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
 LABELS: tuple[Label, ...] = get_args(Label)
-CHUNK = 256
+STATES_AT_ONCE = 256
 """Number of states whose values are computed together."""
 
 
@@ -250,9 +250,9 @@ def analyse_actions(
         solver_from = solver_of
     solver, flight, flown = solver_from(start), start.copy(), list(actions)
     moves: list[Move] = []
-    for first in range(0, len(flown), CHUNK):
+    for first in range(0, len(flown), STATES_AT_ONCE):
         before: list[EpisodeState] = []
-        for action in flown[first : first + CHUNK]:
+        for action in flown[first : first + STATES_AT_ONCE]:
             if flight.ended:
                 raise EpisodeError("the episode has ended: it has no further actions")
             before.append(flight.get_state())

@@ -19,7 +19,7 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError, abbreviate
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
 from drone_env.models import Count, StrictModel
-from drone_env.results.result import CHUNK, COLUMNS, EpisodesKey, Results, concatenate
+from drone_env.results.result import COLUMNS, MAPS_PER_CHUNK, EpisodesKey, Results, concatenate
 
 CONFIG, CHUNKS = "evaluation.json", "pieces"
 MOST_BYTES = 1 << 20
@@ -45,7 +45,7 @@ class EvaluationConfig(StrictModel):
         first, labels = keys[0], {key: f"{(network_file(key.agent) or [key.agent])[0]} on {key.task}" for key in keys}
         return cls(
             package=__version__,
-            piece=CHUNK,
+            piece=MAPS_PER_CHUNK,
             split=first.split,
             seeds=list(first.seeds),
             repeats={label: key.repeat + 1 for key, label in labels.items() if key.repeat},

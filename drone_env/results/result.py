@@ -10,7 +10,7 @@ from typing_extensions import Self
 
 from drone_env.errors import InvalidValueError
 
-CHUNK = 1000
+MAPS_PER_CHUNK = 1000
 """Episodes per unit of work, on any engine."""
 COLUMNS: dict[str, type[np.generic]] = {
     "seeds": np.int64,
@@ -40,7 +40,7 @@ class EpisodesKey(NamedTuple):
     config_hash: str = ""
     repeat: int = 0
 
-    def chunks(self, size: int = CHUNK) -> list[Self]:
+    def chunks(self, size: int = MAPS_PER_CHUNK) -> list[Self]:
         """Return the keys of consecutive chunks of at most `size` episodes."""
         start, stop = self.seeds
         return [self._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]

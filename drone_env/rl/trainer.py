@@ -39,7 +39,7 @@ from drone_env.rl.model import PathQNet
 from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
 from drone_env.rl.replay_buffer import ReplayBuffer
 
-Result = tuple[float, float, bool, int]
+FinishedEpisode = tuple[float, float, bool, int]
 """Of an episode: undiscounted return, score, whether all parcels were delivered, steps."""
 MODULES = ("online", "target", "optimizer")
 VARIABLES = (
@@ -123,9 +123,9 @@ class Trainer:
         """Numbers of the running episodes, in the order of their starts."""
         self.ended: list[tuple[int, float, int, int]] = []
         """Environment, score, steps and deliveries of the episodes that the last step ended, until they are counted."""
-        self.early: dict[int, Result] = {}
+        self.early: dict[int, FinishedEpisode] = {}
         """Results of episodes that ended before an older one, by number."""
-        self.window: list[Result] = []
+        self.window: list[FinishedEpisode] = []
         """The latest results that the log may show."""
         self.unlogged = 0
         """How many of them no line covers yet."""

@@ -31,8 +31,8 @@ def test_together_the_agents_choose_as_they_do_alone(
     name: str, task: TaskConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Which also means: an agent flies a map in the same way every time."""
-    monkeypatch.setattr("drone_env.agents.pathqnet.CHUNK", 4)  # networks evaluate this many maps per call
-    monkeypatch.setattr("drone_env.agents.tour_features.CHUNK", 2)
+    monkeypatch.setattr("drone_env.agents.pathqnet.MAPS_AT_ONCE", 4)  # networks evaluate this many maps per call
+    monkeypatch.setattr("drone_env.agents.tour_features.STATES_AT_ONCE", 2)
     seeds = np.array([0, 2**53 - 1, 1, 2**52, *range(500, 516)], np.int64)[: FEWER.get(name, 20)]
     together, alone = make_agent(name, task), make_agent(name, task)
     batch = Batch(task, len(seeds))

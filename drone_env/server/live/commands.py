@@ -16,7 +16,7 @@ from drone_env.server.state import LONGEST_ID
 MOST_EPISODES = 8
 
 
-Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The response contains it.")]
+RequestNumber = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The response contains it.")]
 PilotName = Annotated[str, Field(max_length=100)]
 FlightNumber = Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
 Topic = Literal["requests", "training", "episodes"]
@@ -53,7 +53,7 @@ class Start(StrictModel):
     name: Annotated[PersonName, AfterValidator(check_name)] | None = Field(
         default=None, description="The person's name."
     )
-    number: Number = None
+    number: RequestNumber = None
 
     @model_validator(mode="after")
     def _fork_has_a_map(self) -> Self:
@@ -67,7 +67,7 @@ class Attach(StrictModel):
 
     type: Literal["attach"]
     sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_EPISODES)
-    number: Number = None
+    number: RequestNumber = None
 
 
 class Play(StrictModel):

@@ -24,7 +24,7 @@ Kind = Literal["pilot", "person", "model", "other"]
 Optimum = Annotated[float | None, Field(description="The highest possible score.")]
 
 
-class LeaderboardEntry(StrictModel):
+class LeaderboardRow(StrictModel):
     """One agent over the maps of a task that it flew. Means are over maps; intervals (95 %) are null for one map."""
 
     agent: str
@@ -49,7 +49,7 @@ class Leaderboard(StrictModel):
     """All agents of a task by mean regret, the lowest first, without forks."""
 
     task: str = Field(description="Id of the task.")
-    rows: list[LeaderboardEntry]
+    rows: list[LeaderboardRow]
     forks: Count = Field(description="Number of forks, which are left out.")
 
 
@@ -115,8 +115,8 @@ def leaderboard(app_state: AppStateDep, task_name: str) -> Leaderboard:
     return Leaderboard(
         task=get_task(task_name).id,
         rows=[
-            LeaderboardEntry(
-                **{name: value for name, value in vars(summary).items() if name in LeaderboardEntry.model_fields},
+            LeaderboardRow(
+                **{name: value for name, value in vars(summary).items() if name in LeaderboardRow.model_fields},
                 agent=agent,
                 reward_profile=flown[agent].reward_profile,
                 pilot=by[agent]["pilot"],

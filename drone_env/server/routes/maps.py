@@ -27,7 +27,7 @@ from drone_env.server.state import AppStateDep
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
 REFUSALS = error_responses(400, 413, 415, 422, 503)
-Number = Literal["max_steps", "battery_capacity", "charge_rate"]
+DrawnNumber = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
 """A `Position` as a list, because API test tools do not support tuples in requests."""
 EXAMPLE: JsonValue = {"cells": [[0, 1, 0], [0, 3, 0], [0, 0, 8]], "start": [0, 0], "parcels": [[2, 0]]}
@@ -46,7 +46,7 @@ class DrawnMap(StrictModel):
     parcels: list[Pair] = Field(
         min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel; roads."
     )
-    numbers: dict[Number, int] = Field(default={}, description="Numbers other than the defaults.")
+    numbers: dict[DrawnNumber, int] = Field(default={}, description="Numbers other than the defaults.")
     attribution: str = Field(default="", max_length=MAX_TEXT, description="Source of the terrain data.")
     licence: str = Field(default="", max_length=MAX_TEXT, description="Licence of the terrain data.")
 
@@ -112,7 +112,7 @@ class MapWorth(StrictModel):
 
     name: str = Field(description="Name of its task if it is stored.")
     toml: str = Field(description="Its city file, which every command accepts.")
-    numbers: dict[Number, Count] = Field(description="The numbers of its task.")
+    numbers: dict[DrawnNumber, Count] = Field(description="The numbers of its task.")
     optimum: BestFlight | None = Field(description="A best flight; null if the map is too large to be solved.")
 
 
@@ -183,5 +183,5 @@ def _worth(drawn: DrawnMap) -> str:
     return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum).model_dump_json()
 
 
-def _numbers(episode: Episode) -> dict[Number, int]:
-    return {name: getattr(episode.task, name) for name in get_args(Number)}
+def _numbers(episode: Episode) -> dict[DrawnNumber, int]:
+    return {name: getattr(episode.task, name) for name in get_args(DrawnNumber)}

@@ -29,7 +29,7 @@ export class Flights {
     );
   }
 
-  /** Shows the newest flights of a task. @param {Answer<"TaskInfo">} task @param {Answer<"LeaderboardEntry">[]} rows The pilots of its leaderboard. */
+  /** Shows the newest flights of a task. @param {Answer<"TaskInfo">} task @param {Answer<"LeaderboardRow">[]} rows The pilots of its leaderboard. */
   show(task, rows) {
     if (this.task !== task) [this.task, this.pages, this.agent.value] = [task, [null], ""];
     const chosen = this.agent.value;
