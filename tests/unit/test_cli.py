@@ -1,7 +1,6 @@
 """The command line, as a user runs it."""
 
 import json
-import re
 import sys
 from pathlib import Path
 from textwrap import wrap
@@ -38,18 +37,13 @@ def test_fly_shows_maps_and_saves_a_picture_beside_the_log(tmp_path: Path, capsy
     assert np.asarray(Image.open(picture)).std() > 10
 
 
-def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_maps_that_are_too_large_to_be_solved_are_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = "".join(f"{row!r},".replace("'", '"') for row in ["· " * 6] * 4 + ["🔋" + "· " * 5])
     numbers = "deliveries = 16\nmax_steps = 200\nbattery_capacity = 30"
     (tmp_path / "full.toml").write_text(f"format = 1\n[task]\n{numbers}\n[terrain]\nrows = [{rows}]", "utf-8")
     task = ["--task", str(tmp_path / "full.toml")]
     assert main(["solve", *task, "--seed", "7"]) == 2
-    output = capsys.readouterr().err
-    assert "GB are allowed" in output
-    low, high = map(float, re.findall(r"0\.\d{4}", output))
-    assert 0.8 < low < high < 0.99
+    assert "GB are allowed" in capsys.readouterr().err
     assert main(["evaluate", *task, "--agents", "greedy", "optimal", "--episodes", "2", "--json", "-"]) == 0
     (figures,) = json.loads(capsys.readouterr().out)["tasks"].values()
     greedy, optimal = figures["agents"]["greedy"], figures["agents"]["optimal"]

@@ -80,7 +80,7 @@ def test_all_functions_of_the_package_are_kept() -> None:
         for name, value in vars(module).items():
             if isinstance(value, numba.core.dispatcher.Dispatcher):
                 found[name] = type(value._cache)
-    assert {"step", "reset", "step_kernel", "value_kernel", "tour_kernel"} <= set(found)
+    assert {"step", "reset", "step_kernel", "value_kernel"} <= set(found)
     assert set(found.values()) == {CodeCache}
 
 
