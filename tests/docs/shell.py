@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,6 @@ from tests.docs.pages import ROOT, Block
 from tests.package.installed import copy_tracked
 from tests.tools import ran, tracked
 
-FOLDERS = {name.partition("/")[0] for name in tracked() if "/" in name}
 SERVERS = ("drone-env serve", "python drone_env/server/app.py")
 SCRIPTS = {"train.py": "train", "inference.py": "infer"}
 # As in the installed command, modules are not imported from the working directory.
@@ -126,10 +126,15 @@ def _simple_commands(command: str) -> Iterator[list[str]]:
             words = []
 
 
+@lru_cache
+def _folders() -> set[str]:
+    return {name.partition("/")[0] for name in tracked() if "/" in name}
+
+
 def _check_path(word: str, where: str) -> None:
     """Check a word that begins with a folder of the checkout and ends with a suffix."""
     folder, slash, _ = word.partition("/")
-    if slash and folder in FOLDERS and Path(word).suffix and not any(sign in word for sign in "*{$"):
+    if slash and folder in _folders() and Path(word).suffix and not any(sign in word for sign in "*{$"):
         assert (ROOT / word).exists(), f"{where}: there is no {word}"
 
 
