@@ -97,7 +97,7 @@ PYTHONS := python-lowest python-highest
 LEFT_OUT := browser cluster container docs package parity property
 python-lowest: VERSIONS := 3.10
 python-highest: VERSIONS := 3.14 3.13
-python-highest: LEFT_OUT += api llm
+python-highest: LEFT_OUT += api
 python: $(PYTHONS)
 $(PYTHONS): %: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $(VERSIONS)) && $$python -m venv $(VENV)/$@
