@@ -97,8 +97,6 @@ PYTHONS := python-lowest python-highest
 LEFT_OUT := browser cluster container docs package parity property
 python-lowest: VERSIONS := 3.10
 python-highest: VERSIONS := 3.14 3.13
-# Some tests of the server leave a store open, of which Python 3.13 warns.
-python-highest: LEFT_OUT += api
 python: $(PYTHONS)
 $(PYTHONS): %: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $(VERSIONS)) && $$python -m venv $(VENV)/$@

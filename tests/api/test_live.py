@@ -1,6 +1,7 @@
 """The WebSocket of the page: flights that fly by themselves or by hand, and come back after a loss."""
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -165,7 +166,7 @@ def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock) -> N
                 clock.now += 0.9
 
                 def is_kept() -> bool:
-                    with sqlite3.connect(tmp_path / FILE_NAME) as file:
+                    with closing(sqlite3.connect(tmp_path / FILE_NAME)) as file:
                         ((used,),) = file.execute("SELECT touched_at FROM sessions")
                     return used == pytest.approx(clock.now, abs=0.001)
 
