@@ -61,8 +61,18 @@ def register_envs() -> None:
                 vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
                 max_episode_steps=StepLimit(task.max_steps),
                 reward_threshold=REWARD_THRESHOLDS.get(task.id),
-                kwargs={"task": task.id, "version": task.version},
+                kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
             )
+
+
+def check_gym_id(gym_id: str | None, task: TaskConfig) -> None:
+    """Check that the task of an environment matches its Gymnasium id.
+
+    Raises:
+        InvalidValueError: if the id belongs to another task.
+    """
+    if gym_id not in (None, task.gym_id):
+        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or omit the task")
 
 
 def register_task(task: TaskConfig) -> TaskConfig:

@@ -147,6 +147,8 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
     with pytest.raises(InvalidValueError, match=r"ansi, rgb_array$"):
         DroneDeliveryEnv(render_mode="png")
+    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
+        gymnasium.make("drone_env:DroneDelivery-Easy-v1", task="hard")
 
 
 def test_the_flat_observation_holds_planes_and_telemetry() -> None:
