@@ -9,12 +9,13 @@ import logging
 import os
 import sys
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,7 @@ import numpy.typing as npt
 from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, BBox, City
 from drone_env.city.raster import GridProjection, Points, paint_area, paint_line, projection_of, water_beside
 from drone_env.core.cells import Cell
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import InvalidValueError, abbreviate, needs
 from drone_env.files import open_file
 
 if sys.version_info >= (3, 11):
@@ -100,12 +101,13 @@ class Match(NamedTuple):
 
 @dataclass
 class Source:
-    """An open file."""
+    """An open file, and what osmium does not read of it."""
 
     osmium: Any
     file: Any
-    bounds: Any
-    """Osmium's box around the first bounds of the file."""
+    bounds: Sequence[BBox]
+    deleted: Set[tuple[str, int]]
+    """Initial of the type, and id, of the objects that JOSM marks as deleted."""
 
     def objects(self, types: Any, *filters: Any) -> Iterator[Any]:
         """Yield the objects of some types that pass some filters of osmium."""
@@ -113,9 +115,8 @@ class Source:
         for keep in filters:
             processor.with_filter(keep)
         for item in processor:
-            if item.deleted:
-                raise InvalidValueError(HISTORY)
-            yield item
+            if (item.type_str(), item.id) not in self.deleted:
+                yield item
 
     @cached_property
     def new_nodes(self) -> Mapping[int, Place]:
@@ -137,7 +138,7 @@ class Source:
         nodes = (node.location for node in self.objects(self.osmium.osm.NODE))
         places = [(at.lon, at.lat) for at in nodes if at.valid()]
         if not places:
-            raise InvalidValueError(f"it contains no node with a place; {COMPLETE}")
+            raise InvalidValueError(f"it contains no node with a place, or all are deleted; {COMPLETE}")
         (west, south), (east, north) = np.min(places, axis=0).tolist(), np.max(places, axis=0).tolist()
         return west, south, east, north
 
@@ -229,32 +230,83 @@ def _opened(path: Path) -> Generator[Source, None, None]:
     try:
         with unpack(path, "rb") as stream:
             start = stream.read(64)
+            stream.seek(0)
             pbf = not packing and b"OSMHeader" in start
-            if not pbf and start.lstrip(b"\xef\xbb\xbf\xff\xfe\0 \r\n\t")[:1] != b"<":
-                raise InvalidValueError(f"neither XML nor PBF; {ALLOWED}")
-            if not pbf and any(b"<remark>" in line for line in stream):
-                raise InvalidValueError("Overpass did not finish: its remark in the file says why")
+            bounds, deleted = ([], set[tuple[str, int]]()) if pbf else _read_xml(stream, start)
         file = osmium.io.File(str(path), "pbf" if pbf else f"xml{packing}")
         header = osmium.io.Reader(file, osmium.osm.NOTHING).header()
         if header.has_multiple_object_versions:
             raise InvalidValueError(HISTORY)
-        yield Source(osmium, file, header.box())
+        box = header.box()
+        if pbf and box.valid():
+            bounds = [(box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat)]
+        yield Source(osmium, file, bounds, deleted)
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-    except (RuntimeError, ValueError, EOFError, OSError, zlib.error, osmium.InvalidLocationError) as error:
+    except (
+        RuntimeError,
+        ValueError,
+        EOFError,
+        OSError,
+        zlib.error,
+        expat.ExpatError,
+        osmium.InvalidLocationError,
+    ) as error:
         raise InvalidValueError(f"{path}: cut short or damaged, so save it again: {error}; {ALLOWED}") from None
 
 
+def _read_xml(stream: Any, start: bytes) -> tuple[list[BBox], set[tuple[str, int]]]:
+    """Read what osmium leaves out: all bounds but the first, deleted objects of JOSM, remarks of Overpass.
+
+    Args:
+        stream: The file.
+        start: Its first bytes.
+    """
+    if start.lstrip(b"\xef\xbb\xbf\xff\xfe\0 \r\n\t")[:1] != b"<":
+        if not start:
+            raise InvalidValueError(f"the file is empty; {ALLOWED}")
+        json = ": in Overpass, write [out:xml] instead of [out:json]" if start.lstrip()[:1] in (b"{", b"[") else ""
+        raise InvalidValueError(f"neither XML nor PBF{json}; {ALLOWED}")
+    bounds: list[BBox] = []
+    deleted: set[tuple[str, int]] = set()
+    remarks: list[str] = []
+    seen: set[str] = set()
+    parser = expat.ParserCreate()
+
+    def begin(name: str, attributes: dict[str, str]) -> None:
+        if not seen and name != "osm":
+            raise InvalidValueError(f"<{name}> in place of <osm>; {ALLOWED}")
+        seen.add(name)
+        if name == "bounds" and seen.isdisjoint(("node", "way", "relation")):  # later ones are those of a way
+            sides = (float(attributes.get(side, "nan")) for side in ("minlon", "minlat", "maxlon", "maxlat"))
+            west, south, east, north = sides
+            bounds.append((west, south, east, north))
+        elif name == "remark":
+            parser.CharacterDataHandler = remarks.append
+        elif attributes.get("action") == "delete":
+            deleted.add((name[0], int(attributes["id"])))
+        elif attributes.get("visible") == "false":
+            raise InvalidValueError(HISTORY)
+
+    parser.StartElementHandler = begin
+    parser.ParseFile(stream)
+    if remarks:
+        raise InvalidValueError(f"Overpass did not finish: {abbreviate(''.join(remarks).strip())}")
+    return bounds, deleted
+
+
 def _covered(source: Source) -> BBox:
-    """Return what a file covers: its bounds, else its nodes."""
-    box = source.bounds
-    if not box.valid():
-        return source.extent()
-    west, south, east, north = box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
-    if not 0 <= east - west <= 180:
-        covers = f"its bounds are {_degrees((west, south, east, north))}, its nodes are in {_degrees(source.extent())}"
+    """Return what a file covers: its bounds, else its nodes.
+
+    Raises:
+        InvalidValueError: if it is more than half of the world.
+    """
+    wests, souths, easts, norths = zip(*(source.bounds or [source.extent()]), strict=True)
+    box = min(wests), min(souths), max(easts), max(norths)
+    if box[2] - box[0] > 180 or any(west > east for west, _, east, _ in source.bounds):
+        covers = f"its bounds are {_degrees(box)}, its nodes are in {_degrees(source.extent())}"
         raise InvalidValueError(f"{covers}: select a part with --bbox WEST SOUTH EAST NORTH")
-    return west, south, east, north
+    return box
 
 
 def _degrees(box: BBox) -> str:

@@ -1,15 +1,17 @@
 """Extracts of OpenStreetMap become cities."""
 
+import bz2
 import gzip
 import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drone_env.city.city_file import city_text, text_rows
 from drone_env.city.openstreetmap import import_city
-from drone_env.city.raster import metres_per_degree
+from drone_env.city.raster import metres_per_degree, paint_area, water_beside
 from drone_env.errors import InvalidValueError
 from tests.unit.osm_files import BOX, Drawing
 
@@ -92,10 +94,25 @@ TOWN = (
     .node((4.5, 0.5), amenity="charging_station")
 )
 TOWN_ROWS = ["BBBBP#", "B..B.#", "B..B.#", "BBBB.#"]
+WEST, SOUTH, EAST, NORTH = BOX
+MIDDLE = (WEST + EAST) / 2
+
+
+def bounds(west: float, south: float, east: float, north: float) -> str:
+    return f'<bounds minlon="{west}" minlat="{south}" maxlon="{east}" maxlat="{north}"/>'
+
+
+def with_bounds(*boxes: str) -> Callable[[str], str]:
+    return lambda text: re.sub("<bounds[^>]*>", "".join(boxes), text)
 
 
 def with_objects(objects: str) -> Callable[[str], str]:
     return lambda text: text.replace("</osm>", f"{objects}</osm>")
+
+
+def numbered(change: Callable[[int], int]) -> Callable[[str], str]:
+    """Change the ids."""
+    return lambda text: re.sub(r'(id|ref)="(\d+)"', lambda found: f'{found[1]}="{change(int(found[2]))}"', text)
 
 
 def saved(written: Callable[[str], str | bytes], folder: Path) -> Path:
@@ -106,10 +123,24 @@ def saved(written: Callable[[str], str | bytes], folder: Path) -> Path:
     return path
 
 
+DELETED = """
+    <way id="9" action="delete" version="1" visible="true"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="1"/>
+    <tag k="building" v="yes"/></way>
+    <node id="-8" action='delete' lat="60" lon="25.001"><tag k="amenity" v="charging_station"/></node>"""
+
+
 WRITTEN: dict[str, Callable[[str], str | bytes]] = {
     "backwards": lambda text: "\n".join([*text.split("\n")[:2], *text.split("\n")[-3:1:-1], "</osm>"]),
-    "negative ids": lambda text: re.sub(r'(id|ref)="', r'\1="-', text),
+    "nodes twice": lambda text: re.sub("<node.*?/node>", r"\g<0>" * 2, text),
+    "negative ids": numbered(lambda number: -number),
+    "some negative ids": numbered(lambda number: number if number % 3 else -number),
+    "large ids": numbered(lambda number: number + 2**62),
+    "two bounds": with_bounds(bounds(WEST, SOUTH, MIDDLE, NORTH), bounds(MIDDLE, SOUTH, EAST, NORTH)),
+    "bounds of ways": lambda text: re.sub("(<way[^>]*>)", r"\1" + bounds(0, 0, 1, 1), text),
+    "deleted in JOSM": with_objects(DELETED),
     "gzip": lambda text: gzip.compress(text.encode()),
+    "bzip2": lambda text: bz2.compress(text.encode()),
+    "UTF-16": lambda text: text.encode("utf-16"),
 }
 
 
@@ -128,21 +159,21 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
         lambda text: re.sub("<node.*?/node>", "", text, count=1),
         r"1 of 2 ways and areas lack nodes \(relation 1\); .* --strategy smart`, or select a smaller --bbox",
     ),
-    "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish"),
-    "a history": (
-        with_objects('<node id="1" visible="false"><tag k="natural" v="tree"/></node>'),
-        "osmium time-filter",
-    ),
+    "a way less": (lambda text: re.sub("<way.*?/way>", "", text, count=1), r"1 of 2 .* \(relation 1\)"),
+    "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
+    "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
+    "a history": (with_objects('<node id="1" visible="false"/>'), "osmium time-filter"),
     "two versions": (
         with_objects('<way id="3"><nd ref="5"/><nd ref="7"/><tag k="railway" v="rail"/></way>'),
         "osmium time-filter",
     ),
-    "across 180 degrees": (
-        lambda text: re.sub('minlon="[^"]*"', 'minlon="179.9"', re.sub('maxlon="[^"]*"', 'maxlon="-179.9"', text)),
-        "with --bbox WEST",
-    ),
-    "JSON": (lambda text: '{"elements": []}', "neither XML nor PBF; allowed are XML"),
+    "the world": (with_bounds(bounds(-180, -85, 180, 85)), r"nodes are in 25 59.9.* with --bbox WEST"),
+    "across 180 degrees": (with_bounds(bounds(179.9, -1, -179.9, 1)), "with --bbox WEST"),
+    "JSON": (lambda text: '{"elements": []}', r"neither XML nor PBF: in Overpass, write \[out:xml\]"),
+    "HTML": (lambda text: "<html></html>", "<html> in place of <osm>; allowed are XML"),
+    "half": (lambda text: text[:700], "cut short or damaged, so save it again: unclosed token"),
     "half of a gzip": (lambda text: gzip.compress(text.encode())[:-9], "ended before the end-of-stream"),
+    "nothing": (lambda text: b"", "the file is empty"),
 }
 
 
@@ -187,3 +218,15 @@ def test_without_a_box_the_middle_of_the_file_is_taken(tmp_path: Path) -> None:
 def test_the_length_of_a_degree(latitude: float, longitude_km: float, latitude_km: float) -> None:
     metres = metres_per_degree(latitude)
     assert metres == (pytest.approx(1000 * longitude_km, abs=0.6), pytest.approx(1000 * latitude_km, abs=0.6))
+
+
+def test_the_water_of_a_jagged_coast_is_what_its_ring_does_not_hold() -> None:
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        far = random.uniform(3, 9, 12)
+        ring = 10 + np.column_stack([far * np.cos(angles), -far * np.sin(angles)])  # land to the left
+        ring = np.concatenate([ring, ring[:1]])
+        land = np.zeros((20, 20), np.bool_)
+        paint_area(land, [ring])
+        assert (water_beside([ring], land.shape) == ~land).all()
