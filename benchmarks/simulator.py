@@ -1,6 +1,6 @@
 """How fast the batched simulator is, beside its peers.
 
-All contenders are timed in turn, round by round, so other load on the machine affects all of them alike; the median of
+Every round times all contenders one after another, so other load on the machine affects them alike; the median of
 the rounds is printed. `--other CHECKOUT` times the `Batch` of another checkout in the same rounds, in a separate
 process. Then follow the memory of an episode and the time of the first step.
 

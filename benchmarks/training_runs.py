@@ -1,6 +1,6 @@
 """Train every task from scratch with several seeds and fly the test maps.
 
-Each run is `drone-env train` with its defaults, in a folder of its own under `results/evidence/`. Run the command again
+Each run is `drone-env train` with its defaults. Its folder is under `results/evidence/`. Run the command again
 to resume; a finished run is only flown again. Training sees train and validation maps only; the table is of test maps.
 """
 

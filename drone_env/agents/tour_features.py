@@ -270,7 +270,7 @@ def write_charge(search: PathSearch, state: TourState, token: Any, features: Fea
 
 @jitable
 def write_paths(search: PathSearch, state: TourState, safe: Any, token: Any, features: Features, m: int, i: int) -> int:
-    """Write the token of a stop that is elsewhere and an option for each path, and return the units of the cheapest."""
+    """Write the token of a stop and an option for each path to it. Return the units of the cheapest path."""
     capacity, max_steps = np.float32(search.tables.capacity), np.float32(search.tables.max_steps)
     per_step = np.float32(STEP_SCALE) / max_steps
     counts, paths, units, left = search.counts, search.paths, state.units, state.left

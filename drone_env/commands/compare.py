@@ -80,7 +80,7 @@ def compare(
 
 
 class Contest(NamedTuple):
-    """Who is compared: entries of folders by the argument, agents to fly, and over which maps."""
+    """The comparison: entries of folders by the argument, agents to fly, and their maps."""
 
     stored: dict[str, list[tuple[str, LeaderboardEntry]]]
     names: list[str]

@@ -177,7 +177,7 @@ def _move_tables(task: TaskConfig) -> dict[str, Any]:
 
 
 def _kind_tables(task: TaskConfig) -> dict[str, Any]:
-    """What the kind of a cell means for a drone that enters it or is above it."""
+    """The effect of each kind of cell on a drone that enters it or is above it."""
     impassable = np.zeros(N_CELL_KINDS, np.uint8)
     impassable[list(task.impassable)] = 1
     drain = np.ones((N_CELL_KINDS, N_ACTIONS), np.int16)

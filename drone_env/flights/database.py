@@ -87,7 +87,7 @@ COMMIT;
 """
 """A row of `flights` is a `Flight`; the columns from `agent` on are computed from it.
 
-`agent` is the label of its provenance. `revision` counts the changes of a flight that goes on. `number` is the order of
+`agent` is the label of its provenance. `revision` counts the changes of an unfinished flight. `number` is the order of
 storing finished flights; it and the columns after it are null before the end. An unfinished flight belongs to one
 session, or is the parent of a fork; otherwise the triggers delete it. `optima.score` is null if the map is too large to
 be solved. `sessions.touched_at` is on the monotonic clock. `sessions.address` is the address whose callers share the

@@ -1,4 +1,4 @@
-"""The record of a flight as the store keeps it; everything else about the flight is its replay."""
+"""The stored record of a flight. A replay gives everything else about the flight."""
 
 import re
 import secrets
@@ -90,7 +90,7 @@ def read_provenance(connection: sqlite3.Connection, flight: Flight) -> Provenanc
 def insert_flight(
     connection: sqlite3.Connection, flight_id: str, key: MapKey, actions: str, provenance: Provenance
 ) -> None:
-    """Add the row of a flight that has not ended, and first that of its parent, if none is stored.
+    """Add the row of an unfinished flight, after the row of its parent if that is missing.
 
     If the id is stored already, nothing changes.
     """

@@ -175,7 +175,7 @@ def _wrong_rewards(recorded: Sequence[float], paid: Sequence[float]) -> list[str
 def save_record(record: EpisodeRecord, path: str | Path) -> None:
     """Write a record as JSON, or append it to a JSONL file (`.jsonl`), which is created if it is missing.
 
-    A JSON file is never left partial. If the process dies, at most the last line of a JSONL file is cut.
+    A JSON file is never left partial. A process that dies cuts at most the last line of a JSONL file.
 
     Raises:
         OSError: if it cannot be written.

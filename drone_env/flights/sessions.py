@@ -244,7 +244,7 @@ class Sessions:
         Args:
             session_id: The session; None for a new one.
             start: Returns the episode at its start, from the number of the session's last map; None in a new session.
-            agent: Who flies; None for the present pilot, who is anonymous in a new session.
+            agent: Who flies; None keeps the present pilot; a new session has an anonymous one.
             address: The address of a caller without an id, who shares the session of the address. A shared session
                 without steps is not reused unless there is no room, because who opened it may still use its id.
             owner: As `open`.

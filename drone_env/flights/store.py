@@ -369,7 +369,7 @@ def _check_replayable(episode: Episode) -> None:
 
 
 def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:
-    """Return a WHERE clause for finished flights of a task, and for the filters that are not None, with its values.
+    """Return a WHERE clause and its values: finished flights of a task that pass all filters that are not None.
 
     Raises:
         UnknownNameError: if there is no such task.

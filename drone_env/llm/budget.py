@@ -138,7 +138,7 @@ def now() -> float:
 
 
 class RateLimiter:
-    """Decides when a request of a run is sent: the one that has waited longest goes first.
+    """Decides when a run sends a request; the request that has waited longest is first.
 
     An overloaded endpoint halves the number of requests at once. It grows by one after as many answers.
 

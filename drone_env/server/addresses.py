@@ -1,4 +1,4 @@
-"""Where a request comes from: this machine, another, or a proxy."""
+"""The origin of a request: this machine, another, or a proxy."""
 
 import ipaddress
 from functools import lru_cache

@@ -12,5 +12,5 @@ def today() -> date:
 
 
 def map_of_the_day(day: date) -> tuple[str, int]:
-    """The task and the map number of a day (UTC), equal on all servers: the number is the date, such as 20261126."""
+    """The task and the map number of a day (UTC), the same on all servers. The number is the date, such as 20261126."""
     return DAILY[day.toordinal() % len(DAILY)], int(f"{day:%Y%m%d}")

@@ -30,7 +30,7 @@ from drone_env.server.pilots import display_name
 
 
 class FlightHeader(Provenance):
-    """Who flies, the map and its state at the start."""
+    """The provenance, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
     by: str = Field(description="Who flies in words: `human (NAME) with undo from step 20 of pathqnet`.")

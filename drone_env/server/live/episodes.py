@@ -318,7 +318,7 @@ def end_all(episodes: Sequence[LiveEpisode], app_state: AppState) -> None:
 
 
 def _choose(command: Start, app_state: AppState, last: Episode | None) -> tuple[Episode, list[Provenance], int | None]:
-    """The episode at its start, who flies each flight, and the index of the one that flies the fork."""
+    """The episode at its start, the provenance of each flight, and the index of the flight that continues the fork."""
     task, fork, pilots = get_task(command.task), command.fork, command.pilots
     for pilot in pilots:
         app_state.networks.require(pilot, task)
