@@ -3,7 +3,7 @@
 The next step overwrites every buffer of a `Batch`, so copy arrays that you need later.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
@@ -12,20 +12,11 @@ import numpy.typing as npt
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
 from drone_env.core.compile_cache import print_before_compiling
+from drone_env.core.episode import Episode, EpisodeState
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
-from drone_env.core.rules import (
-    open_actions,
-    score,
-    write_own_telemetry,
-    write_target_telemetry,
-    write_telemetry,
-)
-from drone_env.core.rules import (
-    reset as reset_episode,
-)
-from drone_env.core.rules import (
-    step as step_episode,
-)
+from drone_env.core.rules import open_actions, score, write_own_telemetry, write_target_telemetry, write_telemetry
+from drone_env.core.rules import reset as reset_episode
+from drone_env.core.rules import step as step_episode
 from drone_env.core.seeds import N_SEEDS, next_seed
 from drone_env.core.tables import DELIVERIES_DONE, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig, get_task
@@ -276,13 +267,30 @@ class Batch:
         tables = (self.tables, self._rewards, self._buffers, integers)
         self._n_ended[0] = self._step(*tables, self.num_envs, self.same_step)
 
+    def episodes(self) -> Iterator[Episode]:
+        """A copy of each episode. Its path and its total reward are not known."""
+        for seed, grid, state in zip(self.seeds.tolist(), self._buffers.grids, self._buffers.states, strict=True):
+            episode = Episode(self.task, self.reward_profile)
+            numbers = grid.tobytes(), state.tobytes()
+            episode.set_state(EpisodeState(self.task, self.reward_profile, seed, *numbers, reward_total=0.0, path=()))
+            yield episode
+
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
         """A snapshot of all episodes for `set_state`, as copies of arrays."""
         return {name: np.array(buffer) for name, buffer in self._arrays().items()}
 
     def set_state(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Restore a snapshot of a batch with the same task, size and mode."""
-        for name, buffer in self._arrays().items():
+        """Restore a snapshot of a batch with the same task, size and mode.
+
+        Raises:
+            InvalidValueError: if the snapshot does not fit this batch; nothing changes.
+        """
+        arrays = self._arrays()
+        for name, buffer in arrays.items():
+            given = state.get(name)
+            if given is None or given.shape != buffer.shape or given.dtype != buffer.dtype:
+                raise InvalidValueError(f"the snapshot is of another batch: {name} does not fit")
+        for name, buffer in arrays.items():
             buffer[...] = state[name]
         self.started = bool(self._started.all())
 

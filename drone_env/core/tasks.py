@@ -160,6 +160,9 @@ class TaskConfig:
             # Without pads, observations do not contain the kind of the cell below the drone, and the counts of cells in
             # a window do not imply it.
             require(self.pads > 0, "pads must be at least 1 if each map is a window of the terrain, got 0")
+        inside = all(0 <= x < terrain.width and 0 <= y < terrain.height for x, y in terrain.fixed)
+        different = inside and len(set(terrain.fixed)) == len(terrain.fixed)
+        require(different, f"start and parcels must be different cells, got {terrain.fixed}")
 
     @cached_property
     def windows(self) -> dict[str, list[Window]]:
@@ -175,6 +178,11 @@ class TaskConfig:
         all_corners = list(dict.fromkeys(chain.from_iterable(corners.values())))
         windows = terrain.windows(all_corners, self.width, self.height, self.impassable)
         at = dict(zip(all_corners, windows, strict=True))
+        # Fixed positions exist only if there is one window.
+        apart = [(x, y) for x, y in terrain.fixed if y * self.width + x not in at[0, 0].drawn]
+        if apart:
+            message = f"start and parcels must be connected roads; {apart} are not"
+            raise InvalidTaskError(f"task {self.id!r}: {message}")
 
         def needed(window: Window) -> int:
             return 1 + self.deliveries + max(0, self.pads - window.pads)
