@@ -26,6 +26,7 @@ from drone_env.datasets.chat import COLUMNS as CHAT
 from drone_env.datasets.chat import row_writer
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
 from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
+from drone_env.files import locked
 from drone_env.results.pages import render
 
 Write = Callable[[Sequence[Trajectory]], None]
@@ -72,16 +73,19 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
         raise InvalidValueError(f"{out} exists and is not an empty folder: name another")
     # In the same file system, so that the final move is one atomic step. The next run removes what a killed one leaves.
     part = out.with_name(f"{out.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir()
-    try:
-        rows = _write(config, part, on_map)
-        (part / "README.md").write_text(_readme(config, rows), encoding="utf-8")
-        if out.exists():
-            out.rmdir()
-        part.rename(out)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(exist_ok=True)
+    with locked(part / "lock", f"another process is writing {out}"):
+        try:
+            folder = part / "dataset"
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            rows = _write(config, folder, on_map)
+            (folder / "README.md").write_text(_readme(config, rows), encoding="utf-8")
+            if out.exists():
+                out.rmdir()
+            folder.rename(out)
+        finally:
+            shutil.rmtree(part)
     return rows
 
 

@@ -19,6 +19,7 @@ from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import FORMAT, DatasetConfig, fly_map, random_actions
 from drone_env.errors import InvalidValueError
+from drone_env.files import locked
 from drone_env.llm.text_episode import TextEpisode
 from drone_env.llm.trl_environment import DroneEnvironment
 from drone_env.planning.optimal import solve
@@ -226,7 +227,9 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
 
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path) -> None:
     part = tmp_path / "set.part"
-    (part / "minari").mkdir(parents=True)
+    (part / "dataset" / "minari").mkdir(parents=True)
+    with locked(part / "lock", "mine"), pytest.raises(InvalidValueError, match="another process is writing"):
+        made(tmp_path, config_of("easy", range(1)))
     folder = made(tmp_path, config_of("easy", range(1)))
     assert list(tmp_path.iterdir()) == [folder]
     assert not (folder / "minari").exists()
