@@ -8,14 +8,14 @@ Solvers store a value as the rank of a score among all scores of the task, which
 """
 
 from abc import ABC, abstractmethod
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
-from drone_env.core.cells import DELIVERY_CELL
+from drone_env.core.cells import DELIVERY_CELL, Cell
 from drone_env.core.compiled import kernel
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rewards import Rewards, tabulate_rewards
@@ -47,6 +47,8 @@ from drone_env.planning.states import (
     state_arrays,
     waiting_parcels,
 )
+
+NOT_REACHABLE = "the solved episode cannot reach this state: create a solver for this episode"
 
 
 @kernel
@@ -120,7 +122,7 @@ class Solver(ABC):
         """Q*, float64[5]: the highest score that can still be reached after each action.
 
         Raises:
-            EpisodeError: if the episode has ended, or does not go on from the solved one.
+            EpisodeError: if the episode has ended, or is not reachable from the solved one.
         """
         self._require_from_here(episode)
         _, state, _ = state_arrays(episode)
@@ -170,12 +172,42 @@ class Solver(ABC):
         return [step.action for step in flight.path[len(self._start.actions) :]]
 
     def _require_from_here(self, episode: Episode) -> None:
-        """Reject an episode that has ended, or that does not begin with the steps of the solved one."""
+        """Reject an episode that has ended, or is not reachable from the solved one."""
         if episode.ended:
             raise EpisodeError("the episode has ended: it has no further actions")
-        start, flown = self._start, self._start.actions
-        if (episode.task, episode.seed, episode.actions[: len(flown)]) != (start.task, start.seed, flown):
-            raise EpisodeError("this episode does not go on from the solved one: create a solver for it")
+        if (episode.task, episode.seed) != (self._start.task, self._start.seed):
+            raise EpisodeError(NOT_REACHABLE)
+        waiting, t = waiting_parcels(episode), episode.steps - self._start.steps
+        lowest, sizes = self._battery_ranges
+        possible = (
+            t >= 0
+            and np.array_equal(_invariants(episode), self._invariants)
+            and set(waiting) <= set(self._waiting)
+            and all((x, y) != episode.position or delivered for x, y, delivered in episode.parcels)
+            and episode.under not in episode.task.impassable
+            and 0 <= episode.battery_units - lowest[t] < sizes[t]
+        )
+        if not possible:
+            raise EpisodeError(NOT_REACHABLE)
+
+    @cached_property
+    def _battery_ranges(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        return battery_ranges(self._start)
+
+    @cached_property
+    def _invariants(self) -> npt.NDArray[np.int64]:
+        return _invariants(self._start)
+
+
+def _invariants(episode: Episode) -> npt.NDArray[np.int64]:
+    """The part of an episode that steps do not change: the terrain, and the original cell of each parcel."""
+    grid = episode.grid()
+    x, y = episode.position
+    grid[y, x] = episode.under
+    parcels = [(x, y) for x, y, _ in episode.parcels]
+    for x, y in parcels:
+        grid[y, x] = Cell.DELIVERY
+    return np.append(grid, parcels)
 
 
 @kernel
@@ -249,7 +281,7 @@ class ExactSolver(Solver):
         task = episode.task
         self._places = task.width * task.height << len(self._waiting)
         self._scores, ends = ranked_scores(task)
-        self._lowest, sizes = battery_ranges(episode)
+        self._lowest, sizes = self._battery_ranges
         self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
         require_memory("the exact values", task, int(self._starts[-1]) * ends.itemsize)
         self.ranks = np.zeros(int(self._starts[-1]), ends.dtype)
