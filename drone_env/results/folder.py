@@ -15,15 +15,19 @@ from typing_extensions import Self
 
 from drone_env import __version__
 from drone_env.agents import network_file
+from drone_env.core.rules import HIGHEST, LOWEST
+from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError, abbreviate
 from drone_env.files import differences, is_begun, read_file, replacing, write_json
-from drone_env.models import Count, StrictModel
+from drone_env.models import StrictModel
 from drone_env.results.result import COLUMNS, MAPS_PER_CHUNK, EpisodesKey, Results, concatenate
 
 CONFIG, CHUNKS = "evaluation.json", "pieces"
 MOST_BYTES = 1 << 20
 """Maximum bytes of a configuration and of a chunk; 1,000 episodes take 38,000."""
+MOST_CHUNKS = 1_000_000
+Name = Annotated[str, Field(max_length=1000)]
 
 
 class EvaluationConfig(StrictModel):
@@ -31,13 +35,13 @@ class EvaluationConfig(StrictModel):
 
     format: Literal["drone_env/evaluation"] = "drone_env/evaluation"
     format_version: Literal[1] = 1
-    package: str
-    piece: int = Field(ge=1)
-    split: str
-    seeds: list[Count] = Field(min_length=2, max_length=2)
-    repeats: dict[str, int] = Field(default_factory=dict)
-    tasks: list[Annotated[str, Field(pattern="^.+ v[0-9]{1,9}$")]]
-    agents: dict[str, Annotated[str, Field(pattern="^[0-9a-f]{16}$")]]
+    package: Name
+    piece: int = Field(ge=1, le=MOST_CHUNKS)
+    split: Name
+    seeds: list[Annotated[int, Field(ge=0, le=N_SEEDS)]] = Field(min_length=2, max_length=2)
+    repeats: dict[Name, Annotated[int, Field(ge=2, le=MOST_CHUNKS)]] = Field(default_factory=dict)
+    tasks: list[Annotated[Name, Field(pattern="^.+ v[0-9]{1,9}$")]]
+    agents: dict[Name, Annotated[str, Field(pattern="^[0-9a-f]{16}$")]]
 
     @classmethod
     def of(cls, keys: Sequence[EpisodesKey]) -> Self:
@@ -61,6 +65,9 @@ class EvaluationConfig(StrictModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        start, stop = self.seeds
+        if not 0 < stop - start <= MOST_CHUNKS * self.piece:
+            raise ValueError(f"seeds {start}:{stop} are not 1 to {MOST_CHUNKS:,} chunks of {self.piece} maps")
         self.episodes_keys()
         return self
 
@@ -169,10 +176,28 @@ def _load(path: Path, key: EpisodesKey) -> Results | None:
         return None
     try:
         with NpzFile(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as archive:
+            zipped: Any = archive.zip
+            if archive.files != list(COLUMNS):
+                raise ValueError(f"its columns are not {', '.join(COLUMNS)}")
+            if zipped.testzip():
+                raise ValueError("its checksums are wrong")
             columns: dict[str, Any] = {name: archive[name] for name in COLUMNS}
+        task, shape = get_task(key.task, key.version), (key.seeds[1] - key.seeds[0],)
+        if any(columns[name].dtype != kind or columns[name].shape != shape for name, kind in COLUMNS.items()):
+            raise ValueError(f"its columns have other types or lengths than those of {shape[0]} maps")
         results = Results(key, **columns)
-        if not np.array_equal(results.seeds, np.arange(*key.seeds)):
-            raise ValueError("its maps are not those of its name")
+        valid = (
+            (results.seeds == np.arange(*key.seeds))
+            & (results.scores >= LOWEST)
+            & (results.scores <= HIGHEST)
+            & (results.steps >= 0)
+            & (results.steps <= task.max_steps)
+            & (results.deliveries >= 0)
+            & (results.deliveries <= task.deliveries)
+            & (results.success == (results.deliveries == task.deliveries))
+        )
+        if not valid.all():
+            raise ValueError("seeds, scores, steps, deliveries or success are out of range")
     except (ValueError, KeyError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
         reason = str(error).removeprefix(f"{path} ")
         raise InvalidValueError(f"{path} is damaged ({reason}): delete it, and its maps are flown again") from None

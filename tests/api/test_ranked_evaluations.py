@@ -96,6 +96,7 @@ CONFIGS: dict[str, Callable[[Path], object]] = {
     **ANYWHERE,
     "too many seeds": setting(seeds=[0, 1 << 53], piece=1),
     "no number": setting(piece=float("nan")),
+    "too many flights": setting(repeats={"greedy on easy_delivery": 1 << 60}),
     "a digest of elsewhere": setting(agents={"greedy on easy_delivery": "../../../elsewhere"}),
     "an agent of no task": setting(agents={"greedy": "0123456789abcdef"}),
 }
@@ -103,9 +104,12 @@ PIECES: dict[str, Callable[[Path], object]] = {
     **ANYWHERE,
     "a bomb": lambda path: path.write_bytes(bomb()),
     "objects": column(scores=np.array([None] * 4)),
+    "no numbers": column(scores=np.full(4, np.nan)),
+    "a table": column(scores=np.full((4, 1), 0.5)),
     "forged scores": column(scores=np.full(4, 0.99)),
     "other optima": column(optimal_scores=np.full(4, 0.9)),
     "other maps": column(seeds=np.arange(4)),
+    "too many parcels": column(deliveries=np.full(4, 9, np.int32)),
 }
 RUNS = ("run.json", "calls.jsonl", "episodes.jsonl")
 
