@@ -6,7 +6,10 @@ import secrets
 import socket
 from collections.abc import Generator
 from contextlib import contextmanager
+from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from drone_env.errors import ClusterError, InvalidValueError, needs
 
@@ -39,6 +42,7 @@ def connect(address: str | None = None) -> Generator[None, None, None]:
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     with needs("cluster"):
         import ray
+    _redirect_messages()
     if address not in ("local", "auto"):
         _check_reachable(address)
     dashboard = False if address == "local" else None
@@ -53,6 +57,18 @@ def connect(address: str | None = None) -> Generator[None, None, None]:
         yield
     finally:
         ray.shutdown()
+
+
+@lru_cache(maxsize=1)
+def _redirect_messages() -> None:
+    """Redirect messages such as the death of a node, which Ray prints among the results, to standard error."""
+    worker: Any = import_module("ray._private.worker")
+    printed = worker.print_to_stdstream
+
+    def to_standard_error(data: dict[str, Any], *arguments: Any, **more: Any) -> None:
+        printed({**data, "is_err": True}, *arguments, **more)
+
+    worker.print_to_stdstream = to_standard_error
 
 
 def _check_reachable(address: str) -> None:

@@ -6,6 +6,7 @@ import platform
 import socket
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
@@ -89,10 +90,12 @@ def check_node(identity: str, plugins: tuple[str, ...]) -> None:
         raise ClusterError(f"node {here} has {mine}, the driver has {identity}: make them equal")
 
 
+@lru_cache(maxsize=1)
 def node_identity(plugins: tuple[str, ...]) -> str:
-    """Return the versions of this process, and a digest of the files of the plugins, which it imports."""
-    digest = hashlib.sha256()
-    for module in load_plugins(plugins):
-        digest.update(Path(module.__file__).read_bytes() if module.__file__ else b"")
+    """Return the versions of this process, and a digest of the files of this package and of the plugins."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    files = [file for file in sorted(package.rglob("*")) if file.suffix in (".py", ".safetensors", ".toml")]
+    for file in [*files, *(Path(module.__file__) for module in load_plugins(plugins) if module.__file__)]:
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
     minor, named = ".".join(platform.python_version_tuple()[:2]), "".join(f", {name}" for name in plugins)
     return f"drone-env {__version__} ({digest.hexdigest()[:16]}{named}), NumPy {np.__version__}, Python {minor}"
