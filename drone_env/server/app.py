@@ -108,6 +108,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
+    app.add_exception_handler(404, page.not_found)
     app.add_middleware(flight.Steps, app_state=app_state)
     app.add_middleware(Security, settings=settings, log=app_state.requests)
     for routes in (flight, predict, catalogue, history, compare, runs, replay, annotate, values, maps, page, openenv):
@@ -120,10 +121,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
 
 
 def _add_page(app: FastAPI) -> None:
-    @app.get("/docs", include_in_schema=False)
-    async def docs() -> FileResponse:
-        return FileResponse(PAGE / "docs.html")
-
     @app.get("/openapi.json", include_in_schema=False)
     async def description() -> Response:
         return Response(SCHEMA[0], media_type="application/json")

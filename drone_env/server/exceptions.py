@@ -102,7 +102,14 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
         status, code, detail = 422, "invalid_request", text_of(error)
         errors = [FieldProblem(where=where, message=why) for where, why, _ in wrong_parts(error)]
     elif isinstance(error, HTTPException):
-        status, code, detail, headers = error.status_code, "http", str(error.detail), error.headers
+        status, code, headers = error.status_code, "http", error.headers
+        path = scope["path"][:100]
+        if status == 404:
+            detail = f"there is nothing at {path}; /openapi.json lists all calls"
+        elif status == 405:
+            detail = f"{path} takes {(headers or {}).get('Allow')}, not {scope['method']}"
+        else:
+            detail = str(error.detail)
     elif isinstance(error, DroneEnvError):
         status, code = status_of(error, scope["method"])
         if status == 500:

@@ -35,7 +35,7 @@ def slider(page: Page) -> Locator:
 
 
 def choices(page: Page) -> Locator:
-    """The choices above the map, once they are open: task, pilots and map."""
+    """The choices above the map, once they are open: pilots and map."""
     opened = page.locator(".plan-details")
     opened.evaluate("details => { details.open = true; }")
     return opened
@@ -46,7 +46,13 @@ def map_number(page: Page) -> Locator:
 
 
 def task(page: Page, name: str) -> Locator:
-    return page.locator(f".task-option input[aria-label='{name}']")
+    """The button of a task above the map."""
+    return page.get_by_role("navigation", name="Tasks").get_by_role("button", name=name, exact=True)
+
+
+def expect_task(page: Page, name: str) -> None:
+    """This task is flown."""
+    expect(task(page, name)).to_have_attribute("aria-pressed", "true")
 
 
 def moves(page: Page) -> Locator:

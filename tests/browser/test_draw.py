@@ -64,8 +64,13 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     page.reload()
     problem = page.locator("#view-draw").get_by_role("alert")
     expect(problem).to_contain_text("Obstacles block every way from the start to parcel 1 [5, 0]")
-    # The saved file is opened again, stored and flown.
+    # The saved file is opened again, by the field of Fly too, and stored and flown.
     open_file(page, file.name, file.read_text(encoding="utf-8"), "#map-file")
+    expect(score).to_have_text(shown)
+    view(page, "Fly")
+    open_file(page, file.name, file.read_text(encoding="utf-8"))
+    expect(page).to_have_url(re.compile(rf"view=draw&file={file.name}~\w+$"))
+    page.reload()
     expect(score).to_have_text(shown)
     press(page, "Fly it")
     expect_step(page, 0, 120)

@@ -29,6 +29,7 @@ from tests.browser.stage import (
     at_its_end,
     choices,
     ended,
+    expect_task,
     fly,
     map_number,
     moves,
@@ -38,7 +39,6 @@ from tests.browser.stage import (
     show,
     slider,
     standings,
-    task,
     until,
     view,
 )
@@ -140,7 +140,7 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
     for after, steps in (("Medium", 100), ("Hard", 160), ("Easy", 60)):
         ended(page).get_by_role("button", name=f"Next: {after}").click()
         expect_step(page, 0, steps)
-        expect(task(page, after)).to_be_checked()
+        expect_task(page, after)
         at_its_end(page, 0, f"/?task={after.lower()}&seed=0&pilot=optimal")
     expect_flying(page, "Optimal")
 
@@ -224,7 +224,7 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     forged = json.loads(record.to_json()) | {"score": 0.99}
     over(page, 7, "/?task=hard&seed=7&pilot=greedy")
     for name, text, says in (
-        ("notes.txt", "hello", "must end in .json or .jsonl"),
+        ("notes.txt", "hello", "must end in .json, .jsonl, .toml"),
         ("empty.json", " ", "is empty"),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
         ("three.jsonl", f"{record.to_json()}\nnull\n", "three.jsonl, line 2 is not a flight."),
@@ -246,6 +246,6 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     expect(problem).to_be_hidden()
     pilot(page, "Greedy").click()
     expect(page.locator(".strip")).to_be_hidden()
-    expect(task(page, "Easy")).to_be_checked()
+    expect_task(page, "Easy")
     expect_step(page, 0, 60)
     expect(map_number(page)).to_have_value("21")

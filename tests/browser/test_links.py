@@ -12,10 +12,12 @@ from tests.browser.shown import counter, expect_flying, expect_frame, expect_ste
 from tests.browser.stage import (
     along,
     at_speed,
+    choices,
     ended,
     fly,
     keys,
     map_number,
+    open_file,
     over,
     pilot,
     press,
@@ -33,6 +35,7 @@ MOST_FILES = 20
 def test_a_link_opens_exactly_its_flight(page: Page, beside: Callable[..., Page], server: Server) -> None:
     show(page, "/?task=easy&seed=7&pilot=greedy")
     expect(map_number(page)).to_have_value("7")
+    expect(page).to_have_title("Easy · map 7 · Greedy · Drone Delivery")
     press(page, "New map")
     expect(map_number(page)).not_to_have_value(re.compile("^7?$"))
     seed = map_number(page).input_value()
@@ -174,8 +177,38 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     keys(page, *[" "] * 58)
     expect(page).to_have_url(re.compile(r"/\?episode=\w+&task=easy&seed=9&pilot=human$"))
     expect_step(page, 60, 60, "WAIT")
+    expect(page.locator("#results-title")).to_have_text("You: Battery empty.")
     page.reload()
     expect_step(page, 60, 60, "WAIT")
+    expect(page.locator("#results-title")).to_have_text("You: Battery empty.")
+
+
+def test_a_flight_of_a_file_has_an_address_which_its_tab_shows_again(
+    page: Page, beside: Callable[..., Page], server: Server
+) -> None:
+    records = [flown("medium", seed, "random") for seed in (5, 6)]
+    moments = [frames(server, record) for record in records]
+    view(page, "Fly")
+    open_file(page, "two flights.jsonl", "".join(record.to_json() + "\n" for record in records))
+    expect_frame(page, moments[0][-1], 100)
+    choices(page).get_by_role("combobox", name="Flight of the file").select_option(index=1)
+    expect_frame(page, moments[1][-1], 100)
+    slider(page).fill("4")
+    expect(page).to_have_url(re.compile(r"/\?file=two%20flights\.jsonl~\w+&step=4&selected=2$"))
+    page.reload()
+    expect_frame(page, moments[1][4], 100)
+    view(page, "Learn")
+    view(page, "Fly")
+    expect_frame(page, moments[1][4], 100)
+    other = beside(page.url)
+    gone = "This tab does not have two flights.jsonl any more. Open the file again."
+    expect(other.locator(".problem:visible")).to_contain_text(gone)
+    show(other, "/?view=draw&file=a.toml~1")
+    expect(other.locator("#view-draw").get_by_role("alert")).to_have_text(gone.replace("two flights.jsonl", "a.toml"))
+    show(page, page.url.replace("selected=2", "selected=3"))
+    expect(page.locator(".problem:visible")).to_contain_text("contains 2 flights; flight 3 is asked for")
+    page.evaluate("history.go(-4)")
+    expect_frame(page, moments[0][-1], 100)
 
 
 def test_after_a_reload_every_address_on_the_way_back_shows_what_it_showed(
@@ -230,15 +263,17 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     )
     expect_step(page, 0, 160)
     expect(page).to_have_url(re.compile(r"\?task=hard&seed=6&pilots=greedy,human$"))
+    show(page, "/?task=hard&seed=6&pilots=greedy,human&lesson=4")
+    expect(page.locator("#toasts .toast").last).to_have_text("There is no lesson 4: the lessons are 1 to 3.")
     # Nor do those of somebody whom the link does not say, or not whole.
     for damaged in ("", "human~Ada~x", "human~a%20b", "human~Ada~u~3", "human~~~0~greedy", "~Ada"):
         show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork=2&of={damaged}&actions=UL")
         expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: of={unquote(damaged)}.")
         expect_step(page, 0, 160)
     # Unknown or missing moves are ignored, too.
-    for fork, moves in ((2, "UX"), (3, "UL")):
+    for fork, moves, why in ((2, "UX", "moves are U, D, L, R and W"), (3, "UL", "fork=3 needs all 3 moves from step 0")):
         show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork={fork}&of=greedy&actions={moves}")
-        expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: actions={moves}.")
+        expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: actions={moves} ({why}).")
         expect_step(page, 0, 160)
     problem, start = page.locator(".problem:visible"), page.get_by_role("button", name="Start", exact=True)
     # A refused start keeps the flights that are shown; Back leads to them.
@@ -260,6 +295,7 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
         ("/?task=drawn_0123456789ab", unstored),
         (f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}", "Pilots: must have at most 8 items"),
         ("/?task=hard&seed=abc", "The number of the map: must be a whole number"),
+        (f"/?task=hard&seed={10**400}", "The number of the map: must be less than or equal to 9007199254740991"),
         ("/?episode=nothing", "There is no episode 'nothing'"),
     ):
         page.goto(link)
@@ -321,6 +357,7 @@ def test_a_click_before_the_page_has_started_loads_nothing_again(beside: Callabl
     hello = page.locator("#hello")
     hello.get_by_role("link", name="Fly it yourself").click()
     expect(page.locator("#toasts")).to_have_text("Loading …")
+    expect(page.locator("#view-fly")).to_have_text("Loading the page …")
     expect(hello).to_be_visible()
     until(page, lambda: bool(held))
     held[0].continue_()

@@ -17,7 +17,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
-from tests.browser.stage import at_speed, ended, fly, keys, press, slider, view
+from tests.browser.stage import at_speed, ended, expect_task, fly, keys, press, show, slider, task, view
 from tests.browser.test_several import KEYS
 
 ALONE = ("easy", 18)
@@ -89,20 +89,58 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     expect(page.locator(".lesson [data-reached=yes]")).to_have_count(6)
 
 
+def test_the_tasks_are_above_the_map_one_click_away(page: Page) -> None:
+    show(page, "/?task=easy&seed=7&pilot=greedy")
+    expect_task(page, "Easy")
+    bar = page.get_by_role("navigation", name="Tasks").get_by_role("button")
+    expect(bar).to_have_text(["Easy", "Medium", "Hard", "Skyline", "City", "Map of the day", "Specifications"])
+    for name, flown, steps in (("Skyline", "Skyline Easy", 60), ("City", "City Small", 160), ("Medium", "Medium", 100)):
+        task(page, name).click()
+        expect_task(page, flown)
+        expect_step(page, 0, steps)
+        expect_flying(page, "Greedy")
+    task(page, "Map of the day").click()
+    expect_task(page, "Map of the day")
+    expect_flying(page, "You")
+    # A flight that has begun is given up after a question only.
+    page.keyboard.press(" ")
+    task(page, "Easy").click()
+    press(page, "Keep flying")
+    expect_task(page, "Map of the day")
+    page.keyboard.press("Escape")
+
+
 @pytest.mark.feature("D4")
-def test_the_tasks_of_a_family_are_shown_side_by_side_as_the_server_states_them(page: Page, server: Server) -> None:
+@pytest.mark.parametrize("beside_the_flight", [True, False])
+def test_the_tasks_of_a_family_are_shown_side_by_side_as_the_server_states_them(
+    page: Page, server: Server, beside_the_flight: bool
+) -> None:
     tasks = get(server, "tasks")["tasks"]
     for family in ("Standard", "Skyline"):
-        levels = [task for task in tasks if task["family"] == family.lower()]
+        if beside_the_flight:
+            show(page, f"/?task={'easy' if family == 'Standard' else 'skyline_hard'}&seed=7&pilot=greedy")
+            expect_step(page, 0, 60 if family == "Standard" else 160)
+            task(page, "Specifications").click()
+            expect(page.locator("#specifications table")).to_be_visible()
+        levels = [one for one in tasks if one["family"] == family.lower()]
         assert len(levels) == 3
         rows = page.get_by_role("table", name=f"Technical specifications of the {family} tasks").evaluate(
             "table => [...table.rows].map(row => [...row.cells].map(cell => cell.textContent))"
         )
-        assert ["Id", *(task["id"] for task in levels)] in rows
-        assert ["Battery", *(f"{task['battery_capacity']} units" for task in levels)] in rows
+        assert ["Id", *(one["id"] for one in levels)] in rows
+        assert ["Battery", *(f"{one['battery_capacity']} units" for one in levels)] in rows
         for event, row in {"delivery": "Delivery", "wait": "Wait", "battery_dead": "Battery empty"}.items():
-            pays = (task["rewards"]["tiered"][event] for task in levels)
+            pays = (one["rewards"]["tiered"][event] for one in levels)
             assert [row, *(" / ".join(map(fixed, pay)) for pay in pays)] in rows
+        if beside_the_flight:
+            # It covers no key of the flight.
+            page.keyboard.press("ArrowRight")
+            expect_step(page, 1, 60 if family == "Standard" else 160)
+            page.locator("#specifications").get_by_role("button", name="Close").click()
+            expect(page.locator("#specifications")).to_be_hidden()
+
+
+def test_the_legend_shows_what_each_kind_of_cell_does(page: Page, server: Server) -> None:
     legend = page.get_by_role("region", name="Legend")
     kinds = [kind for kind in get(server, "kinds")["kinds"] if kind["name"] != "unknown"]
     expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])

@@ -15,7 +15,7 @@ interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
   getElementById(
     id: "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button"
-      | "theme-button" | "toasts" | "view-fly" | "view-title",
+      | "own-days" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
   ): HTMLElement;
 }
 
@@ -72,6 +72,10 @@ interface Address {
   pilots: string[];
   /** A stored flight. */
   episode: string | null;
+  /** A file that this tab has opened: flights in Fly, of which `selected` is shown, or a map in Draw. */
+  file: string | null;
+  /** A stored flight to fly against. */
+  ghost: string | null;
   /** The moment; by default the start of a stored flight and the newest step of a live one. */
   step: number | null;
   /** The step at which the last pilot leaves the flight of `of`. */

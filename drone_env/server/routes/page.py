@@ -1,21 +1,27 @@
-"""The page."""
+"""The page, and what a browser gets for an unknown address."""
 
 import re
+from contextlib import suppress
+from datetime import datetime, time, timedelta, timezone
 from html import escape
 
 from fastapi import APIRouter, Request, Response
-from fastapi.responses import HTMLResponse
+from fastapi.responses import FileResponse, HTMLResponse
 
+from drone_env.errors import StoreError
 from drone_env.flights.provenance import HUMAN
+from drone_env.flights.store import Store
 from drone_env.server import daily
+from drone_env.server.exceptions import answer_to
 from drone_env.server.page_files import PAGE, edition, is_bundled
 from drone_env.server.state import AppStateDep
 
-router = APIRouter(tags=["page"])
+router = APIRouter(tags=["page"], include_in_schema=False)
 SHEETS = re.compile('(<link rel="stylesheet" .*\n)+')
 
 
-@router.get("/", include_in_schema=False)
+@router.head("/")
+@router.get("/")
 def page(request: Request, app_state: AppStateDep) -> Response:
     """The page; without a query it greets the visitor before its scripts run."""
     app_state.workers.warm_up()
@@ -25,9 +31,18 @@ def page(request: Request, app_state: AppStateDep) -> Response:
         html = html.replace("static/js/main.js", "static/bundle/main.js")
     if request.url.query:
         html = html.replace('id="hello"', 'id="hello" hidden')
+    else:
+        html = html.replace("<!-- yesterday -->", _yesterday(app_state.store))
     html = html.replace("<!-- today -->", _today())
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
+
+
+@router.head("/docs")
+@router.get("/docs")
+async def docs() -> Response:
+    """The reference of all calls."""
+    return FileResponse(PAGE / "docs.html")
 
 
 def _today() -> str:
@@ -35,4 +50,25 @@ def _today() -> str:
     day = daily.today()
     task, seed = daily.map_of_the_day(day)
     link = f"?task={task}&seed={seed}&pilot={HUMAN}"
-    return f'<a class="button" href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'
+    data = f'id="today" data-task="{task}" data-seed="{seed}" data-tasks="{" ".join(daily.DAILY)}"'
+    return f'<a class="button primary" {data} href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'
+
+
+def _yesterday(store: Store) -> str:
+    """The link to yesterday's map beside its best flight, if somebody has flown it."""
+    day = daily.today() - timedelta(1)
+    task, seed = daily.map_of_the_day(day)
+    with suppress(StoreError):  # the page opens without a store and shows its errors
+        for best in store.best(task, seed, datetime.combine(day, time(), timezone.utc).timestamp(), 1):
+            link = f"?task={task}&seed={seed}&pilot={HUMAN}&ghost={best.id}"
+            flown = f"{100 * best.score:.1f}" + (f" by {best.person}" if best.person else "")
+            return f'<a href="{escape(link)}">Fly against the best of yesterday, {escape(flown)}</a>'
+    return ""
+
+
+async def not_found(request: Request, error: Exception) -> Response:
+    """The answer to an unknown address: a page for a browser, JSON for a program."""
+    if "text/html" not in request.headers.get("accept", ""):
+        return answer_to(error, request.scope)
+    html = (PAGE / "not_found.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
+    return HTMLResponse(html.replace("<!-- path -->", escape(request.url.path[:100])), 404)

@@ -36,21 +36,25 @@ export const TOUCH = matchMedia("(pointer: coarse)").matches;
 
 export const lessMotion = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
-/** @param {"localStorage"|"sessionStorage"} where @returns {string|null} Null also if storage is blocked, as in a cross-site frame. */
+/** Values that last as long as the page: storage is full, or blocked as in a cross-site frame. */
+const unstored = new Map();
+
+/** @param {"localStorage"|"sessionStorage"} where @returns {string|null} */
 export function recall(key, where = "localStorage") {
   try {
-    return window[where].getItem(key);
+    return unstored.get(key) ?? window[where].getItem(key);
   } catch {
     return null;
   }
 }
 
-/** Stores a value if storage is allowed. @param {"localStorage"|"sessionStorage"} where */
+/** @param {"localStorage"|"sessionStorage"} where */
 export function remember(key, value, where = "localStorage") {
   try {
+    unstored.delete(key);
     window[where].setItem(key, value);
   } catch {
-    // The value lasts as long as the page.
+    unstored.set(key, value);
   }
 }
 

@@ -7,7 +7,10 @@
     // Storage is blocked, as in a cross-site frame: use the system's theme.
   }
   const system = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-  document.documentElement.dataset.theme = chosen === "light" || chosen === "dark" ? chosen : system;
+  const theme = chosen === "light" || chosen === "dark" ? chosen : system;
+  document.documentElement.dataset.theme = theme;
+  // Swagger UI's name for it, at `/docs`.
+  document.documentElement.classList.toggle("dark-mode", theme === "dark");
 
   // A click on a link before the modules run only changes the address, which they then show: a load would start again.
   document.addEventListener("click", (event) => {

@@ -41,7 +41,7 @@ export function mountControls(root, context, race, acts) {
     toggle.title = `${word} (${race.byHand ? "Enter" : "Space"})`;
     const away = context.live.state !== "open" && race.shown && !stage.over;
     toggle.disabled = !track || (away && !clock.playing);
-    toggle.hidden = race.byHand && !race.automatic;
+    toggle.hidden = speed.hidden = race.byHand && !race.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.following;
     forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());

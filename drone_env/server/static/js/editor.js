@@ -4,11 +4,12 @@ import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { download, el, fileField, icon, setText, toast } from "./dom.js";
+import { download, el, icon, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
 import { cellName } from "./format.js";
+import { goneFrom, MAP, openField } from "./history.js";
 import { drawSign } from "./legend.js";
 import { copyLink } from "./router.js";
 import { Stage } from "./stage.js";
@@ -21,15 +22,9 @@ const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel"
 const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
 const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";
 
-/** Drawings of this tab, by their origin: Back and Reload restore them. */
-const drawings = new Map();
-/** @param {Partial<Address>} address */
-const keyOf = ({ task, seed }) => `drone-env-drawing ${task ?? ""} ${seed ?? 0}`;
-
-function keep(key, map) {
-  drawings.set(key, map);
-  remember(key, JSON.stringify(map), "sessionStorage");
-}
+/** Where this tab keeps the drawing of an address: Back and Reload restore it. @param {Partial<Address>} address */
+const keyOf = ({ file, task, seed }) => `${MAP} ${file ?? `${task ?? ""} ${seed ?? 0}`}`;
+const keep = (key, map) => remember(key, JSON.stringify(map), "sessionStorage");
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
@@ -53,7 +48,7 @@ export function mount(root, context) {
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
   const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
   const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
-  const opening = el("div.field", ...fileField("map-file", ".toml", (file) => tried(() => openMap(file))));
+  const opening = el("div.field", ...openField(context, "map-file", toast));
   const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
   const keys = el("p.note.keys-note", { text: "On the map, the arrow keys move a cursor and Space paints. 1 to 8 choose what." });
   const credit = el("p.note");
@@ -196,11 +191,6 @@ export function mount(root, context) {
     download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
   }
 
-  async function openMap(file) {
-    keep(keyOf({}), await api.post("maps/file", { toml: await file.text() }));
-    router.go({ view: "draw" });
-  }
-
   const isNumber = (target) => target instanceof HTMLInputElement && target.type === "number";
   document.addEventListener("keydown", (event) => {
     const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
@@ -210,20 +200,20 @@ export function mount(root, context) {
   });
 
   /** Whether the editor has the map of the address. */
-  const isOpen = () => key === keyOf(router.address) && drawing.map === drawings.get(key);
+  const isOpen = () => key === keyOf(router.address) && drawing.map !== null;
 
   // The address selects the map.
   async function look() {
     const { address } = router;
-    const { view, task, seed } = address;
+    const { view, file, task, seed } = address;
     const wanted = keyOf(address);
     if (view !== "draw" || isOpen()) return;
     // On a new map there is nothing to move.
-    paints[PALETTE.indexOf(task ? "move" : "building")].click();
-    let found = drawings.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage")) ?? (task ? null : empty());
-    let wrong = null;
+    paints[PALETTE.indexOf(file || task ? "move" : "building")].click();
+    let found = JSON.parse(recall(wanted, "sessionStorage")) ?? (file || task ? null : empty());
+    let wrong = file && !found ? goneFrom(file) : null;
     try {
-      found ??= await api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
+      if (!file) found ??= await api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       wrong = error.message;

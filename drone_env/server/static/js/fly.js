@@ -25,7 +25,7 @@ import { mountByHand } from "./today.js";
 export function mountFly(root, context) {
   const { router, stage } = context;
   const race = new Race(context);
-  const past = new FlightHistory(context);
+  const history = new FlightHistory(context);
   const acts = actionsOf(context, race);
 
   const plan = el("section.plan", { "aria-label": "Flight plan" });
@@ -39,10 +39,10 @@ export function mountFly(root, context) {
     parent.append(node);
     return mount(node, context, ...more);
   }
-  root.append(middle, side);
+  root.replaceChildren(middle, side);
 
   const choices = mountPlan(plan, context, race, acts);
-  mountFiles(choices, past, open);
+  mountFiles(choices, history, (message) => problem(message));
   mounted(bar, "div.gauges", mountGauges);
   const lesson = el("div.lesson-bar", { hidden: true });
   let lessons = null;
@@ -93,7 +93,7 @@ export function mountFly(root, context) {
   /** What is shown, as the address contains it: a stored flight and one with moves are shown at their newest step by default. */
   function present() {
     const { cursor, following } = stage.clock;
-    const flights = race.shown ? { ...race.setup, ...race.linkParts } : {};
+    const flights = race.shown ? { ...race.setup, ...race.linkParts } : history.linkParts;
     const atEnd = flights.actions || !race.shown || (flights.episode && !race.forked);
     return { ...flights, step: (atEnd ? following : cursor === 0 && !flights.ended) ? null : cursor };
   }
@@ -132,7 +132,7 @@ export function mountFly(root, context) {
   async function follow(view) {
     const { address } = router;
     // A stored flight that is still loading for an earlier address is dropped.
-    past.request += 1;
+    history.request += 1;
     problem(null);
     if (address.lesson)
       lessons ??= import("./lessons.js").then(
@@ -146,9 +146,9 @@ export function mountFly(root, context) {
     if (view !== "fly") {
       race.pause();
       stage.clock.stop();
-    } else if (address.episode && address.fork === null) {
-      if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
-      else await open(() => past.open(address.episode, address.step));
+    } else if (address.file || (address.episode && address.fork === null)) {
+      if (history.shows(address) && history.linkParts.selected === address.selected) stage.clock.seek(address.step ?? stage.clock.end());
+      else await open(() => history.open(address));
     } else await fly(address);
   }
 
@@ -156,15 +156,16 @@ export function mountFly(root, context) {
     const unknown = address.task && !context.task(address.task);
     if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
     const wanted = greets() ? greeted() : race.complete(address);
+    const beside = address.ghost ?? address.episode;
     const { actions } = race.linkParts;
     const goesOn = () => says(wanted, race.setup) && (address.actions ?? "") === (actions ?? "");
     const flown = race.tracks.length > 0 && (greets() ? waits() : goesOn());
     if (flown && race.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) race.show(address.step, address.selected - 1);
-    else if (!address.episode) race.start(wanted);
+    else if (!beside) race.start(wanted);
     else {
       await open(async () => {
-        const base = await past.stored(address.episode);
+        const base = await history.stored(beside);
         race.start(wanted, { beside: [base], flown: wanted.pilots.slice(-1) });
         explain(context, base);
       });
@@ -176,7 +177,7 @@ export function mountFly(root, context) {
     const { address } = router;
     if (context.view !== "fly" || greets()) return false;
     if (race.shown) return !race.starting && says(race.complete(address), race.setup);
-    return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
+    return history.shows(address);
   }
 
   stage.on("change", () => isShown() && router.moment(present()));

@@ -1,7 +1,9 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { tried } from "./api.js";
+import { recall, remember } from "./base.js";
 import { download, el, fileField } from "./dom.js";
 import { flightName, sentence } from "./format.js";
+import { FLOWN } from "./race.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -11,7 +13,8 @@ export class FlightHistory {
     this.context = context;
     /** Id of the stored flight that is shown, or null. */
     this.episode = null;
-    /** The records of the opened file, one of which is shown. */
+    /** The opened file as addresses name it, or null, and its records, some of which are shown. */
+    this.file = null;
     this.records = [];
     this.request = 0;
     /** The flights that are shown, as the stage has them. @type {Track[]|null} */
@@ -20,51 +23,62 @@ export class FlightHistory {
     stage.on("load", () => stage.tracks === this.tracks || this.leave());
   }
 
-  /** Shows a stored flight. @throws {ApiError} */
-  async open(id, step) {
+  /** The flight of a file that is selected, as the address says it; null for the first. @returns {Partial<Address>} */
+  get linkParts() {
+    const at = this.records.indexOf(this.context.stage.track?.record);
+    return { selected: at > 0 ? at + 1 : null };
+  }
+
+  /** Whether the flights of an address are shown. @param {Address} address */
+  shows({ episode, file, fork }) {
+    if (file) return file === this.file;
+    return episode !== null && fork === null && episode === this.episode;
+  }
+
+  /** Shows the flight of an address. @param {Address} address @throws {ApiError} */
+  async open({ episode, file, selected, step }) {
+    if (file) return this.openRecord(file, (selected ?? 1) - 1, step);
     const request = ++this.request;
-    const track = await this.stored(id);
+    const track = await this.stored(episode);
     if (request !== this.request) return;
-    this.show([track], { step, episode: id });
+    this.show([track], { step, episode });
     this.askForCalls(track);
   }
 
   async stored(id) {
-    const { api } = this.context;
+    const { api, pilot } = this.context;
     const record = await api.get(`episodes/${encodeURIComponent(id)}`);
     const track = await this.flown(record);
     track.episode = { id };
+    if ((recall(FLOWN) ?? "").split(" ").includes(id)) track.called = pilot(track.pilot).name;
     return track;
   }
 
-  async openFile(file) {
-    const request = ++this.request;
-    const records = await readFlights(file);
-    if (request !== this.request) return;
-    await this.openRecord(0, records).catch((error) => {
-      if (error.code !== "invalid_request") throw error;
-      throw new Error(`${file.name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
-    });
-  }
-
-  /** Shows a flight of the file, beside the others over the same map: as many as may fly together. */
-  async openRecord(index, records = this.records) {
+  /** Shows a flight of a file, beside the others over the same map: as many as may fly together. */
+  async openRecord(file, index, step) {
     const request = ++this.request;
     const { most } = this.context;
+    const name = nameOf(file);
+    const records = JSON.parse(recall(`${FLIGHTS} ${file}`, "sessionStorage"));
+    if (!records) throw new Error(goneFrom(file));
+    if (!records[index]) throw new Error(`${name} contains ${records.length} flights; flight ${index + 1} is asked for.`);
     const mapOf = (record) => String([record?.task, record?.seed, record?.reward_profile]);
     const all = records.filter((record) => mapOf(record) === mapOf(records[index]));
     const at = all.indexOf(records[index]);
     const first = at - (at % most);
-    const tracks = await Promise.all(all.slice(first, first + most).map((record) => this.flown(record)));
+    const tracks = await Promise.all(all.slice(first, first + most).map((record) => this.flown(record))).catch((error) => {
+      if (error.code !== "invalid_request") throw error;
+      throw new Error(`${name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
+    });
     if (request !== this.request) return;
     const named = (track) => tracks.filter(({ called }) => called === track.called).length > 1;
     tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
-    this.show(tracks, { selected: at - first, records });
+    this.show(tracks, { selected: at - first, step, file, records });
   }
 
   leave() {
     this.request += 1;
-    this.episode = this.tracks = null;
+    this.episode = this.file = this.tracks = null;
     this.records = [];
   }
 
@@ -77,9 +91,9 @@ export class FlightHistory {
   }
 
   /** Shows the end unless a step is named: the results are beside it. */
-  show(tracks, { step = null, selected = 0, episode = null, records = [] }) {
+  show(tracks, { step = null, selected = 0, episode = null, file = null, records = [] }) {
     const { stage, tasks } = this.context;
-    Object.assign(this, { tracks, episode, records });
+    Object.assign(this, { tracks, episode, file, records });
     stage.show(worldOf(tracks[0].opening, tasks), tracks, { step: step ?? Infinity, selected });
     for (const track of tracks) explain(this.context, track);
   }
@@ -114,27 +128,49 @@ export async function explain(context, track) {
 
 const lost = (value, { optimal_score: optimum }) => ({ value, regret: Math.max(0, optimum - value) });
 
-const ENDINGS = [".json", ".jsonl"];
+/** Where this tab keeps the flights of a file, and the map of one. */
+const FLIGHTS = "drone-env-flights";
+export const MAP = "drone-env-map";
+/** The name of an opened file, as an address names it. */
+const nameOf = (file) => file.replace(/~\w*$/, "");
+export const goneFrom = (file) => `This tab does not have ${nameOf(file)} any more. Open the file again.`;
 
-/** The records of a file: one JSON document, or one per line. The server checks them. @param {File} file @returns {Promise<object[]>} */
-async function readFlights(file) {
-  if (!ENDINGS.some((ending) => file.name.toLowerCase().endsWith(ending))) {
-    throw new Error(`${file.name} is not a flight file: its name must end in ${ENDINGS.join(" or ")}.`);
+const ENDINGS = [".json", ".jsonl", ".toml"];
+
+/** The field that opens a file of flights in Fly, or of a map in Draw. @param {Context} context */
+export const openField = ({ api, router }, id, wrong) =>
+  fileField(id, ENDINGS.join(), async (file) => {
+    try {
+      const text = await file.text();
+      const isMap = file.name.toLowerCase().endsWith(".toml");
+      const content = isMap ? await api.post("maps/file", { toml: text }) : readFlights(file.name, text);
+      // Each opening has an address of its own, which this tab can show again.
+      const name = `${file.name}~${Date.now().toString(36)}`;
+      remember(`${isMap ? MAP : FLIGHTS} ${name}`, JSON.stringify(content), "sessionStorage");
+      router.go({ view: isMap ? "draw" : "fly", file: name });
+    } catch (error) {
+      wrong(error.message);
+    }
+  });
+
+/** The records of a file: one JSON document, or one per line. The server checks them. @returns {object[]} */
+function readFlights(name, text) {
+  if (!ENDINGS.some((ending) => name.toLowerCase().endsWith(ending))) {
+    throw new Error(`${name} is neither flights nor a map: its name must end in ${ENDINGS.join(", ")}.`);
   }
-  const text = await file.text();
   try {
     return [JSON.parse(text)];
   } catch {
-    if (!text.trim()) throw new Error(`${file.name} is empty.`);
+    if (!text.trim()) throw new Error(`${name} is empty.`);
     return text.split("\n").flatMap((line, i) => {
       if (!line.trim()) return [];
       try {
         const record = JSON.parse(line);
-        if (["task", "seed", "agent"].every((name) => name in Object(record))) return [record];
+        if (["task", "seed", "agent"].every((field) => field in Object(record))) return [record];
       } catch (error) {
-        throw new Error(`${file.name}, line ${i + 1} is not JSON: ${error.message}.`);
+        throw new Error(`${name}, line ${i + 1} is not JSON: ${error.message}.`);
       }
-      throw new Error(`${file.name}, line ${i + 1} is not a flight.`);
+      throw new Error(`${name}, line ${i + 1} is not a flight.`);
     });
   }
 }
@@ -156,23 +192,23 @@ async function saveRecord(context) {
 }
 
 /** The file field, and the choice of a flight if the file contains several. */
-export function mountFiles(root, past, open) {
-  const field = fileField("flight-file", ".json,.jsonl", (file) => {
-    // The open choices would cover the flights and the error.
-    root.closest("details").open = false;
-    return open(() => past.openFile(file));
-  });
-  const change = () => open(() => past.openRecord(flights.selectedIndex));
+export function mountFiles(root, history, problem) {
+  const { router, stage } = history.context;
+  const change = () => router.go({ file: history.file, selected: flights.selectedIndex + 1 });
   const flights = el("select", { id: "flight-of-file", "aria-label": "Flight of the file", hidden: true, on: { change } });
-  root.append(el("div.field", ...field, flights));
+  const [field, button] = openField(history.context, "flight-file", problem);
+  // The open choices would cover the flights and the error.
+  field.addEventListener("change", () => (root.closest("details").open = false));
+  root.append(el("div.field", field, button, flights));
 
-  let offered = past.records;
-  const { stage } = past.context;
-  stage.on("selected", () => past.records.length && (flights.selectedIndex = past.records.indexOf(stage.track.record)));
+  let offered = history.records;
+  stage.on("selected", () => history.file && (flights.selectedIndex = history.records.indexOf(stage.track.record)));
   stage.on("load", () => {
-    if (past.records === offered) return;
-    offered = past.records;
-    flights.hidden = past.records.length < 2;
-    flights.replaceChildren(...past.records.map((record, i) => el("option", { text: `${i + 1}. ${flightName(past.context, record)}` })));
+    if (history.records !== offered) {
+      offered = history.records;
+      flights.hidden = offered.length < 2;
+      flights.replaceChildren(...offered.map((record, i) => el("option", { text: `${i + 1}. ${flightName(history.context, record)}` })));
+    }
+    if (history.file) flights.selectedIndex = offered.indexOf(stage.track.record);
   });
 }

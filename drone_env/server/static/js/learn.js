@@ -14,7 +14,7 @@ export function mount(root, context) {
   const lessons = el("ol.lessons");
   root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons);
   root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
-  for (const [family, tasks] of context.families) root.append(specifications(title(family), tasks));
+  for (const family of context.families.keys()) root.append(specifications(context, family));
   root.append(legend(context));
   context.on("view", (view) => {
     if (view !== "learn") return;
@@ -68,15 +68,16 @@ const rewardRows = (rewards) =>
     (t) => t.rewards[PROFILE][event].map((reward) => fixed(reward)).join(" / "),
   ]);
 
-/** The numbers of the tasks of a family side by side, from `GET /tasks`. */
-function specifications(family, tasks) {
-  const caption = `Technical specifications of the ${family} tasks`;
+/** The numbers of the tasks of a family side by side, from `GET /tasks`. @param {Context} context @param {string} family */
+export function specifications({ families }, family) {
+  const tasks = families.get(family);
+  const caption = `Technical specifications of the ${title(family)} tasks`;
   const numbers = [
     group("World", WORLD, tasks),
     group("Reward of a step: farther / same distance / closer", rewardRows(tasks[0].rewards[PROFILE]), tasks),
   ];
   const names = tasks.map((task) => [title(task.short_name)]);
-  return scroller(caption, table("table.table.specs-table", {}, caption, [[family], ...names], ...numbers));
+  return scroller(caption, table("table.table.specs-table", {}, caption, [[title(family)], ...names], ...numbers));
 }
 
 function group(name, rows, tasks) {

@@ -1,6 +1,6 @@
 // The tutorial: three flights over fixed maps, their goals, and the bar of the present lesson.
 import { recall, remember } from "./base.js";
-import { el, icon } from "./dom.js";
+import { el, icon, toast } from "./dom.js";
 import { linkOf } from "./router.js";
 
 const by = (pilot, { tracks }) => tracks.filter((track) => track.pilot === pilot);
@@ -136,7 +136,13 @@ export function mountLesson(root, { router, stage }) {
     );
   }
 
-  router.on("address", show);
+  function follow() {
+    const { lesson } = router.address;
+    if (lesson > LESSONS.length) toast(`There is no lesson ${lesson}: the lessons are 1 to ${LESSONS.length}.`);
+    show();
+  }
+
+  router.on("address", follow);
   stage.on("change", show);
-  show();
+  follow();
 }

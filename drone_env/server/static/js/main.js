@@ -5,7 +5,6 @@ import { createContext } from "./context.js";
 import { announce, el, setText, toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { mountFly } from "./fly.js";
-import { shortened } from "./format.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 
@@ -129,7 +128,7 @@ function mountViews(context) {
     context.view = view;
     document.body.dataset.view = view;
     for (const section of sections) section.hidden = section.id !== `view-${view}`;
-    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.map(shortened).join(", ")}.`);
+    if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");

@@ -1,18 +1,20 @@
-// The flight plan: task, map and pilots.
-import { el, leaveFocus, setText } from "./dom.js";
+// The flight plan: the tasks above the map, and the line that opens the choice of pilots and map.
+import { el, keepFocus, leaveFocus, setText } from "./dom.js";
 import { counted, title, variants } from "./format.js";
 import { copyLink } from "./router.js";
 
-/** The line above the map, which opens the choices. @returns {HTMLElement} The choices. */
+/** The tasks, and the line above the map, which opens the choices. @returns {HTMLElement} The choices. */
 export function mountPlan(root, context, race, acts) {
   const { stage } = context;
   const heading = el("summary.plan-head");
-  const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
   const { form, label, seed, fresh, edit, copy, typing } = mapForm(context, race, acts, () => update());
-  const choices = el("div.plan-choices", tasks, pilots, form);
+  const choices = el("div.plan-choices", pilots, form);
   const details = el("details.plan-details", heading, choices);
   root.append(details, el("div.plan-ways", fresh, copy));
+  const tasks = el("nav.tasks", { "aria-label": "Tasks" });
+  const drawTasks = mountTasks(tasks, context, acts);
+  root.before(tasks);
   const ask = document.getElementById("ask");
   const close = () => (details.open = false);
   const inside = (target) => target instanceof Node && [details, ask].some((one) => one.contains(target));
@@ -22,31 +24,8 @@ export function mountPlan(root, context, race, acts) {
     if (inside(target)) heading.focus();
     close();
   });
-
-  const note = el("p.note.task-note", { id: "task-note" });
-  tasks.append(note);
-  function list(family, members) {
-    const name = title(family);
-    const group = el("span.task-group", { text: name, "aria-hidden": "true" });
-    const options = members.map((task) => taskOption(task, name));
-    note.before(el("div.task-row", { role: "group", "aria-label": name }, group, ...options));
-  }
-  for (const [family, members] of context.families) list(family, members);
-  context.on("task", (task) => list(task.family, [task]));
   const rows = context.pilots.map(pilotRow);
   pilots.append(...rows.map(({ row }) => row));
-
-  function taskOption(task, family) {
-    const input = el("input", {
-      type: "radio",
-      name: "task",
-      value: task.short_name,
-      "aria-label": title(task.short_name),
-      "aria-describedby": "task-note",
-      on: { change: () => chooseTask(task) },
-    });
-    return el("label.task-option", input, el("span", { text: title(task.short_name).replace(`${family} `, "") }));
-  }
 
   /** The name flies this pilot alone; the box adds it to the others. */
   function pilotRow(pilot) {
@@ -75,31 +54,30 @@ export function mountPlan(root, context, race, acts) {
     return { pilot, row, name, box, about };
   }
 
-  const isPast = () => Boolean(stage.world) && !race.shown;
-  const chosen = () => (isPast() ? [] : race.setup.pilots);
+  /** Whether the stage shows a flight of the store or of a file. */
+  const isHistory = () => Boolean(stage.world) && !race.shown;
+  const chosen = () => (isHistory() ? [] : race.setup.pilots);
 
   const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
-  /** The same pilots; the rows of those that cannot fly the task show the reason. */
-  const chooseTask = (task) => acts.start({ task: task.short_name, seed: null, pilots: [] }).finally(update);
-
   function update() {
     const { setup } = race;
-    const past = isPast();
-    const task = past ? stage.world.task : race.task;
+    const history = isHistory();
+    const task = history ? stage.world.task : race.task;
     const names = race.starting ? setup.pilots.map((id) => context.pilot(id).name) : stage.tracks.map(({ name }) => name);
-    const map = (past ? stage.world.seed : setup.seed) ?? "";
+    const map = (history ? stage.world.seed : setup.seed) ?? "";
+    drawTasks(task, map);
     fresh.hidden = label.hidden = seed.hidden = !variants(task);
     const number = !fresh.hidden && map !== "" && `map ${map}`;
-    setText(heading, [task ? title(task.short_name) : setup.task, number, names.join(", ")].filter(Boolean).join(" · "));
-    for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
-    setText(note, task ? taskNote(task) : "");
+    const flown = [task ? title(task.short_name) : setup.task, number, names.join(", ")].filter(Boolean).join(" · ");
+    setText(heading, flown);
+    if (context.view === "fly") document.title = `${flown} · Drone Delivery`;
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
-    copy.disabled = !stage.track || (past && !stage.track.episode);
+    copy.disabled = !stage.track || (history && !stage.track.episode);
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const { pilot, row, name, box, about } of rows) {
       const able = race.flies(pilot.id, task);
-      box.checked = !past && setup.pilots.includes(pilot.id);
+      box.checked = !history && setup.pilots.includes(pilot.id);
       const last = box.checked && setup.pilots.length === 1;
       name.disabled = !able;
       name.setAttribute("aria-pressed", String(box.checked));
@@ -112,8 +90,48 @@ export function mountPlan(root, context, race, acts) {
 
   race.on("setup", update);
   stage.on("load", update);
+  context.on("view", update);
   update();
   return choices;
+}
+
+/**
+ * All standard tasks, all of the family that is flown, the first of each other one, and the map of the day; their numbers.
+ * @param {HTMLElement} root @param {Context} context @returns {(task: Answer<"TaskInfo">, map: number|string) => void} Draws them.
+ */
+function mountTasks(root, context, acts) {
+  const { task: daily, seed } = document.getElementById("today").dataset;
+  const me = context.pilots.find(({ automatic }) => !automatic);
+  const list = el("span");
+  const numbers = el("div.numbers-of-tasks", { id: "specifications", popover: "auto", on: { beforetoggle: open } });
+  root.append(list, el("button.task", { text: "Specifications", popovertarget: numbers.id }), numbers);
+  let [family, drawn] = ["standard", ""];
+
+  async function open({ newState }) {
+    if (newState !== "open") return;
+    const { specifications } = await import("./learn.js");
+    numbers.replaceChildren(el("button.button.small", { text: "Close", popovertarget: numbers.id }), specifications(context, family));
+  }
+
+  const option = (text, flown, change, title) =>
+    el("button.task", { text, title, "aria-pressed": String(flown), data: { key: text }, press: () => acts.start(change) });
+
+  return (task, map) => {
+    const isDaily = task?.short_name === daily && String(map) === seed;
+    const now = `${task?.id} ${isDaily} ${context.tasks.length}`;
+    if (now === drawn) return;
+    [family, drawn] = [task?.family ?? family, now];
+    const groups = [...context.families].map(([name, all], i) => {
+      const whole = i === 0 || name === family;
+      const options = (whole ? all : all.slice(0, 1)).map((one) => {
+        const text = title(whole ? one.short_name : name);
+        return option(text, one === task && !isDaily, { task: one.short_name, seed: null, pilots: [] }, taskNote(one));
+      });
+      return el("span", { role: "group", "aria-label": title(name) }, ...options);
+    });
+    const today = { task: daily, seed: Number(seed), pilots: [me.id] };
+    keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today, null)));
+  };
 }
 
 function taskNote(task) {

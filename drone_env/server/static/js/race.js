@@ -8,7 +8,7 @@ import { nameOf, UNLISTED } from "./today.js";
 import { readProvenance, Track, writeProvenance } from "./track.js";
 
 /** Key of the ids of the last flights that this visitor has flown by hand, and how many are kept. */
-const FLOWN = "drone-env-flown";
+export const FLOWN = "drone-env-flown";
 const KEPT = 200;
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };

@@ -1,6 +1,7 @@
 // The address is the state of the page: the view, the flight and its moment. Back, Forward and Reload restore it.
 import { Emitter } from "./base.js";
 import { copyText } from "./dom.js";
+import { shortened } from "./format.js";
 import { decoded, readProvenance } from "./track.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
@@ -89,6 +90,8 @@ export const NOTHING = {
   profile: null,
   pilots: [],
   episode: null,
+  file: null,
+  ghost: null,
   step: null,
   fork: null,
   actions: null,
@@ -106,7 +109,7 @@ export function says(address, flown) {
   return (
     address.view === flown.view &&
     ["task", "seed", "pilots"].every((name) => open(name) || same(name)) &&
-    ["profile", "episode", "fork"].every(same)
+    ["profile", "episode", "file", "ghost", "fork"].every(same)
   );
 }
 
@@ -119,27 +122,30 @@ function read({ search }) {
   const text = (name) => link.get(name) || null;
   const number = (name) => {
     const value = text(name);
-    return value !== null && Number.isSafeInteger(Number(value)) ? Number(value) : value;
+    // Numbers that JavaScript cannot count stay too large, and the server says so.
+    return /^-?\d+$/.test(value ?? "") ? Math.min(Number(value), 2 ** 53) : value;
   };
   const unread = [];
+  const ignore = (name, value, why = "") => unread.push(`${name}=${shortened(String(value))}${why}`);
   /** @returns {number|null} */
   const count = (name, least) => {
     const value = number(name);
     if (value === null) return null;
     if (typeof value === "number" && value >= least) return value;
-    unread.push(`${name}=${value}`);
+    ignore(name, value);
     return null;
   };
   const named = link.get("view") ?? "fly";
   const view = VIEWS.has(named) ? named : "fly";
-  if (view !== named) unread.push(`view=${named}`);
+  if (view !== named) ignore("view", named);
   const counts = Object.entries(LEAST).map(([name, least]) => [name, count(name, least)]);
-  const texts = ["task", "profile", "episode", "actions", "of"].map((name) => [name, text(name)]);
+  const texts = ["task", "profile", "episode", "file", "ghost", "actions", "of"].map((name) => [name, text(name)]);
   const found = { ...NOTHING, ...Object.fromEntries([...counts, ...texts]) };
   const moves = found.actions ?? "";
   const known = unread.length;
-  if (/[^UDLRW]/.test(moves) || moves.length < found.fork) unread.push(`actions=${moves}`);
-  if (found.of === null ? found.fork !== null : readProvenance(found.of) === null) unread.push(`of=${found.of ?? ""}`);
+  if (/[^UDLRW]/.test(moves)) ignore("actions", moves, " (moves are U, D, L, R and W)");
+  else if (moves.length < found.fork) ignore("actions", moves, ` (fork=${found.fork} needs all ${found.fork} moves from step 0)`);
+  if (found.of === null ? found.fork !== null : readProvenance(found.of) === null) ignore("of", found.of ?? "");
   // Without its step, a fork has no moves: they would be the visitor's own.
   const forkless = unread.length > known || (text("fork") && found.fork === null);
   return {
@@ -163,9 +169,9 @@ export function linkOf(address) {
   const say = (name) => {
     if (rest[name] !== null && rest[name] !== "") parts.push(`${name}=${encodeURIComponent(rest[name])}`);
   };
-  for (const name of ["episode", "task", "seed"]) say(name);
+  for (const name of ["episode", "file", "task", "seed"]) say(name);
   if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
-  for (const name of ["profile", "fork", "of", "actions", "step", "selected", "ended", "lesson"]) say(name);
+  for (const name of ["profile", "ghost", "fork", "of", "actions", "step", "selected", "ended", "lesson"]) say(name);
   const url = new URL(document.baseURI);
   url.search = parts.join("&");
   url.hash = "";

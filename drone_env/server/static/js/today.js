@@ -1,7 +1,8 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
 import { recall, remember } from "./base.js";
-import { el, fact, setText, toast } from "./dom.js";
-import { points } from "./format.js";
+import { copyText, el, fact, setText, toast } from "./dom.js";
+import { counted, percent, points } from "./format.js";
+import { linkOf } from "./router.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
@@ -9,9 +10,11 @@ export const UNLISTED = "Flights with Undo, values or a fork are not listed and 
 const ABOUT = "Shown to all in the list of the map of the day.";
 const REFUSED = "Use at most 20 letters, digits, _ and -, without spaces. Your next flight has no name.";
 /** Maps whose best score is kept. */
-const KEPT = 200;
-/** @type {Intl.DateTimeFormatOptions} */
-const DAY = { day: "numeric", month: "long", timeZone: "UTC" };
+const KEPT = 1000;
+const SHOWN = 7;
+const BLOCKS = "▁▂▃▄▅▆▇█";
+/** @param {Date} day */
+const dayOf = (day) => day.toLocaleDateString("en-GB", { day: "numeric", month: "long", timeZone: "UTC" });
 
 /** The name that the visitor chose, or null. The server accepts no other form. */
 export const nameOf = () => recall(NAME)?.match(/^[\p{L}\p{N}_-]{1,20}$/u)?.[0] ?? null;
@@ -23,6 +26,39 @@ function results() {
   } catch {
     return [];
   }
+}
+
+/** The map of the day some days ago, and the visitor's share of its optimum, or null. The number of the map is the date. */
+function daily(ago) {
+  const { task, seed, tasks } = document.getElementById("today").dataset;
+  const all = tasks.split(" ");
+  const day = new Date(Date.UTC(Number(seed.slice(0, 4)), Number(seed.slice(4, 6)) - 1, Number(seed.slice(6)) - ago));
+  const map = `${all.at((all.indexOf(task) - ago) % all.length)} ${day.toISOString().slice(0, 10).replaceAll("-", "")}`;
+  const [, score, optimum] = results().find(([one]) => one === map) ?? [];
+  const share = score === undefined ? null : score / (optimum ?? 1);
+  const said = `${dayOf(day)}: ${share === null ? "not flown" : `${percent(share)} of the optimum`}`;
+  return { share, said, block: share === null ? "·" : BLOCKS[Math.floor(share * (BLOCKS.length - 1))] };
+}
+
+/** The visitor's last maps of the day, how many in a row, and a text to share that contains no move. */
+function ownDays() {
+  const days = Array.from({ length: SHOWN }, (_, ago) => daily(ago)).reverse();
+  if (days.every(({ share }) => share === null)) return [];
+  // A map of today that is not flown yet does not end the row.
+  const first = daily(0).share === null ? 1 : 0;
+  let ago = first;
+  while (daily(ago).share !== null) ago++;
+  const row = `${counted(ago - first, "day")} in a row`;
+  const blocks = days.map(({ block }) => block).join("");
+  const { task, seed } = document.getElementById("today").dataset;
+  const link = linkOf({ task, seed: Number(seed), pilots: ["human"] }).href;
+  const text = [`Drone Delivery, ${days.at(-1).said}, ${row}`, blocks, link].join("\n");
+  const label = `Your maps of the day. ${days.map(({ said }) => said).join(", ")}`;
+  return [
+    el("span.blocks", { role: "img", "aria-label": label, title: label, text: blocks }),
+    el("span", { text: row }),
+    first ? "" : el("button.button.small", { text: "Copy result", press: () => copyText(text, "Copied, without your moves.") }),
+  ];
 }
 
 export function mountByHand(root, context, race, acts) {
@@ -40,14 +76,16 @@ export function mountByHand(root, context, race, acts) {
     on: { change: rename },
   });
   const unlisted = el("p.note", { id: "unlisted", text: UNLISTED });
-  const about = el("p.note", { id: "about-name", role: "alert", text: ABOUT });
-  root.append(head, figures, unlisted, list, el("label.name-field.eyebrow", "Your name", field), about);
+  const about = el("p.note", { id: "about-name", text: ABOUT });
+  const record = el("p.own-days");
+  root.append(head, figures, record, unlisted, list, el("label.name-field.eyebrow", "Your name", field), about);
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
 
   function rename() {
     field.value = field.value.trim();
     const fits = field.checkValidity();
+    about.role = fits ? null : "alert";
     setText(about, fits ? ABOUT : REFUSED);
     // An invalid name is no name, rather than the one before.
     remember(NAME, field.value);
@@ -73,7 +111,7 @@ export function mountByHand(root, context, race, acts) {
     if (race.own) keep(race.own);
     unlisted.hidden = !race.own || race.own.plain;
     const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
-    const title = day ? `Map of the day, ${new Date(day.date).toLocaleDateString("en-GB", DAY)}` : "By hand";
+    const title = day ? `Map of the day, ${dayOf(new Date(day.date))}` : "By hand";
     const shown = [
       [race.own?.name, race.own?.annotation?.score],
       ["Your best", best?.[1]],
@@ -88,6 +126,7 @@ export function mountByHand(root, context, race, acts) {
     const look = (id, text) => (best ? el("a", { href: `?episode=${id}`, text }) : text);
     const row = ({ id, name, score, steps }) => el("li", look(id, name ?? "A person"), ` ${points(score)}, ${steps} steps`);
     head.textContent = title;
+    record.replaceChildren(...(day ? ownDays() : []));
     figures.replaceChildren(...shown.filter(([, value]) => Number.isFinite(value)).map(([name, value]) => fact(name, points(value))));
     list.replaceChildren(...(day?.best ?? []).map(row));
   }
@@ -99,7 +138,10 @@ export function mountByHand(root, context, race, acts) {
     draw();
   }
 
-  stage.on("load", () => (best = results().find(([one]) => one === map()) ?? null));
+  stage.on("load", () => {
+    best = results().find(([one]) => one === map()) ?? null;
+    document.getElementById("own-days").replaceChildren(...ownDays());
+  });
   stage.on("change", draw);
   for (const event of ["begun", "ended"]) race.on(event, ask);
 }
