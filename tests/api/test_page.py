@@ -18,10 +18,31 @@ def test_a_link_to_it_shows_a_picture(shared_client: TestClient) -> None:
     assert shared_client.get(picture[1]).headers["Content-Type"] == "image/png"
 
 
+@pytest.mark.parametrize("path", ["/", "/docs", "/health"])
+def test_a_head_request_gets_the_headers_of_the_page(shared_client: TestClient, path: str) -> None:
+    head, get = shared_client.head(path), shared_client.get(path)
+    assert (head.status_code, head.headers["Content-Type"]) == (200, get.headers["Content-Type"])
+
+
+def test_an_unknown_address_is_a_page_for_a_browser_and_json_for_a_program(shared_client: TestClient) -> None:
+    path = "/no<b>pe"
+    html = shared_client.get(path, headers={"Accept": "text/html,*/*;q=0.8"})
+    assert (html.status_code, html.headers["Content-Type"]) == (404, "text/html; charset=utf-8")
+    assert "There is nothing at /no&lt;b&gt;pe" in html.text
+    assert 'href="http://testserver/"' in html.text
+    answer = shared_client.get(path)
+    assert (answer.status_code, answer.json()["detail"]) == (
+        404,
+        f"there is nothing at {path}; /openapi.json lists all calls",
+    )
+    answer = shared_client.put("/tasks")
+    assert (answer.status_code, answer.json()["detail"]) == (405, "/tasks takes GET, not PUT")
+
+
 class TestHello:
     def test_its_sentence_is_true(self, shared_client: TestClient) -> None:
         html = shared_client.get("/").text
-        task, seed = re.findall('data-(?:task|seed)="(.*?)"', html)
+        ((task, seed),) = re.findall('id="hello".* data-task="(.*?)" data-seed="(.*?)"', html)
         scores = re.findall(r"scored (\S+) of (\S+) possible", html)
         assert scores == [
             (f"{100 * flown(task, 'tournet', seed=int(seed)).score:.1f}", f"{100 * solve(task, int(seed)).score:.1f}")

@@ -271,7 +271,10 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
         expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: of={unquote(damaged)}.")
         expect_step(page, 0, 160)
     # Unknown or missing moves are ignored, too.
-    for fork, moves, why in ((2, "UX", "moves are U, D, L, R and W"), (3, "UL", "fork=3 needs all 3 moves from step 0")):
+    for fork, moves, why in (
+        (2, "UX", "moves are U, D, L, R and W"),
+        (3, "UL", "fork=3 needs all 3 moves from step 0"),
+    ):
         show(page, f"/?task=hard&seed=6&pilots=greedy,human&fork={fork}&of=greedy&actions={moves}")
         expect(page.locator("#toasts .toast").last).to_contain_text(f"ignored: actions={moves} ({why}).")
         expect_step(page, 0, 160)

@@ -1,17 +1,20 @@
 """Reasons to come back: the map of the day, the visitor's name and best score; and the values of a cell."""
 
-from datetime import datetime, timezone
+import re
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
 
 from playwright.sync_api import Page, expect
 
 from drone_env.core.tasks import get_task
+from drone_env.flights.provenance import Provenance
 from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
 from drone_env.server.daily import map_of_the_day
 from tests.api.serving import Server
-from tests.browser.flights import flown, get
+from tests.browser.flights import fill, flown, get
 from tests.browser.shown import expect_step, notes, points
-from tests.browser.stage import at_its_end, ended, enter, keys, over, until
+from tests.browser.stage import at_its_end, ended, enter, keys, over, press, until
 from tests.browser.test_several import KEYS
 
 
@@ -31,6 +34,9 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     over(page, seed, f"/?task={task}&seed={seed}&pilot=human")
     expect_step(page, 0, get_task(task).max_steps)
     refused = page.get_by_role("alert").filter(has_text="without spaces")
+    # What always stands there is no alert.
+    expect(page.get_by_text("Shown to all in the list")).to_be_visible()
+    expect(page.locator("#view-fly").get_by_role("alert")).to_have_count(0)
     for name, shown in (("Ada", 0), ("not a name", 1), (" undo ", 0)):
         enter(field, name)
         expect(refused).to_have_count(shown)
@@ -44,9 +50,20 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     score = points(best.score)
     shown = {"You": score, "Your best": score, "Possible": score, "Tournet": network, "Best today": score}
     until(page, lambda: figures(page) == shown)
+    # A text to share has the last seven days and no move.
+    now = datetime.now(timezone.utc)
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    press(page, "Copy result")
+    expect(page.locator("#toasts")).to_contain_text("Copied, without your moves.")
+    assert page.evaluate("navigator.clipboard.readText()").split("\n") == [
+        f"Drone Delivery, {now.day} {now:%B}: 100 % of the optimum, 1 day in a row",
+        "······█",
+        f"{server.url}/?task={task}&seed={seed}&pilot=human",
+    ]
     (stored,) = get(server, "episodes", task=task, seed=seed)["episodes"]
     assert stored["agent"] == "human (undo)"
-    # The name is not mistaken for help, and a stored flight shows it.
+    # The name is not mistaken for help, and a stored flight shows it to others.
+    page.evaluate("delete localStorage['drone-env-flown']")
     entry.get_by_role("link", name="undo", exact=True).click()
     expect(page).to_have_url(f"{server.url}/?episode={stored['id']}")
     expect(page.locator("#results-title")).to_have_text("undo: All parcels delivered.")
@@ -59,6 +76,38 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     enter(field, "greedy")
     expect(page.get_by_role("alert").filter(has_text="name of a pilot")).to_be_visible()
     expect(entry).to_have_count(0)
+
+
+def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_of_yesterday(
+    page: Page, beside: Callable[..., Page], server: Server
+) -> None:
+    today = datetime.now(timezone.utc)
+    days = [map_of_the_day(today - timedelta(ago)) for ago in range(6)]
+    (task, seed) = days[1]
+    shares = {1: 1.0, 2: 0.5, 3: 0.99, 5: 0.0}
+    best = [[f"{days[ago][0]} {days[ago][1]}", share, 1.0, "tournet", 1.0] for ago, share in shares.items()]
+    page.evaluate("best => (localStorage['drone-env-best'] = JSON.stringify(best))", best)
+    (ghost,) = fill(server.data, [flown(task, seed, "greedy", label=Provenance(pilot="human", person="Eve"))])
+    other = beside("/")
+    own = other.locator("#own-days")
+    # Today's map is not flown yet, which ends no row.
+    expect(own).to_contain_text("·▁·▇▄█·3 days in a row")
+    expect(own.get_by_role("button")).to_have_count(0)
+    other.get_by_role("link", name="Fly against the best of yesterday, ").click()
+    expect_step(other, 0, get_task(task).max_steps)
+    expect(other.locator(".plan-head")).to_contain_text("Eve, You")
+    other.keyboard.press(" ")
+    expect(other.locator("#step-counter")).to_contain_text("Step 1 of")
+    expect(other).to_have_url(re.compile(rf"task={task}&seed={seed}&pilot=human&ghost={ghost}&of=human&actions=W$"))
+    # A flight beside a ghost is listed like any other.
+    expect(other.locator("#unlisted")).to_be_hidden()
+    other.reload()
+    expect(other.locator("#step-counter")).to_contain_text("Step 1 of")
+    expect(other.locator(".plan-head")).to_contain_text("Eve, You")
+    press(other, "Reset")
+    press(other, "Start over")
+    expect_step(other, 0, get_task(task).max_steps)
+    expect(other.locator(".plan-head")).to_contain_text("Eve, You")
 
 
 def test_a_cell_shows_the_value_of_each_action_and_a_scale(page: Page, server: Server) -> None:

@@ -46,7 +46,8 @@ export function actionsOf(context, race) {
       else clock.goTo(clock.cursor + 1);
     },
     undo: () => race.undo(),
-    reset: () => start({}, {}, "Start over"),
+    /** Starts over, beside the same ghost if there is one. */
+    reset: () => start({ ghost: race.setup.ghost }, { beside: race.setup.ghost ? race.beside : [] }, "Start over"),
     newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
     fork(options) {
