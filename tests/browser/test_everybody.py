@@ -95,10 +95,10 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
     while names[-1:] != ["Start"]:
         assert len(names) < 40, names
         page.keyboard.press("Tab")
-        if not names:
-            page.keyboard.press("Enter")  # opens the choices
         names.append(focused.evaluate("e => e.getAttribute('aria-label') || e.innerText.trim() || e.id"))
-    assert {"Easy", "Greedy", "Add Greedy", "New map", "Zoom in"} <= {*names}
+        if names[-1].startswith("Easy · "):
+            page.keyboard.press("Enter")  # opens the choices
+    assert {"Easy", "Map of the day", "Specifications", "Greedy", "Add Greedy", "New map", "Zoom in"} <= {*names}
     keys(page, *[">"] * 4)
     expect(speed).to_have_value(FASTEST)
     page.keyboard.press("Enter")

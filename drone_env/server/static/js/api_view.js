@@ -72,7 +72,7 @@ function requestLine({ time, method, path, status, milliseconds }) {
   return el(
     "li",
     { data: { bad: status >= 400 ? "yes" : "no" } },
-    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString("en-GB") }),
+    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString() }),
     ` ${method} ${path} ${status} `,
     el("span.dim", { text: `${fixed(milliseconds, 1)} ms` }),
   );

@@ -47,7 +47,7 @@ export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 export const isLost = (regret) => regret > 0.0005;
 
 export function moment(iso) {
-  return new Date(iso).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "medium" });
+  return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
 }
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };

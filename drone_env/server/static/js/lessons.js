@@ -66,19 +66,10 @@ export const LESSONS = [
   },
 ];
 
-const cached = new Map();
 const key = (number) => `drone-env-lesson-${number}`;
 
-/** The indices of the goals that were reached. @param {number} number From 1. @returns {Set<number>} */
-export function reached(number) {
-  if (!cached.has(number)) cached.set(number, new Set([...(recall(key(number)) ?? "")].map(Number)));
-  return cached.get(number);
-}
-
-export function reach(number, goal) {
-  reached(number).add(goal);
-  remember(key(number), [...reached(number)].join(""));
-}
+/** The indices of the goals that were reached. @param {number} number From 1. */
+export const reached = (number) => new Set([...(recall(key(number)) ?? "")].map(Number));
 
 export const isComplete = (number) => LESSONS[number - 1].goals.every((_, goal) => reached(number).has(goal));
 
@@ -116,7 +107,7 @@ export function mountLesson(root, { router, stage }) {
     if (shown !== number) draw(number, lesson);
     lesson.goals.forEach(({ done }, goal) => {
       if (!world || reached(number).has(goal) || !done(stage)) return;
-      reach(number, goal);
+      remember(key(number), [...reached(number), goal].join(""));
       list.children[goal].replaceWith(goalItem(number, goal));
     });
     next.hidden = !LESSONS[number] || !isComplete(number);

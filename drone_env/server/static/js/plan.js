@@ -8,7 +8,7 @@ export function mountPlan(root, context, race, acts) {
   const { stage } = context;
   const heading = el("summary.plan-head");
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, label, seed, fresh, edit, copy, typing } = mapForm(context, race, acts, () => update());
+  const { form, label, seed, fresh, edit, copy } = mapForm(context, acts, () => update());
   const choices = el("div.plan-choices", pilots, form);
   const details = el("details.plan-details", heading, choices);
   root.append(details, el("div.plan-ways", fresh, copy));
@@ -85,7 +85,7 @@ export function mountPlan(root, context, race, acts) {
       row.classList.toggle("unable", !able);
       setText(about, able ? pilot.summary : "no network for this task");
     }
-    if (!typing()) seed.value = map;
+    if (document.activeElement !== seed) seed.value = map;
   }
 
   race.on("setup", update);
@@ -139,8 +139,7 @@ function taskNote(task) {
   return `Deliver ${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
 
-function mapForm({ router, stage }, race, acts, update) {
-  let typed = false;
+function mapForm({ router }, acts, update) {
   const seed = el("input.input", {
     id: "seed",
     type: "number",
@@ -149,13 +148,14 @@ function mapForm({ router, stage }, race, acts, update) {
     step: "1",
     inputmode: "numeric",
     autocomplete: "off",
-    on: { input: () => (typed = true), blur: () => (typed = false), change: open },
+    on: { blur: update, change: open },
   });
   function open() {
-    typed = false;
-    if (!seed.validity.badInput && seed.value === "") seed.value = stage.world?.seed ?? "";
-    else if (seed.reportValidity() && Number(seed.value) !== (race.shown ? race.setup : stage.world)?.seed)
-      acts.start({ seed: Number(seed.value) }).finally(update);
+    if (!seed.reportValidity()) return;
+    const { value } = seed;
+    // From now on the field shows the map that is flown.
+    seed.blur();
+    if (value) acts.start({ seed: Number(value) }).finally(update);
   }
   const fresh = el("button.button.small", { id: "new-map", press: acts.newMap, title: "Another map (N)", text: "New map" });
   const copy = el("button.button.small", {
@@ -170,5 +170,5 @@ function mapForm({ router, stage }, race, acts, update) {
   const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
   const form = el("form.map-form", { on: { submit } }, label, seed, edit);
-  return { form, label, seed, fresh, edit, copy, typing: () => typed };
+  return { form, label, seed, fresh, edit, copy };
 }

@@ -126,7 +126,7 @@ function mapsOf(context, name, maps) {
   return grid(`Maps of ${name}, largest loss first`, columns, sorted);
 }
 
-const figure = (count) => (count === null ? "" : count.toLocaleString("en-GB"));
+const figure = (count) => (count === null ? "" : count.toLocaleString());
 
 /** The share of unusable answers; `!` marks more than 5 %. */
 const unusable = ({ unusable_share: share, marked }) =>

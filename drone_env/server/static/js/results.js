@@ -132,10 +132,10 @@ function inWords(figures, task) {
   return `${counted(figures.episodes, "flight")} of ${title(task.short_name)} here, on average: ${[...means, ...shares].join(", ")}.`;
 }
 
-/** The next task of the family: Easy, Medium, Hard, Easy. */
+/** The next task of the family, or the last one again. Only the standard ones begin again: Easy, Medium, Hard, Easy. */
 function nextTask(families, task) {
   const group = families.get(task.family);
-  return group[(group.indexOf(task) + 1) % group.length];
+  return group[group.indexOf(task) + 1] ?? (task.family === "standard" ? group[0] : task);
 }
 
 /** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Race} race */
