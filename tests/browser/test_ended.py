@@ -143,6 +143,9 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
         expect_task(page, after)
         at_its_end(page, 0, f"/?task={after.lower()}&seed=0&pilot=optimal")
     expect_flying(page, "Optimal")
+    # The other families end with their hardest task.
+    at_its_end(page, 0, "/?task=skyline_hard&seed=0&pilot=optimal")
+    expect(page.locator("#next")).to_be_hidden()
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
@@ -226,6 +229,8 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     for name, text, says in (
         ("notes.txt", "hello", "must end in .json, .jsonl, .toml"),
         ("empty.json", " ", "is empty"),
+        ("null.json", "null", "null.json is not a flight file. Body: must be an object."),
+        ("map.toml", "hello = 1", "map.toml is not a map. Unknown key 'hello'; allowed: "),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
         ("three.jsonl", f"{record.to_json()}\nnull\n", "three.jsonl, line 2 is not a flight."),
         ("forged.json", json.dumps(forged), "forged.json is not a flight file. The record does not fit its flight: "),

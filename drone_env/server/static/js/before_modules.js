@@ -18,7 +18,5 @@
     if (!(link instanceof HTMLAnchorElement) || document.body.dataset.view || event.ctrlKey || event.metaKey || event.shiftKey) return;
     event.preventDefault();
     history.pushState(null, "", link.href);
-    const note = Object.assign(document.createElement("div"), { id: "loading", className: "toast", textContent: "Loading …" });
-    document.getElementById("toasts")?.replaceChildren(note);
   });
 })();

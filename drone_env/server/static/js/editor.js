@@ -216,7 +216,7 @@ export function mount(root, context) {
       if (!file) found ??= await api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
-      wrong = error.message;
+      wrong = error.message.replace("path.seed", "The number of the map");
     }
     // Meanwhile the visitor may have gone elsewhere, or begun an empty map.
     if (wanted !== keyOf(router.address) || isOpen()) return;

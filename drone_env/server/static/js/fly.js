@@ -116,10 +116,7 @@ export function mountFly(root, context) {
   }
   race.on("begun", writeAddress);
   stage.on("frames", () => greets() && writeAddress());
-  stage.on("load", () => {
-    root.classList.remove("empty");
-    problem(null);
-  });
+  stage.on("load", () => problem(null));
   root.classList.add("empty");
   race.on("ended", (track) => {
     explain(context, track);
@@ -166,7 +163,9 @@ export function mountFly(root, context) {
     else {
       await open(async () => {
         const base = await history.stored(beside);
-        race.start(wanted, { beside: [base], flown: wanted.pilots.slice(-1) });
+        // Both fly over one map, whatever the address says.
+        const { short_name, seed } = base.opening;
+        race.start({ ...wanted, task: short_name, seed }, { beside: [base], flown: wanted.pilots.slice(-1) });
         explain(context, base);
       });
     }
@@ -180,7 +179,11 @@ export function mountFly(root, context) {
     return history.shows(address);
   }
 
-  stage.on("change", () => isShown() && router.moment(present()));
+  stage.on("change", () => {
+    // The panels have been drawn: none of them moves.
+    root.classList.toggle("empty", !stage.track);
+    if (isShown()) router.moment(present());
+  });
 }
 
 /** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Race} race */

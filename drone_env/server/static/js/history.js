@@ -2,7 +2,7 @@
 import { tried } from "./api.js";
 import { recall, remember } from "./base.js";
 import { download, el, fileField } from "./dom.js";
-import { flightName, sentence } from "./format.js";
+import { counted, flightName, sentence } from "./format.js";
 import { FLOWN } from "./race.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
@@ -61,7 +61,7 @@ export class FlightHistory {
     const name = nameOf(file);
     const records = JSON.parse(recall(`${FLIGHTS} ${file}`, "sessionStorage"));
     if (!records) throw new Error(goneFrom(file));
-    if (!records[index]) throw new Error(`${name} contains ${records.length} flights; flight ${index + 1} is asked for.`);
+    if (index >= records.length) throw new Error(`${name} contains ${counted(records.length, "flight")}, none with number ${index + 1}.`);
     const mapOf = (record) => String([record?.task, record?.seed, record?.reward_profile]);
     const all = records.filter((record) => mapOf(record) === mapOf(records[index]));
     const at = all.indexOf(records[index]);
@@ -149,7 +149,7 @@ export const openField = ({ api, router }, id, wrong) =>
       remember(`${isMap ? MAP : FLIGHTS} ${name}`, JSON.stringify(content), "sessionStorage");
       router.go({ view: isMap ? "draw" : "fly", file: name });
     } catch (error) {
-      wrong(error.message);
+      wrong(error.status === 422 ? `${file.name} is not a map. ${error.message}` : error.message);
     }
   });
 

@@ -22,7 +22,6 @@ async function boot() {
   const [{ tasks }, { pilots, most }, { kinds }] = await Promise.all([api.get("tasks"), api.get("pilots"), api.get("kinds")]);
   await figures;
   const live = new Live(api.protocols);
-  document.getElementById("loading")?.remove();
   const router = new Router();
   const context = createContext({ router, api, live, tasks, pilots, most, kinds });
 
