@@ -1,6 +1,7 @@
 """Learn and API: the tutorial, the specifications, the snippets and the logs, true and as the server states them."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -150,6 +151,15 @@ def test_the_legend_shows_what_each_kind_of_cell_does(page: Page, server: Server
     empty = """all => all.map(one => one.getContext("2d").getImageData(0, 0, one.width, one.height).data)
         .filter(pixels => !pixels.some(Boolean)).length"""
     assert legend.locator("canvas").evaluate_all(empty) == 1, "only a road has no figure"
+
+
+def test_the_reference_of_all_calls_has_the_colours_of_the_page(beside: Callable[..., Page]) -> None:
+    reference = beside("/docs")
+    for scheme, background in (("dark", "rgb(28, 32, 34)"), ("light", "rgba(0, 0, 0, 0)")):
+        reference.emulate_media(color_scheme=scheme)
+        reference.reload()
+        expect(reference.locator("#operations-flight-reset")).to_be_visible()
+        expect(reference.locator("html")).to_have_css("background-color", background)
 
 
 @pytest.mark.feature("D1")

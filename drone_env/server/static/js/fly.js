@@ -163,6 +163,7 @@ export function mountFly(root, context) {
     else {
       await open(async () => {
         const base = await history.stored(beside);
+        if (address.ghost) base.colour = "--ink-3";
         // Both fly over one map, whatever the address says.
         const { short_name, seed } = base.opening;
         race.start({ ...wanted, task: short_name, seed }, { beside: [base], flown: wanted.pilots.slice(-1) });

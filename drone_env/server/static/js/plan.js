@@ -131,6 +131,10 @@ function mountTasks(root, context, acts) {
     });
     const today = { task: daily, seed: Number(seed), pilots: [me.id] };
     keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today, null)));
+    /** @type {HTMLElement|null} */
+    const flown = list.querySelector("[aria-pressed=true]");
+    // In a narrow window, the tasks before it scroll out of sight.
+    if (flown) root.scrollLeft = flown.offsetLeft + flown.offsetWidth - root.clientWidth;
   };
 }
 
