@@ -90,6 +90,13 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     expect_step(page, 1, 60)
     expect(other.get_by_role("cell").first).to_have_text("2")
     expect(person).to_have_class("selected")
+    # After a click on the speed, which is left as it was, the arrows still fly.
+    speed = page.get_by_role("combobox", name="Speed")
+    speed.dispatch_event("pointerdown")
+    speed.focus()
+    page.keyboard.press("ArrowLeft")
+    expect_step(page, 2, 60, "LEFT")
+    expect(speed).to_have_value("6")
     # Once the others have ended, no pilot is left that flies by itself.
     at_speed(page, FASTEST)
     page.locator("#step-counter").click()

@@ -202,13 +202,12 @@ export function mountFiles(root, history, problem) {
   root.append(el("div.field", field, button, flights));
 
   let offered = history.records;
-  stage.on("selected", () => history.file && (flights.selectedIndex = history.records.indexOf(stage.track.record)));
-  stage.on("load", () => {
+  stage.on("change", () => {
     if (history.records !== offered) {
       offered = history.records;
       flights.hidden = offered.length < 2;
       flights.replaceChildren(...offered.map((record, i) => el("option", { text: `${i + 1}. ${flightName(history.context, record)}` })));
     }
-    if (history.file) flights.selectedIndex = offered.indexOf(stage.track.record);
+    flights.selectedIndex = offered.indexOf(stage.track?.record);
   });
 }

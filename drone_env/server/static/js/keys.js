@@ -63,8 +63,10 @@ export function mountKeys(context, race, acts, help) {
   document.addEventListener("keydown", (event) => {
     pointed = false;
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-    const waits = event.key === " " && clicked && race.byHand && context.view === "fly";
-    if (waits && isPressed(event)) leaveFocus();
+    const flies = clicked && race.byHand && context.view === "fly";
+    const { target } = event;
+    // The speed box takes no arrow from the drone.
+    if (flies && (event.key === " " ? isPressed(event) : target instanceof HTMLSelectElement && event.key in FLY)) leaveFocus();
     else if (taken(event)) return;
     if (event.key === "?") {
       help();
