@@ -218,7 +218,7 @@ def test_after_a_reload_every_address_on_the_way_back_shows_what_it_showed(
 
 
 def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(page: Page, shared: Tabs) -> None:
-    shared.expect("404")
+    shared.expect("404|422")
     show(page, "/?view=nosuch&task=easy&seed=6&pilot=greedy&fork=junk&step=-3")
     unread = "The link contains invalid values, which were ignored: view=nosuch, step=-3, fork=junk."
     expect(page.locator("#toasts .toast").last).to_have_text(unread)

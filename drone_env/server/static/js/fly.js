@@ -70,8 +70,7 @@ export function mountFly(root, context) {
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
-    race.pause();
-    race.turn("rest");
+    race.rest();
     try {
       await load();
       lookUp();
@@ -143,10 +142,8 @@ export function mountFly(root, context) {
         },
       );
     greeting.hidden = !greets();
-    if (view !== "fly") {
-      race.pause();
-      stage.clock.stop();
-    } else if (address.episode && address.fork === null) {
+    if (view !== "fly") stage.clock.stop();
+    else if (address.episode && address.fork === null) {
       if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.end());
       else await open(() => past.open(address.episode, address.step));
     } else await fly(address);

@@ -11,20 +11,29 @@ const LEAP = 4;
 
 /** `cursor` is the step that is shown; `position` follows it smoothly and is what is drawn between two steps. */
 export class Clock {
-  /**
-   * @param {() => number} end The last step of all flights. @param {() => number} newest The newest step of the live flights.
-   * @param {() => void} moved Called when the step changes, and when a replay starts or stops.
-   */
-  constructor(end, newest, moved) {
-    this.end = end;
-    this.newest = newest;
-    this.moved = moved;
+  /** @param {Stage} stage */
+  constructor(stage) {
+    this.stage = stage;
     this.cursor = this.position = 0;
-    /** Whether the page shows new steps as they arrive. */
+    /** Whether the page shows new steps as they come. */
     this.following = true;
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
+  }
+
+  /** The last step of all flights. */
+  end() {
+    return last(this.stage.tracks);
+  }
+
+  /** The newest step of the flights that may go on. */
+  newest() {
+    return last(this.stage.followed);
+  }
+
+  moved() {
+    this.stage.tell("cursor");
   }
 
   /** Goes to a step; at the newest one, the clock follows live flights again. */
@@ -44,10 +53,10 @@ export class Clock {
     if (this.following) this.seek(this.newest());
   }
 
-  /** Replays the flights, at their end from the start. */
+  /** Plays: the pilots fly on; flights that have ended are replayed, at their end from the start. */
   play() {
-    if (this.playing || this.end() === 0) return;
-    if (this.cursor === this.end()) this.seek(0);
+    if (this.playing || !(this.end() || this.stage.goesOn)) return;
+    if (this.cursor === this.end() && !this.stage.goesOn) this.seek(0);
     this.playing = true;
     this.tick();
     this.moved();
@@ -55,10 +64,23 @@ export class Clock {
 
   tick() {
     this.timer = setTimeout(() => {
-      this.seek(this.cursor + 1);
-      if (this.cursor < this.end()) this.tick();
+      this.forward();
+      if (this.stage.goesOn || this.cursor < this.end()) this.tick();
       else this.stop();
     }, 1000 / this.speed);
+  }
+
+  /** Goes to the next step; after the newest one, the pilots fly it. */
+  forward() {
+    const { cursor, stage } = this;
+    const flies = stage.goesOn && (cursor === this.newest() || cursor === this.end());
+    this.seek(flies ? this.newest() : cursor + 1);
+    if (flies) stage.flyOn();
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    this.moved();
   }
 
   stop() {
@@ -94,15 +116,9 @@ export class Stage extends Emitter {
     /** The live flights. @type {Track[]} */
     this.followed = [];
     this.selected = 0;
-    this.clock = new Clock(
-      () => last(this.tracks),
-      () => last(this.followed),
-      () => this.tell("cursor"),
-    );
+    this.clock = new Clock(this);
     /** The newest answer of `POST /values` for this flight, with its moment; null without one. */
     this.values = null;
-    /** Whether automatic pilots fly now. */
-    this.flying = false;
   }
 
   get track() {
@@ -132,6 +148,20 @@ export class Stage extends Emitter {
 
   get over() {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
+  }
+
+  /** Whether a pilot has yet to fly. */
+  get goesOn() {
+    return this.followed.some(({ rest }) => rest.length);
+  }
+
+  /** Every pilot whose flight goes on flies one step. */
+  flyOn() {
+    for (const track of this.followed) {
+      if (!track.rest.length) continue;
+      track.advance();
+      this.changed(track);
+    }
   }
 
   show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {

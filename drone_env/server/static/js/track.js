@@ -28,9 +28,15 @@ export function readProvenance(text) {
 /** A part of an address; a damaged one is kept as it is. @param {string} text */
 export const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
+/** A frame without the best score still possible and what is lost, which come later. @param {Answer<"Frame">} frame */
+export const unweighed = (frame) => ({ ...frame, value: null, regret: null });
+
 export class Track {
-  /** @param {Context} context @param {Answer<"EpisodeView">} flown @param {boolean} live Whether it may continue. */
-  constructor(context, { opening, frames }, live = false) {
+  /**
+   * @param {Context} context @param {Answer<"EpisodeView"> & Partial<Answer<"StartedFlight">>} flown
+   * @param {boolean} live Whether it may continue. @param {number} until The step at which it waits to be flown on.
+   */
+  constructor(context, { opening, frames, version = null, episode = null }, live = false, until = Infinity) {
     this.opening = opening;
     this.pilot = opening.pilot;
     const { person, values_used, undo_used, parent } = opening;
@@ -40,7 +46,19 @@ export class Track {
     this.automatic = automatic;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = `--pilot-${colour}`;
-    this.frames = [...frames];
+    const all = frames.map(unweighed);
+    /** The frames so far. */
+    this.frames = all.slice(0, until + 1);
+    /** The frames that a pilot of this page has yet to fly. */
+    this.rest = all.slice(until + 1);
+    /** The version of a visitor's flight, and its changes that the server has not answered. @type {string|null} */
+    this.version = version;
+    /** @type {string[]} */
+    this.pending = [];
+    /** Whether its values are being loaded, or cannot be. */
+    this.weighing = false;
+    /** Id of the stored flight, which the page shows at the end. @type {string|null} */
+    this.stored = episode;
     /** Whether it was over when the page met it: a flight from the store or a link. */
     this.brought = !live || this.done;
     /** In flights of this page the visitor is "You". */
@@ -51,6 +69,7 @@ export class Track {
     /** The answer of `POST /annotate`, or null. @type {Answer<"AnalysedFlight">|null} */
     this.annotation = null;
     this.record = null;
+    /** The id of the stored flight, once it has ended here. @type {{id: string}|null} */
     this.episode = null;
     /** The calls of a language model by step, or null; a retry is one more call. */
     this.calls = null;
@@ -98,6 +117,16 @@ export class Track {
 
   get done() {
     return this.last.done;
+  }
+
+  /** The frames, and those that its pilot has yet to fly. */
+  get all() {
+    return [...this.frames, ...this.rest];
+  }
+
+  /** Flies the next step of its pilot. */
+  advance() {
+    this.frames.push(this.rest.shift());
   }
 
   get steps() {
