@@ -12,7 +12,6 @@ from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
 from drone_env.errors import EpisodeError
 from drone_env.flights.provenance import HUMAN, Provenance
-from drone_env.flights.record import fly_directions
 from drone_env.models import (
     DIRECTIONS,
     NAMES,
@@ -187,38 +186,29 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int] = (), first: int =
     return [int(action) for action in rollout(episode, agent.act).actions]
 
 
-def frames_json(episode: Episode, provenance: Provenance, directions: Sequence[Direction]) -> str:
+def frames_json(episode: Episode, provenance: Provenance, actions: Sequence[int], network: PathQNetAgent | None) -> str:
     """The frames of a flight, frame 0 included, as a JSON array.
 
     Args:
         episode: The episode at its start; it is flown.
         provenance: Who flew it.
-        directions: The actions of the flight.
-
-    Raises:
-        InvalidValueError: if there are actions after the end.
+        actions: The actions of the flight.
+        network: The network that values each action where values are shown.
     """
-    network = job_context().networks.shown_network(provenance.pilot, episode.task)
 
     def frame() -> Frame:
         return frame_of(episode, network if shows_values(provenance, episode) else None)
 
-    return to_json([frame(), *(frame() for _ in fly_directions(episode, directions))]).decode()
+    frames = [frame()]
+    for action in actions:
+        episode.step(action)
+        frames.append(frame())
+    return to_json(frames).decode()
 
 
-def fly_frames(start: Episode, provenance: Provenance, forked: list[Direction] | None) -> tuple[list[int], str]:
-    """The actions and the frames, as a JSON array, of a flight: an agent's to its end, a person's fork.
-
-    Args:
-        start: The episode at its start.
-        provenance: Who flies it.
-        forked: The actions of a fork, none of them after the end.
-
-    Raises:
-        DroneEnvError: as `plan`.
-    """
-    actions = [int(Action[direction]) for direction in forked or ()]
-    if provenance.pilot != HUMAN:
-        first = 0 if provenance.parent is None else provenance.parent.step
-        actions = plan(start.copy(), provenance.pilot, actions, first)
-    return actions, frames_json(start, provenance, [DIRECTIONS[action] for action in actions])
+def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) -> tuple[list[int], str]:
+    """All actions of an agent's flight, and its frames as a JSON array. Arguments and errors as `plan`."""
+    first = 0 if provenance.parent is None else provenance.parent.step
+    actions = plan(start.copy(), provenance.pilot, actions, first)
+    network = job_context().networks.shown_network(provenance.pilot, start.task)
+    return actions, frames_json(start, provenance, actions, network)

@@ -6,15 +6,28 @@ from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
 from drone_env.core.episode import Episode, rollout
+from drone_env.flights.provenance import Provenance
 from drone_env.models import DIRECTIONS, Direction
 
 Message = dict[str, Any]
 
 
 def start(client: TestClient, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
-    """The flights of pilots over a map."""
+    """The flights of pilots over a map, those of agents to their ends."""
     body = {"task": task, "seed": seed, "pilots": pilots, **fields}
-    return client.post("/flights", json=body).raise_for_status().json()["flights"]
+    flights = client.post("/flights", json=body).raise_for_status().json()["flights"]
+    for shown in flights:
+        if shown["opening"]["pilot"] != "human":
+            shown.update(client.post("/flights/agent", json=agent_start(shown)).raise_for_status().json())
+    return flights
+
+
+def agent_start(shown: Message) -> Message:
+    """What asks for an agent's flight that has begun."""
+    opening = shown["opening"]
+    fields = {name: opening[name] for name in ("task", "seed", "reward_profile")}
+    by = {name: opening[name] for name in Provenance.model_fields}
+    return {**fields, "by": by, "actions": [frame["action"] for frame in shown["frames"][1:]]}
 
 
 class ByHand:

@@ -123,7 +123,6 @@ def forking(pilot: str, **fork: Any) -> Any:
         (forking("human", of={"pilot": "a\nb"}), "one printable line of 1 to 200 characters"),
         (forking("human", actions=["WAIT"] * 61), "ends after 60 steps, but there are 61 actions"),
         (forking("greedy", actions=["WAIT"] * 61), "ends after 60 steps, but there are 61 actions"),
-        (forking("greedy"), "step 1 of the fork is not an action of greedy"),
     ],
 )
 def test_what_cannot_be_started_is_told_and_opens_nothing(shared_client: TestClient, body: Any, told: str) -> None:
@@ -132,6 +131,21 @@ def test_what_cannot_be_started_is_told_and_opens_nothing(shared_client: TestCli
     answer = shared_client.post("/flights", json={"task": "easy", "seed": 7, **body}).json()
     assert told in f"{answer['code']}: {answer['detail']}"
     assert sessions.count() == opened
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ({"by": {"pilot": "human"}}, "wrong_moment"),
+        ({"by": {"pilot": "ghost"}}, "unknown_name"),
+        ({"actions": ["WAIT"]}, "step 1 of the fork is not an action of greedy"),
+        ({"actions": ["WAIT"] * 61}, "ends after 60 steps, but there are 61 actions"),
+    ],
+)
+def test_an_agent_flies_as_it_would(shared_client: TestClient, body: Any, told: str) -> None:
+    body = {"task": "easy", "seed": 7, "by": {"pilot": "greedy"}, **body}
+    answer = shared_client.post("/flights/agent", json=body).json()
+    assert told in f"{answer['code']}: {answer['detail']}"
 
 
 def test_only_a_person_in_flight_changes_a_flight(client: TestClient) -> None:

@@ -7,7 +7,7 @@ from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
 from drone_env.models import DIRECTIONS, Direction
-from tests.api.flying import ByHand, directions, flown, start
+from tests.api.flying import ByHand, agent_start, directions, flown, start
 
 ADA = {"pilot": "human", "person": "Ada"}
 
@@ -51,8 +51,8 @@ def test_an_agent_goes_on_from_where_another_was(client: TestClient) -> None:
     brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": {"pilot": "random"}}
     assert start(client, pilot, task="hard", fork=brought) == [shown]
     wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
-    body = {"task": "hard", "seed": 7, "pilots": [pilot], "fork": {**brought, "actions": [*expected[:14], wrong]}}
-    assert "step 15 of the fork" in client.post("/flights", json=body).json()["detail"]
+    body = {**agent_start(shown), "actions": [*expected[:14], wrong]}
+    assert "step 15 of the fork" in client.post("/flights/agent", json=body).json()["detail"]
 
 
 @pytest.mark.parametrize("by_hand", [True, False], ids=["flown here", "only linked"])

@@ -1,11 +1,10 @@
 """The routes by which the page starts flights, and changes that of a person.
 
-An agent's flight is flown to its end and stored at once; the page plays it. A person's flight is a session.
+The page shows the map at once, while a worker process flies each agent's flight to its end. It is stored then, and the
+page plays it. A person's flight is a session.
 """
 
-import asyncio
 import secrets
-from collections.abc import Sequence
 from contextlib import suppress
 from hashlib import sha256
 from typing import Annotated, Literal
@@ -18,7 +17,7 @@ from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import MAX_UNITS, get_task
+from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import EpisodeError, NoSessionError
 from drone_env.flights.flight import new_id
 from drone_env.flights.provenance import HUMAN, PersonName, Provenance
@@ -26,7 +25,7 @@ from drone_env.flights.record import fly_directions, record_of
 from drone_env.flights.sessions import Session
 from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
-from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_frames, frame_of, shows_values
+from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_json, shows_values
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.pilots import check_name
 from drone_env.server.routes.flight import CallerDep
@@ -82,16 +81,35 @@ class Start(StrictModel):
 
 
 class StartedFlight(EpisodeView):
-    """A flight of the page: an agent's to its end, a person's so far."""
+    """The beginning of a flight: its start, or the actions of a fork."""
 
-    version: str | None = Field(description="What the next change of a person's flight sends; null after the end.")
-    episode: str | None = Field(description="Id of the stored flight; null before the end.")
+    version: str | None = Field(description="What the next change of a person's flight sends; null without a session.")
+    episode: str | None = Field(description="Id of the stored flight; null before the end, and for agents.")
 
 
 class StartedFlights(StrictModel):
     """One flight per pilot."""
 
     flights: list[StartedFlight]
+
+
+class AgentStart(StrictModel):
+    """An agent's flight, as `/flights` has begun it."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "by": {"pilot": "greedy"}}]})
+
+    task: str = Field(max_length=100, description="Id or short name of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    reward_profile: str | None = Field(default=None, max_length=100)
+    by: Provenance = Field(description="Who flies.")
+    actions: list[Direction] = Field(default=[], max_length=MAX_UNITS, fail_fast=True, description="Those of a fork.")
+
+
+class AgentFlight(StrictModel):
+    """An agent's flight."""
+
+    frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step, to the end.")
+    episode: str = Field(description="Id of the stored flight.")
 
 
 class FlightChange(StrictModel):
@@ -113,22 +131,25 @@ class ChangedFlight(StrictModel):
     episode: str | None = Field(description="Id of the stored flight; null before the end.")
 
 
-@router.post(
-    "/flights", response_model=StartedFlights, responses=FLIGHT_ERRORS | error_responses(409), openapi_extra=LARGE_BODY
-)
-async def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> Response:
-    """Fly one map with several pilots. The flights of agents are complete; a person's is a session."""
-    start, flying, forking = await run_in_threadpool(_choose, options, app_state)
-
-    async def fly(number: int, provenance: Provenance) -> tuple[list[int], str]:
-        forked = None if options.fork is None or number != forking else options.fork.actions
-        if not forked and provenance.pilot == HUMAN:
-            return [], to_json([frame_of(start)]).decode()
-        return await app_state.work(request, fly_frames, start, provenance, forked, task=start.task.id)
-
-    flown = await asyncio.gather(*(fly(number, provenance) for number, provenance in enumerate(flying)))
-    views = await run_in_threadpool(_open, app_state, caller_address(request), start, flying, flown)
+@router.post("/flights", response_model=StartedFlights, responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
+def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> Response:
+    """Start to fly one map with several pilots. A person's flight is a session; `/flights/agent` flies an agent's."""
+    views = _open(app_state, caller_address(request), options)
     return Response(f'{{"flights":[{",".join(views)}]}}', media_type="application/json")
+
+
+@router.post(
+    "/flights/agent",
+    response_model=AgentFlight,
+    responses=FLIGHT_ERRORS | error_responses(409),
+    openapi_extra=LARGE_BODY,
+)
+async def fly_to_end(request: Request, app_state: AppStateDep, options: Annotated[AgentStart, Body()]) -> Response:
+    """Fly an agent's flight to its end, and store it; one that is stored already stays one."""
+    start, actions = await run_in_threadpool(_begun, options, app_state)
+    actions, frames = await app_state.work(request, fly_agent, start, options.by, actions, task=start.task.id)
+    stored, _ = await run_in_threadpool(_store, app_state, start.copy().fly(actions), options.by)
+    return Response(f'{{"frames":{frames},"episode":"{stored}"}}', media_type="application/json")
 
 
 @router.post("/flights/change", responses=SESSION_ERRORS | error_responses(400, 413, 415))
@@ -182,51 +203,60 @@ def _is_made(session: Session, change: Change) -> bool:
     return session.episode.actions[-1:] == [Action[change]]
 
 
-def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[Provenance], int | None]:
-    """The episode at its start, the provenance of each flight, and the index of the flight that continues the fork."""
-    task, fork, pilots = get_task(options.task), options.fork, options.pilots
+def _begun(options: AgentStart, app_state: AppState) -> tuple[Episode, list[int]]:
+    """The start of an agent's flight, and the actions of its fork."""
+    start = _start(options.task, options.seed, options.reward_profile)
+    if options.by.pilot == HUMAN:
+        raise EpisodeError(f"{HUMAN!r} is no agent: fly by /flights/change")
+    app_state.networks.require(options.by.pilot, start.task)
+    *_, flown = [start, *fly_directions(start.copy(), options.actions)]
+    return start, flown.actions
+
+
+def _start(task: str, seed: int | None, reward_profile: str | None) -> Episode:
+    seed = secrets.randbelow(MAPS) if seed is None else seed
+    return start_episode(ResetOptions(task_name=task, seed=seed, reward_profile=reward_profile), None)
+
+
+def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Provenance, list[int]]]]:
+    """The episode at its start, and the provenance and the first actions of each flight."""
+    fork, pilots = options.fork, options.pilots
+    start = _start(options.task, options.seed, options.reward_profile)
     for pilot in pilots:
-        app_state.networks.require(pilot, task)
-    seed = secrets.randbelow(MAPS) if options.seed is None else options.seed
-    start = start_episode(ResetOptions(task_name=task.id, seed=seed, reward_profile=options.reward_profile), None)
-    flying = [Provenance(pilot=pilot) for pilot in pilots]
-    forking, is_over = None, False
+        app_state.networks.require(pilot, start.task)
+    flying = [
+        (Provenance(pilot=pilot).named(options.name if pilot == HUMAN else None), list[int]()) for pilot in pilots
+    ]
     if fork is not None:
         # The last pilot flies the fork; a person's own flight may be listed before others.
         own = fork.step == 0 and HUMAN in pilots
         forking = pilots.index(HUMAN) if own else len(pilots) - 1
-        flying[forking] = fork.of.forked(fork.step, pilots[forking])
-        # All of them, because actions after the end are an error.
-        is_over = True in [one.ended for one in fly_directions(start.copy(), fork.actions)]
-    for number, one in enumerate(flying):
+        by = fork.of.forked(fork.step, pilots[forking])
+        *_, flown = [start, *fly_directions(start.copy(), fork.actions)]
         # A finished flight is not credited to the visitor who opens its link.
-        if one.pilot == HUMAN and not (is_over and number == forking):
-            flying[number] = one.named(options.name)
-    return start, flying, forking
+        is_own = by.pilot == HUMAN and not flown.ended
+        flying[forking] = by.named(options.name) if is_own else by, flown.actions
+    return start, flying
 
 
-def _open(
-    app_state: AppState,
-    caller: str,
-    start: Episode,
-    flying: Sequence[Provenance],
-    flown: Sequence[tuple[list[int], str]],
-) -> list[str]:
-    """Store the flights that have ended and open sessions for the others, or for none; the JSON of each."""
+def _open(app_state: AppState, caller: str, options: Start) -> list[str]:
+    """Open sessions for the flights of people, or none; the JSON of all flights."""
+    start, flying = _choose(options, app_state)
     opened, views = list[str](), list[str]()
     try:
-        for provenance, (actions, frames) in zip(flying, flown, strict=True):
-            episode, session, version = start.copy().fly(actions), None, None
-            if episode.ended:
-                flight_id, provenance = _flown_before(app_state, episode, provenance)
-                app_state.store.add_episode(episode, provenance, flight_id)
-            else:
+        for provenance, actions in flying:
+            episode, session, version, stored = start.copy().fly(actions), None, None, None
+            if provenance.pilot == HUMAN and episode.ended:
+                stored, provenance = _store(app_state, episode, provenance)
+            elif provenance.pilot == HUMAN:
                 flight_id = new_id()
                 version = _version(flight_id, 0)
                 session = app_state.sessions.open(episode, provenance, owner=caller, keep=opened, flight_id=flight_id)
                 opened.append(session)
             header = FlightHeader.at_start(start, provenance, session).model_dump_json()
-            rest = to_json({"version": version, "episode": flight_id if episode.ended else None}).decode()[1:]
+            network = app_state.networks.shown_network(provenance.pilot, start.task)
+            frames = frames_json(start.copy(), provenance, actions, network)
+            rest = to_json({"version": version, "episode": stored}).decode()[1:]
             views.append(f'{{"opening":{header},"frames":{frames},{rest}')
     except BaseException:
         for session in opened:
@@ -236,8 +266,14 @@ def _open(
     return views
 
 
+def _store(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:
+    """Store a finished flight once, and return its id and who flew it: a link knows not all of its help."""
+    flight_id, provenance = _flown_before(app_state, episode, provenance)
+    return app_state.store.add_episode(episode, provenance, flight_id), provenance
+
+
 def _flown_before(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:
-    """The id of a finished flight that is flown again, and who flew it: a link knows not all of its help."""
+    """The id of a finished flight, which may be stored already, and who flew it."""
     kept = _without_help(provenance)
     stored = app_state.store.flown_before(episode)
     for flight_id, by in sorted(stored, key=lambda flown: flown[1] != provenance):

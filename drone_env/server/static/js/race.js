@@ -2,6 +2,7 @@
 import { ApiError, tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { toast } from "./dom.js";
+import { sentence } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
@@ -12,7 +13,9 @@ const FLOWN = "drone-env-flown";
 const KEPT = 200;
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
-const MOVES = new Set(Object.values(LETTERS));
+
+/** An error in the words of the page: it has no bodies of requests. @param {Error} error */
+const worded = ({ message }) => sentence(message.replace("body.seed", "the number of the map").replace(/body\./g, ""));
 
 /**
  * `setup` describes the flights as an `Address` of router.js.
@@ -119,7 +122,7 @@ export class Race extends Emitter {
 
   /** Whether a pilot has yet to fly. */
   get automatic() {
-    return this.tracks.some((track) => track.rest.length);
+    return this.tracks.some(({ goesOn }) => goesOn);
   }
 
   /** The task of the setup. */
@@ -167,12 +170,18 @@ export class Race extends Emitter {
     const start = (this.starting = {});
     this.emit("setup");
     const ask = () => api.post("flights", this.request());
+    /** @type {Track[]} */
+    let tracks = [];
     try {
       const { flights } = await (this.tracks.length ? ask() : server.insist(ask));
-      if (this.starting === start) this.begin(flights, play);
-      else this.leave(flights);
+      tracks = this.tracksOf(flights);
+      // A link to a later moment shows that moment first.
+      if (tracks.some(({ until }) => until)) await Promise.all(tracks.map((track) => this.load(track)));
+      if (this.starting === start) this.begin(tracks, play);
+      else this.leave(tracks);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
+      this.leave(tracks);
       if (this.starting === start) this.refused(error);
     }
   }
@@ -272,18 +281,19 @@ export class Race extends Emitter {
       return;
     }
     this.stage.changed(track);
-    if (change === "UNDO") clock.seek(clock.newest());
-    if (!track.done) this.weigh(track);
-    if (!MOVES.has(change) || !this.shown) return;
+    this.weigh(track);
+    if (!this.shown || change === "VALUES") return;
+    clock.seek(clock.newest());
+    if (!this.automatic || change === "UNDO") return;
     // The race goes on without the visitor.
     if (track.done) clock.play();
     else if (!clock.playing) this.stage.flyOn();
   }
 
-  unmade(track, { code, message }) {
+  unmade(track, error) {
     const moves = track.pending.splice(0);
-    if (code !== "session_gone") {
-      this.emit("refused", message);
+    if (error.code !== "session_gone") {
+      this.emit("refused", worded(error));
       return;
     }
     track.opening.session = null;
@@ -292,18 +302,39 @@ export class Race extends Emitter {
     this.start({ ...setup, ...linkParts }, { play, beside, flown, moves });
   }
 
-  begin(flights, play) {
-    const { fork, of, step, ended, actions, selected: chosen } = this.setup;
+  /** The tracks of the flights that a start has begun. */
+  tracksOf(flights) {
+    const { fork, of, step, ended, actions } = this.setup;
+    const brought = fork === null && of === null ? 0 : (actions ?? "").length;
+    const tracks = flights.map((flown) => new Track(this.context, flown, true));
+    // Pilots beside a fork or the visitor's flight have flown as far.
+    for (const track of tracks) if (track.steps === 0) track.until = Math.max(brought, ended ?? step ?? 0);
+    if (fork !== null) tracks.at(-1).forkedAt = fork;
+    return tracks;
+  }
+
+  /** Loads the flight of a pilot, which the page plays. */
+  async load(track) {
+    if (!track.coming) return;
+    const { task, seed, reward_profile } = track.opening;
+    const request = { task, seed, reward_profile, by: track.provenance, actions: track.actionsTo(track.steps) };
+    const { api, server } = this.context;
+    const answer = await server.insist(() => api.post("flights/agent", request));
+    const { following } = this.stage.clock;
+    track.fill(answer);
+    if (!this.tracks.includes(track)) return;
+    this.stage.changed(track);
+    if (this.shown && following) this.stage.clock.seek(this.stage.clock.newest());
+    this.weigh(track);
+  }
+
+  begin(tracks, play) {
+    const { fork, step, selected: chosen } = this.setup;
     this.starting = null;
     this.leave(this.tracks);
-    const brought = fork === null && of === null ? 0 : (actions ?? "").length;
-    const automatic = ({ opening }) => this.context.pilot(opening.pilot).automatic;
-    const forking = fork === null ? flights.findIndex((flown) => !automatic(flown)) : flights.length - 1;
-    const until = (i) => (i === forking ? brought : Math.max(brought, ended ?? step ?? 0));
-    this.tracks = flights.map((flown, i) => new Track(this.context, flown, true, until(i)));
-    if (fork !== null) this.tracks.at(-1).forkedAt = fork;
+    this.tracks = tracks;
     for (const track of this.beside) track.live = false;
-    const { seed, short_name } = flights[0].opening;
+    const { seed, short_name } = tracks[0].opening;
     const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.flown.length);
     const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
     this.setup = { ...this.setup, seed, task: short_name, pilots };
@@ -311,7 +342,14 @@ export class Race extends Emitter {
     this.emit("setup");
     this.emit("begun");
     this.noteEnds();
-    for (const track of this.tracks) if (!track.done) this.weigh(track);
+    for (const track of tracks) {
+      if (!track.coming) this.weigh(track);
+      else
+        this.load(track).catch((error) => {
+          track.coming = false;
+          this.emit("refused", worded(error));
+        });
+    }
     // A fork always shows values.
     if (fork !== null) this.help();
     if (play) this.stage.clock.play();
@@ -331,7 +369,7 @@ export class Race extends Emitter {
 
   /** Loads the best score still possible at each step, unless it is hidden; too large maps do without. */
   async weigh(track) {
-    const lacks = () => !track.secret && this.tracks.includes(track) && track.all.some(({ value }) => value === null);
+    const lacks = () => !track.secret && !track.done && this.tracks.includes(track) && track.all.some(({ value }) => value === null);
     if (track.weighing) return;
     track.weighing = true;
     while (lacks()) {
@@ -367,7 +405,7 @@ export class Race extends Emitter {
     const known = { ...NOTHING, task: (this.task ?? this.context.tasks[0]).short_name };
     Object.assign(this, this.tracks.length ? this.left : { setup: known });
     this.emit("setup");
-    if (error.status) this.emit("refused", error.message);
+    if (error.status) this.emit("refused", worded(error));
     else toast("The server is away. Your flight is kept; start another one when the server is back.");
   }
 }

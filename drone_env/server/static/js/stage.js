@@ -15,8 +15,6 @@ export class Clock {
   constructor(stage) {
     this.stage = stage;
     this.cursor = this.position = 0;
-    /** Whether the page shows new steps as they come. */
-    this.following = true;
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
@@ -36,21 +34,19 @@ export class Clock {
     this.stage.tell("cursor");
   }
 
-  /** Goes to a step; at the newest one, the clock follows live flights again. */
+  /** Whether nothing newer has been flown. */
+  get following() {
+    return this.cursor === this.newest();
+  }
+
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
-    this.following = this.cursor === this.newest();
     this.moved();
   }
 
   goTo(step) {
     this.stop();
     this.seek(step);
-  }
-
-  /** Shows the newest step, unless the visitor looks back. */
-  follow() {
-    if (this.following) this.seek(this.newest());
   }
 
   /** Plays: the pilots fly on; flights that have ended are replayed, at their end from the start. */
@@ -64,7 +60,8 @@ export class Clock {
 
   tick() {
     this.timer = setTimeout(() => {
-      this.forward();
+      // The pilots wait for each other.
+      if (!this.stage.followed.some(({ coming }) => coming)) this.forward();
       if (this.stage.goesOn || this.cursor < this.end()) this.tick();
       else this.stop();
     }, 1000 / this.speed);
@@ -73,9 +70,8 @@ export class Clock {
   /** Goes to the next step; after the newest one, the pilots fly it. */
   forward() {
     const { cursor, stage } = this;
-    const flies = stage.goesOn && (cursor === this.newest() || cursor === this.end());
-    this.seek(flies ? this.newest() : cursor + 1);
-    if (flies) stage.flyOn();
+    if (stage.goesOn && (this.following || cursor === this.end())) stage.flyOn();
+    else this.seek(cursor + 1);
   }
 
   setSpeed(speed) {
@@ -152,16 +148,14 @@ export class Stage extends Emitter {
 
   /** Whether a pilot has yet to fly. */
   get goesOn() {
-    return this.followed.some(({ rest }) => rest.length);
+    return this.followed.some(({ goesOn }) => goesOn);
   }
 
-  /** Every pilot whose flight goes on flies one step. */
+  /** Every pilot whose flight goes on flies one step, which is shown. */
   flyOn() {
-    for (const track of this.followed) {
-      if (!track.rest.length) continue;
-      track.advance();
-      this.changed(track);
-    }
+    for (const track of this.followed) track.flyOn();
+    this.tell("frames");
+    this.clock.seek(this.clock.newest());
   }
 
   show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {
@@ -184,9 +178,7 @@ export class Stage extends Emitter {
   }
 
   changed(track) {
-    if (!this.tracks.includes(track)) return;
-    this.tell("frames");
-    this.clock.follow();
+    if (this.tracks.includes(track)) this.tell("frames");
   }
 
   tell(type) {

@@ -34,23 +34,25 @@ export const unweighed = (frame) => ({ ...frame, value: null, regret: null });
 export class Track {
   /**
    * @param {Context} context @param {Answer<"EpisodeView"> & Partial<Answer<"StartedFlight">>} flown
-   * @param {boolean} live Whether it may continue. @param {number} until The step at which it waits to be flown on.
+   * @param {boolean} live Whether it may continue.
    */
-  constructor(context, { opening, frames, version = null, episode = null }, live = false, until = Infinity) {
+  constructor(context, { opening, frames, version = null, episode = null }, live = false) {
+    const { name, colour, automatic } = context.pilot(opening.pilot);
     this.opening = opening;
     this.pilot = opening.pilot;
     const { person, values_used, undo_used, parent } = opening;
     /** Who flew, and with what help. @type {Provenance} */
     this.provenance = { pilot: this.pilot, person, values_used, undo_used, parent };
-    const { name, colour, automatic } = context.pilot(this.pilot);
     this.automatic = automatic;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = `--pilot-${colour}`;
-    const all = frames.map(unweighed);
     /** The frames so far. */
-    this.frames = all.slice(0, until + 1);
-    /** The frames that a pilot of this page has yet to fly. */
-    this.rest = all.slice(until + 1);
+    this.frames = frames.map(unweighed);
+    /** The frames that a pilot of this page has yet to fly. @type {typeof this.frames} */
+    this.rest = [];
+    /** Whether the server is still computing them, and the step that the pilot then has flown. */
+    this.coming = live && automatic;
+    this.until = 0;
     /** The version of a visitor's flight, and its changes that the server has not answered. @type {string|null} */
     this.version = version;
     /** @type {string[]} */
@@ -119,14 +121,29 @@ export class Track {
     return this.last.done;
   }
 
+  /** Whether its pilot has yet to fly. */
+  get goesOn() {
+    return this.coming || this.rest.length > 0;
+  }
+
+  /** Adds the flight that the server has computed. @param {Answer<"AgentFlight">} flight */
+  fill({ frames, episode }) {
+    const newest = Math.max(this.steps, this.until);
+    this.rest = frames.map(unweighed);
+    this.frames = this.rest.splice(0, newest + 1);
+    this.stored = episode;
+    this.coming = false;
+  }
+
+  /** Flies one step, at once or when the flight is there. */
+  flyOn() {
+    if (this.rest.length) this.frames.push(this.rest.shift());
+    else if (this.coming) this.until = Math.max(this.steps, this.until) + 1;
+  }
+
   /** The frames, and those that its pilot has yet to fly. */
   get all() {
     return [...this.frames, ...this.rest];
-  }
-
-  /** Flies the next step of its pilot. */
-  advance() {
-    this.frames.push(this.rest.shift());
   }
 
   get steps() {
