@@ -100,10 +100,8 @@ def test_a_visitor_flies_on_when_a_killed_server_comes_back_and_pilots_do_not_wa
         assert [tuple(episode.record.actions) for episode in store.episodes()] == [tuple(flight.actions)]
 
 
-def test_an_idle_page_asks_for_nothing_and_a_view_that_failed_is_loaded_when_the_server_is_back(
-    beside: Beside, shared: Tabs
-) -> None:
-    page, asked = beside("/?task=hard&seed=7&pilot=greedy"), list[str]()
+def test_an_idle_page_asks_for_nothing_and_a_view_that_failed_is_loaded_when_the_server_is_back(shared: Tabs) -> None:
+    page, asked = shared.open("/?task=hard&seed=7&pilot=greedy"), list[str]()
     expect_step(page, 0, 160)
     expect(page.locator("#q-values tr.best")).not_to_have_count(0)
     page.wait_for_load_state("networkidle")
@@ -118,3 +116,4 @@ def test_an_idle_page_asks_for_nothing_and_a_view_that_failed_is_loaded_when_the
     page.unroute("**/*")
     press(page, "Try again")
     expect(page.get_by_role("heading", name="Leaderboard")).to_be_visible()
+    page.context.close()

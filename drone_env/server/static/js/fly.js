@@ -3,6 +3,7 @@ import { actionsOf } from "./actions.js";
 import { mountBoards } from "./boards.js";
 import { mountCalls } from "./calls.js";
 import { mountControls } from "./controls.js";
+import { mountCycle } from "./cycle.js";
 import { el } from "./dom.js";
 import { Race } from "./race.js";
 import { help } from "./help.js";
@@ -53,6 +54,7 @@ export function mountFly(root, context) {
   mountCredit(context);
   below("hint", mountHint, race);
   panel("strip", mountResults, race, acts);
+  mounted(side.lastElementChild, "div.results-next", mountCycle, race);
   panel("human", mountHuman, race);
   panel("controls-panel", mountControls, race, acts);
   panel("by-hand-panel", mountByHand, race, acts);
