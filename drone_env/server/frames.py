@@ -186,8 +186,10 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int] = (), first: int =
     return [int(action) for action in rollout(episode, agent.act).actions]
 
 
-def frames_json(episode: Episode, provenance: Provenance, actions: Sequence[int], network: PathQNetAgent | None) -> str:
-    """The frames of a flight, frame 0 included, as a JSON array.
+def frames_of(
+    episode: Episode, provenance: Provenance, actions: Sequence[int], network: PathQNetAgent | None
+) -> list[Frame]:
+    """The frames of a flight, frame 0 included.
 
     Args:
         episode: The episode at its start; it is flown.
@@ -203,7 +205,7 @@ def frames_json(episode: Episode, provenance: Provenance, actions: Sequence[int]
     for action in actions:
         episode.step(action)
         frames.append(frame())
-    return to_json(frames).decode()
+    return frames
 
 
 def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) -> tuple[list[int], str]:
@@ -211,4 +213,4 @@ def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) ->
     first = 0 if provenance.parent is None else provenance.parent.step
     actions = plan(start.copy(), provenance.pilot, actions, first)
     network = job_context().networks.shown_network(provenance.pilot, start.task)
-    return actions, frames_json(start, provenance, actions, network)
+    return actions, to_json(frames_of(start, provenance, actions, network)).decode()

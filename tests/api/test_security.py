@@ -52,7 +52,8 @@ class TestBodies:
             if "requestBody" in operation.get("post", {})
         }
         assert {path for path, most in limits.items() if most > SMALL} == {
-            *("/predict", "/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file")
+            *("/predict", "/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file"),
+            *("/flights", "/flights/agent"),
         }
         for path, most in limits.items():
             refused = client.post(path, content=b"{}".ljust(most + 1), headers=JSON)

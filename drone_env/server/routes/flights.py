@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Body, Request, Response
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
-from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
@@ -25,7 +24,7 @@ from drone_env.flights.record import fly_directions, record_of
 from drone_env.flights.sessions import Session
 from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
-from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_json, shows_values
+from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, shows_values
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.pilots import check_name
 from drone_env.server.routes.flight import CallerDep
@@ -131,11 +130,10 @@ class ChangedFlight(StrictModel):
     episode: str | None = Field(description="Id of the stored flight; null before the end.")
 
 
-@router.post("/flights", response_model=StartedFlights, responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
-def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> Response:
+@router.post("/flights", responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
+def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> StartedFlights:
     """Start to fly one map with several pilots. A person's flight is a session; `/flights/agent` flies an agent's."""
-    views = _open(app_state, caller_address(request), options)
-    return Response(f'{{"flights":[{",".join(views)}]}}', media_type="application/json")
+    return StartedFlights(flights=_open(app_state, caller_address(request), options))
 
 
 @router.post(
@@ -239,10 +237,10 @@ def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Pr
     return start, flying
 
 
-def _open(app_state: AppState, caller: str, options: Start) -> list[str]:
-    """Open sessions for the flights of people, or none; the JSON of all flights."""
+def _open(app_state: AppState, caller: str, options: Start) -> list[StartedFlight]:
+    """Begin all flights; sessions for those of people, or none if one fails."""
     start, flying = _choose(options, app_state)
-    opened, views = list[str](), list[str]()
+    opened, begun = list[str](), list[StartedFlight]()
     try:
         for provenance, actions in flying:
             episode, session, version, stored = start.copy().fly(actions), None, None, None
@@ -253,34 +251,28 @@ def _open(app_state: AppState, caller: str, options: Start) -> list[str]:
                 version = _version(flight_id, 0)
                 session = app_state.sessions.open(episode, provenance, owner=caller, keep=opened, flight_id=flight_id)
                 opened.append(session)
-            header = FlightHeader.at_start(start, provenance, session).model_dump_json()
+            opening = FlightHeader.at_start(start, provenance, session)
             network = app_state.networks.shown_network(provenance.pilot, start.task)
-            frames = frames_json(start.copy(), provenance, actions, network)
-            rest = to_json({"version": version, "episode": stored}).decode()[1:]
-            views.append(f'{{"opening":{header},"frames":{frames},{rest}')
+            frames = frames_of(start.copy(), provenance, actions, network)
+            begun.append(StartedFlight(opening=opening, frames=frames, version=version, episode=stored))
     except BaseException:
         for session in opened:
             with suppress(NoSessionError):
                 app_state.sessions.end(session)
         raise
-    return views
+    return begun
 
 
 def _store(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:
-    """Store a finished flight once, and return its id and who flew it: a link knows not all of its help."""
-    flight_id, provenance = _flown_before(app_state, episode, provenance)
-    return app_state.store.add_episode(episode, provenance, flight_id), provenance
-
-
-def _flown_before(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:
-    """The id of a finished flight, which may be stored already, and who flew it."""
+    """Store a finished flight unless it is stored; its id and who flew it, because a link knows not all of its help."""
     kept = _without_help(provenance)
     stored = app_state.store.flown_before(episode)
     for flight_id, by in sorted(stored, key=lambda flown: flown[1] != provenance):
         if _without_help(by) == kept:
             return flight_id, by
     # Two pages that open the link at once store it once.
-    return sha256(record_of(episode, provenance).to_json().encode()).hexdigest()[:16], provenance
+    flight_id = sha256(record_of(episode, provenance).to_json().encode()).hexdigest()[:16]
+    return app_state.store.add_episode(episode, provenance, flight_id), provenance
 
 
 def _without_help(provenance: Provenance) -> Provenance:

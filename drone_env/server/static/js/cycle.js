@@ -1,5 +1,5 @@
 // After a flight over a standard task, the next task starts by itself unless the visitor stays.
-import { recall, remember } from "./base.js";
+import { nextFrame, recall, remember } from "./base.js";
 import { announce, el, leaveFocus, setText } from "./dom.js";
 import { title } from "./format.js";
 
@@ -64,10 +64,13 @@ export function mountCycle(root, context, race) {
     setText(button, isOn() ? "Stay" : "Go on by itself");
   }
 
-  race.on("ended", () => {
+  function begin() {
     if (!isOver() || !isOn()) return;
     count(SECONDS);
     announce(`${title(next().short_name)} starts in ${SECONDS} seconds.`);
-  });
+  }
+
+  // The clock stops after the last step.
+  race.on("ended", () => nextFrame(begin));
   stage.on("change", draw);
 }
