@@ -44,9 +44,11 @@ def test_sessions_end_with_their_page(beside: Beside, shared: Tabs, server: Serv
     expect_step(tab, 2, 160)
     server.client.delete("/session", headers={"X-Session-Id": sessions[1]}).raise_for_status()
     # No key is lost, however fast they come.
-    keys(tab, *[" "] * 5)
+    keys(tab, *[" "] * 5, "u", "u")
     expect(tab.locator("#toasts")).to_contain_text("It starts again")
-    expect_step(tab, 7, 160)
+    expect_step(tab, 5, 160)
+    expect(tab.get_by_role("button", name="Undo", exact=True)).to_be_enabled()
+    expect(tab).to_have_url(re.compile("of=human~~u&actions=WWWWW"))
     expect_open(False, False, True)
     tab.evaluate("window.dispatchEvent(new PageTransitionEvent('pagehide', { persisted: false }))")
     expect_open(False, False, False)

@@ -233,18 +233,18 @@ export class Race extends Emitter {
     this.start(change, { play, beside, flown: idsOf(along), moves: action ? [action] : [] });
   }
 
-  /** Flies one move of the visitor; paused pilots take one step each. */
-  fly(direction) {
+  /** Flies one move of the visitor, or takes one back; paused pilots take one step each. */
+  fly(move) {
     if (!this.byHand) return;
-    if (this.starting) this.moves.push(direction);
+    if (this.starting) this.moves.push(move);
     else {
       this.stage.clock.seek(this.stage.clock.newest());
-      this.change(direction);
+      this.change(move);
     }
   }
 
   undo() {
-    if (this.begun) this.change("UNDO");
+    this.fly("UNDO");
   }
 
   /** Shows values to a visitor who flies; the record notes it. */

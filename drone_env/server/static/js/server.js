@@ -58,14 +58,13 @@ export class Server extends Emitter {
 
   /** The answer of a request, which is repeated when the server is back. @template T @param {() => Promise<T>} ask @returns {Promise<T>} */
   async insist(ask) {
-    for (;;) {
-      try {
-        return await ask();
-      } catch (error) {
-        if (!(error instanceof ApiError && error.status === 0)) throw error;
-      }
-      await this.back();
+    try {
+      return await ask();
+    } catch (error) {
+      if (!(error instanceof ApiError && error.status === 0)) throw error;
     }
+    await this.back();
+    return this.insist(ask);
   }
 
   /** Asks for the news of these topics only, until the next call: "requests", "training", "episodes". */

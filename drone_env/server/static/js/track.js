@@ -133,6 +133,7 @@ export class Track {
     this.frames = this.rest.splice(0, newest + 1);
     this.stored = episode;
     this.coming = false;
+    this.brought = this.done;
   }
 
   /** Flies one step, at once or when the flight is there. */
