@@ -48,7 +48,8 @@ export function createApi() {
     const response = await fetch(address(path), /** @type {RequestInit} */ (how)).catch(() => null);
     // Proxies answer 502 and 504 for a server that is away.
     if (!response || AWAY.includes(response.status)) {
-      if (!options.signal?.aborted) api.heard(false);
+      if (options.signal?.aborted) throw new ApiError(0, "aborted", "This is no longer needed.");
+      api.heard(false);
       throw new ApiError(0, "away", "The server cannot be reached.");
     }
     api.heard(true);
@@ -76,8 +77,8 @@ export function createApi() {
     /** Called after each request with whether the server has answered. @type {(answers: boolean) => void} */
     heard() {},
     get: (path, query = {}) => call("GET", path + search(query)),
-    /** @param {string} [session] The session that the request changes. */
-    post: (path, data, session) => call("POST", path, { data, session }),
+    /** @param {Given} [given] Also `session`, the session that it changes. */
+    post: (path, data, given) => call("POST", path, { data, ...given }),
     /** Ends a session, also while the page closes. */
     end: (session) => request("DELETE", "session", { session, keepalive: true }).catch(() => {}),
     /** Tells the data of server-sent events, several at once, until they end. @throws {ApiError} */

@@ -202,9 +202,12 @@ export class Race extends Emitter {
     if (this.starting) Object.assign(this, this.left, { starting: null });
   }
 
-  /** Ends the sessions of flights. @param {Pick<Track, "opening">[]} flights */
-  leave(flights) {
-    for (const { opening } of flights) if (opening.session) this.context.api.end(opening.session);
+  /** Ends the sessions of flights, and the requests for them. @param {Track[]} tracks */
+  leave(tracks) {
+    for (const { opening, loading } of tracks) {
+      loading.abort();
+      if (opening.session) this.context.api.end(opening.session);
+    }
   }
 
   /** Forks a flight at a step: `pilot` flies on beside it, starting with `action`. */
@@ -268,7 +271,8 @@ export class Race extends Emitter {
     const { api, server } = this.context;
     const { clock } = this.stage;
     try {
-      const ask = () => api.post("flights/change", { version: track.version, change }, track.opening.session);
+      const { session } = track.opening;
+      const ask = () => api.post("flights/change", { version: track.version, change }, { session });
       const { frame, version, values_used, undo_used, episode } = await server.insist(ask);
       if (!this.tracks.includes(track)) return;
       if (change === "UNDO" && track.plain) toast(UNLISTED);
@@ -319,13 +323,20 @@ export class Race extends Emitter {
     const { task, seed, reward_profile } = track.opening;
     const request = { task, seed, reward_profile, by: track.provenance, actions: track.actionsTo(track.steps) };
     const { api, server } = this.context;
-    const answer = await server.insist(() => api.post("flights/agent", request));
+    const answer = await server.insist(() => api.post("flights/agent", request, { signal: track.loading.signal }));
     const { following } = this.stage.clock;
     track.fill(answer);
     if (!this.tracks.includes(track)) return;
     this.stage.changed(track);
     if (this.shown && following) this.stage.clock.seek(this.stage.clock.newest());
     this.weigh(track);
+  }
+
+  unloaded(track, error) {
+    if (!this.tracks.includes(track)) return;
+    track.coming = false;
+    this.stage.changed(track);
+    this.emit("refused", worded(error));
   }
 
   begin(tracks, play) {
@@ -344,11 +355,7 @@ export class Race extends Emitter {
     this.noteEnds();
     for (const track of tracks) {
       if (!track.coming) this.weigh(track);
-      else
-        this.load(track).catch((error) => {
-          track.coming = false;
-          this.emit("refused", worded(error));
-        });
+      else this.load(track).catch((error) => this.unloaded(track, error));
     }
     // A fork always shows values.
     if (fork !== null) this.help();
@@ -369,26 +376,29 @@ export class Race extends Emitter {
 
   /** Loads the best score still possible at each step, unless it is hidden; too large maps do without. */
   async weigh(track) {
-    const lacks = () => !track.secret && !track.done && this.tracks.includes(track) && track.all.some(({ value }) => value === null);
+    const isLive = () => this.tracks.includes(track) && !track.done && !track.secret;
+    const lacks = () => isLive() && track.all.some(({ value }) => value === null);
     if (track.weighing) return;
     track.weighing = true;
     while (lacks()) {
       const { all: frames, opening } = track;
       const actions = frames.slice(1).map(({ action }) => action);
       const flight = { task: opening.task, seed: opening.seed, actions, only: "along" };
-      const answer = await tried(() => this.context.api.post("values", flight));
+      const { api, server } = this.context;
+      const answer = await tried(() => server.insist(() => api.post("values", flight)));
       if (!answer?.along) return;
-      frames.forEach((frame, i) => Object.assign(frame, { value: answer.along[i], regret: answer.along[0] - answer.along[i] }));
+      const [optimum] = answer.along;
+      answer.along.forEach((value, i) => Object.assign(frames[i], { value, regret: optimum - value }));
       this.stage.changed(track);
     }
     track.weighing = false;
   }
 
   noteEnds() {
-    for (const track of this.tracks) if (track.live && track.done) this.noteEnd(track);
+    for (const track of this.tracks) if (track.live && track.done) this.ended(track);
   }
 
-  noteEnd(track) {
+  ended(track) {
     const id = track.stored;
     track.episode = { id };
     track.live = false;

@@ -61,7 +61,7 @@ export class Server extends Emitter {
     try {
       return await ask();
     } catch (error) {
-      if (!(error instanceof ApiError && error.status === 0)) throw error;
+      if (!(error instanceof ApiError && error.code === "away")) throw error;
     }
     await this.back();
     return this.insist(ask);

@@ -53,6 +53,7 @@ export class Track {
     /** Whether the server is still computing them, and the step that the pilot then has flown. */
     this.coming = live && automatic;
     this.until = 0;
+    this.loading = new AbortController();
     /** The version of a visitor's flight, and its changes that the server has not answered. @type {string|null} */
     this.version = version;
     /** @type {string[]} */
