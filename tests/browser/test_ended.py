@@ -163,7 +163,7 @@ def test_the_next_standard_task_starts_by_itself_unless_the_visitor_stays(shared
     expect(counts).to_have_text("Go on by itself")
     press(page, "Go on by itself")
     expect(task(page, "Hard")).to_be_checked()
-    expect_flying(page, "Random", "Optimal")
+    expect_flying(page, "Optimal", "Random")
     expect(page.locator("#step-counter")).to_contain_text(re.compile("Step [1-9]"))
     expect(page.get_by_role("button", name="Pause", exact=True)).to_be_visible()
     over(page, 14, "/?task=easy&seed=14&pilot=human")

@@ -8,6 +8,8 @@ export const worldOf = (opening, tasks) => ({ ...opening, task: tasks.find(({ id
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
 /** If the picture is more steps behind, it jumps instead of gliding. */
 const LEAP = 4;
+/** Milliseconds between two looks for a flight that the server still computes. */
+const LOOK = 50;
 
 /** `cursor` is the step that is shown; `position` follows it smoothly and is what is drawn between two steps. */
 export class Clock {
@@ -52,19 +54,21 @@ export class Clock {
   /** Plays: the pilots fly on; flights that have ended are replayed, at their end from the start. */
   play() {
     if (this.playing || !(this.end() || this.stage.goesOn)) return;
-    if (this.cursor === this.end() && !this.stage.goesOn) this.seek(0);
+    const again = this.cursor === this.end() && !this.stage.goesOn;
+    if (again) this.seek(0);
     this.playing = true;
-    this.tick();
+    this.tick(again ? 1000 / this.speed : 0);
     this.moved();
   }
 
-  tick() {
+  tick(wait = 1000 / this.speed) {
     this.timer = setTimeout(() => {
       // The pilots wait for each other.
-      if (!this.stage.followed.some(({ coming }) => coming)) this.forward();
-      if (this.stage.goesOn || this.cursor < this.end()) this.tick();
+      const waits = this.stage.followed.some(({ coming }) => coming);
+      if (!waits) this.forward();
+      if (this.stage.goesOn || this.cursor < this.end()) this.tick(waits ? LOOK : undefined);
       else this.stop();
-    }, 1000 / this.speed);
+    }, wait);
   }
 
   /** Goes to the next step; after the newest one, the pilots fly it. */
