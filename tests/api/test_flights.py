@@ -127,7 +127,7 @@ def forking(pilot: str, **fork: Any) -> Any:
 )
 def test_what_cannot_be_started_is_told_and_opens_nothing(shared_client: TestClient, body: Any, told: str) -> None:
     sessions = shared_client.app.state.shared.sessions  # type: ignore[attr-defined]
-    opened = sessions.count()
+    opened: int = sessions.count()
     answer = shared_client.post("/flights", json={"task": "easy", "seed": 7, **body}).json()
     assert told in f"{answer['code']}: {answer['detail']}"
     assert sessions.count() == opened
