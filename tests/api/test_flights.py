@@ -9,6 +9,7 @@ from starlette.testclient import TestClient
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
+from drone_env.flights.sessions import Sessions
 from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.routes.flights import MOST_FLIGHTS
@@ -126,8 +127,8 @@ def forking(pilot: str, **fork: Any) -> Any:
     ],
 )
 def test_what_cannot_be_started_is_told_and_opens_nothing(shared_client: TestClient, body: Any, told: str) -> None:
-    sessions = shared_client.app.state.shared.sessions  # type: ignore[attr-defined]
-    opened: int = sessions.count()
+    sessions: Sessions = shared_client.app.state.shared.sessions  # type: ignore[attr-defined]
+    opened = sessions.count()
     answer = shared_client.post("/flights", json={"task": "easy", "seed": 7, **body}).json()
     assert told in f"{answer['code']}: {answer['detail']}"
     assert sessions.count() == opened
