@@ -7,7 +7,6 @@ SETTINGS = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_T
 KNOBS = (
     "DRONE_ENV_CACHE",  # where compiled code is kept: a run of the tests may share it with others
     "DRONE_ENV_EXAMPLES",
-    "DRONE_ENV_FRAMES",
     "DRONE_ENV_LLM_ROUTES",
     "DRONE_ENV_PARITY_STEPS",
     "DRONE_ENV_PROMPT_MAPS",

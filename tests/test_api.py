@@ -104,6 +104,8 @@ BODIES: dict[str, Any] = {
     "/step": {"direction": "LEFT"},
     "/replay": RECORD.model_dump(),
     "/values": {"task": "easy", "seed": 7, "actions": ["UP"]},
+    "/flights": {"task": "easy", "seed": 7, "pilots": ["greedy"]},
+    "/flights/agent": {"task": "easy", "seed": 7, "by": {"pilot": "greedy"}},
     "/maps/file": {"toml": CITY},
     "/maps/worth": DRAWN,
     "/maps": DRAWN,
@@ -127,11 +129,14 @@ def test_every_endpoint_there_is_answers(http: TestClient) -> None:
     assert http.post("/predict").status_code == 200
     fly(http, *BEST)
     episode = get(http, "/episodes")["episodes"][0]["id"]
-    bodies = BODIES | {"/annotate": get(http, f"/episodes/{episode}")}
+    page = http.post("/flights", json={"task": "easy", "seed": 7, "pilots": ["human"]}).json()["flights"][0]
+    change = {"version": page["version"], "change": "UP"}
+    bodies = BODIES | {"/annotate": get(http, f"/episodes/{episode}"), "/flights/change": change}
     ends = {("delete", "/mcp"), ("delete", "/session")}
     for method, path in sorted(routes - ends - {("post", "/predict"), ("post", "/reset")}):
         filled = path.format(task_name="easy", seed=7, episode_id=episode)
-        answer = http.request(method, filled, json=bodies.get(path), params=QUERIES.get(path))
+        headers = {"X-Session-Id": page["opening"]["session"]} if path == "/flights/change" else None
+        answer = http.request(method, filled, json=bodies.get(path), params=QUERIES.get(path), headers=headers)
         assert answer.status_code == 200, (method, path, answer.text)
     assert http.delete("/session").status_code == 204
     begun = http.post("/mcp", json={"jsonrpc": "2.0", "id": 1, "method": "initialize"}).headers

@@ -9,7 +9,7 @@ import sqlite3
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import SupportsIndex, TypeVar
@@ -111,7 +111,7 @@ class Session:
         self.unstored, self.has_ended, self.changed = "", False, False
 
     def fly(self, action: SupportsIndex, after: int | None = None) -> float:
-        """Fly one action: the one step of HTTP, OpenEnv and the live page. After the end nothing changes.
+        """Fly one action: the one step of HTTP, OpenEnv and the page. After the end nothing changes.
 
         Args:
             action: The action.
@@ -376,19 +376,14 @@ class Sessions:
         with self._database.writing() as connection:
             connection.execute(END, (session_id,))
 
-    def touch(self, session_ids: Iterable[str] | None = None) -> None:
-        """Count sessions as used now, by default all; this does not bring back sessions that are gone.
+    def touch(self) -> None:
+        """Count all sessions as used now.
 
         Raises:
             StoreError: if it could not be written.
         """
-        now = self._clock()
         with self._database.writing() as connection:
-            if session_ids is None:
-                connection.execute("UPDATE sessions SET touched_at = ?", (now,))
-            else:
-                rows = [(now, id_) for id_ in session_ids]
-                connection.executemany("UPDATE sessions SET touched_at = ? WHERE id = ?", rows)
+            connection.execute("UPDATE sessions SET touched_at = ?", (self._clock(),))
 
     def expire(self) -> int:
         """End the idle sessions and return their number.

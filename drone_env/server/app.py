@@ -26,7 +26,6 @@ with needs("server", __name__):
 
 from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.exceptions import error_responses, install
-from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.process import end_with_parent, run
@@ -35,6 +34,7 @@ from drone_env.server.routes import (
     catalogue,
     compare,
     flight,
+    flights,
     history,
     maps,
     openenv,
@@ -77,13 +77,12 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     for file in settings.reward_profiles:
         register_reward_file(file)
     app_state = AppState(settings, clock)
-    live = LiveSocket(app_state)
     socket = OpenEnvSocket(app_state, clock or time.monotonic)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
         await asyncio.gather(run_in_threadpool(app_state.open), run_in_threadpool(_describe, app))
-        sweeper = asyncio.create_task(_sweep(app_state, socket, live))
+        sweeper = asyncio.create_task(_sweep(app_state, socket))
         try:
             yield
         finally:
@@ -106,16 +105,28 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     )
     app.state.shared = app_state
     app.state.socket = socket
-    app.state.live = live
     install(app)
     app.add_exception_handler(404, page.not_found)
     app.add_middleware(flight.Steps, app_state=app_state)
     app.add_middleware(Security, settings=settings, log=app_state.requests)
-    for routes in (flight, predict, catalogue, history, compare, runs, replay, annotate, values, maps, page, openenv):
+    for routes in (
+        flight,
+        flights,
+        predict,
+        catalogue,
+        history,
+        compare,
+        runs,
+        replay,
+        annotate,
+        values,
+        maps,
+        page,
+        openenv,
+    ):
         app.include_router(routes.router)
     for path in ("/ws", "/mcp"):
         app.router.routes.append(WebSocketRoute(path, socket))
-    app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app)
     return app
 
@@ -138,14 +149,13 @@ def _describe(app: FastAPI) -> None:
         SCHEMA.append(to_json(app.openapi()))
 
 
-async def _sweep(app_state: AppState, socket: OpenEnvSocket, live: LiveSocket) -> None:
+async def _sweep(app_state: AppState, socket: OpenEnvSocket) -> None:
     """End idle sessions and sockets periodically."""
     interval = min(SWEEP_SECONDS, app_state.settings.idle_seconds / 4)
     while True:
         await asyncio.sleep(interval)
         try:
             await socket.close_idle()
-            await run_in_threadpool(live.keep_sessions)
             await run_in_threadpool(app_state.sessions.expire)
         except DroneEnvError as error:
             log.error("cannot end idle sessions, next attempt in %g s: %s", interval, error)

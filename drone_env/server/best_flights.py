@@ -22,7 +22,7 @@ def network_flight(task: TaskConfig, seed: int) -> tuple[str, Score] | tuple[Non
     pilot, episode = planner_of(task), Episode(task, seed=seed)
     with suppress(CheckpointError, TooLargeError):
         if pilot is not None:
-            plan(episode, pilot, (), 0)
+            plan(episode, pilot)
             return pilot, episode.score
     return None, None
 

@@ -1,4 +1,4 @@
-"""An episode as the page shows it: a header, then one frame per step. The jobs of the live page, for workers."""
+"""An episode as the page shows it: a header, then one frame per step. The jobs of the page's flights, for workers."""
 
 from collections.abc import Sequence
 from typing import cast
@@ -12,7 +12,6 @@ from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
 from drone_env.errors import EpisodeError
 from drone_env.flights.provenance import HUMAN, Provenance
-from drone_env.flights.record import fly_directions
 from drone_env.models import (
     DIRECTIONS,
     NAMES,
@@ -110,8 +109,6 @@ class Frame(StrictModel):
         description="The network's value of each action, from the pilot's own network or else that of `/predict`. "
         "Null without a network, at the end, and for a person who has not turned values on."
     )
-    value: Score | None = Field(default=None, description="The best score still possible; null if not shown.")
-    regret: float | None = Field(default=None, ge=0, description="Optimum of the map - value.")
 
 
 class EpisodeView(StrictModel):
@@ -121,20 +118,8 @@ class EpisodeView(StrictModel):
     frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step.")
 
 
-def frame_of(
-    episode: Episode,
-    network: PathQNetAgent | None = None,
-    value: float | None = None,
-    optimum: float | None = None,
-) -> Frame:
-    """The frame of an episode in its current state.
-
-    Args:
-        episode: The episode.
-        network: The network that values each action, None for none.
-        value: The best score still possible, None if it is unknown or hidden.
-        optimum: The optimum of the map; required if `value` is given.
-    """
+def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
+    """The frame of an episode in its current state, with the values of a network unless that is None."""
     x, y = episode.position
     last = episode.last_step
     q_values = None if network is None or episode.ended else network.q_values(episode.observation()).tolist()
@@ -163,8 +148,6 @@ def frame_of(
         done=episode.ended,
         outcome=cast(OutcomeName, episode.outcome.name.lower()),
         q_values=None if q_values is None else dict(zip(DIRECTIONS, q_values, strict=True)),
-        value=value,
-        regret=None if value is None or optimum is None else optimum - value,
     )
 
 
@@ -173,7 +156,7 @@ def shows_values(provenance: Provenance, episode: Episode) -> bool:
     return provenance.pilot != HUMAN or provenance.values_used or episode.ended
 
 
-def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check: bool = False) -> list[int]:
+def plan(episode: Episode, pilot: str, actions: Sequence[int] = (), first: int = 0) -> list[int]:
     """All actions of an agent's flight to its end.
 
     Args:
@@ -182,10 +165,9 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check
         actions: The actions flown so far.
         first: The number of actions that another pilot flew. The agent acts at every later step, so that its internal
             state is the same as in flight.
-        check: Whether to raise an error if an action after `first` is not the agent's.
 
     Raises:
-        EpisodeError: if `check` finds such an action.
+        EpisodeError: if an action after `first` is not the agent's.
         UnsupportedTaskError: if there is no network for the task.
         CheckpointError: if the network file cannot be used.
         TooLargeError: if the map is too large for the pilot.
@@ -196,7 +178,7 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check
     for step, action in enumerate(actions, 1):
         if step > first:
             chosen = int(agent.act(episode.observation()))
-            if check and chosen != action:
+            if chosen != action:
                 raise EpisodeError(
                     f"step {step} of the fork is not an action of {pilot}: it flies {Action(chosen).name} there"
                 )
@@ -204,67 +186,31 @@ def plan(episode: Episode, pilot: str, actions: Sequence[int], first: int, check
     return [int(action) for action in rollout(episode, agent.act).actions]
 
 
-def values_along(episode: Episode, actions: Sequence[int]) -> list[float]:
-    """The best score still possible at each frame of a flight.
-
-    Args:
-        episode: The episode at its start; it is flown.
-        actions: The actions of the flight.
-
-    Raises:
-        TooLargeError: if the map is too large to be solved.
-    """
-    solver = job_context().solver_of(episode.task, episode.seed)
-    values = [solver.value(episode)]
-    for action in actions:
-        episode.step(action)
-        values.append(solver.value(episode))
-    return values
-
-
-def frames_json(episode: Episode, provenance: Provenance, directions: Sequence[Direction]) -> str:
-    """The frames of a flight, frame 0 included, as a JSON array.
+def frames_of(
+    episode: Episode, provenance: Provenance, actions: Sequence[int], network: PathQNetAgent | None
+) -> list[Frame]:
+    """The frames of a flight, frame 0 included.
 
     Args:
         episode: The episode at its start; it is flown.
         provenance: Who flew it.
-        directions: The actions of the flight.
-
-    Raises:
-        InvalidValueError: if there are actions after the end.
+        actions: The actions of the flight.
+        network: The network that values each action where values are shown.
     """
-    network = job_context().networks.shown_network(provenance.pilot, episode.task)
 
     def frame() -> Frame:
         return frame_of(episode, network if shows_values(provenance, episode) else None)
 
-    return to_json([frame(), *(frame() for _ in fly_directions(episode, directions))]).decode()
+    frames = [frame()]
+    for action in actions:
+        episode.step(action)
+        frames.append(frame())
+    return frames
 
 
-Beginning = tuple[list[int], str, list[int] | None]
-"""The first actions of a flight, their frames as a JSON array, and all actions of its pilot; None for a person."""
-
-
-def begin(episode: Episode, provenance: Provenance, forked: list[Direction] | None, steps: int) -> Beginning:
-    """The beginning of a flight: the actions of a fork, or else the first steps of its pilot.
-
-    Args:
-        episode: The episode at its start.
-        provenance: Who flies it.
-        forked: The actions of a fork.
-        steps: The number of first steps, unless `forked` is given.
-
-    Raises:
-        InvalidValueError: if there are actions after the end.
-        DroneEnvError: as `plan`.
-    """
-    if forked is None:
-        planned = plan(episode.copy(), provenance.pilot, (), 0)
-        actions = planned[:steps]
-        return actions, frames_json(episode, provenance, [DIRECTIONS[action] for action in actions]), planned
-    actions = [int(Action[direction]) for direction in forked]
-    frames = frames_json(episode.copy(), provenance, forked)  # raises if there are actions after the end
-    if provenance.pilot == HUMAN:
-        return actions, frames, None
+def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) -> tuple[list[int], str]:
+    """All actions of an agent's flight, and its frames as a JSON array. Arguments and errors as `plan`."""
     first = 0 if provenance.parent is None else provenance.parent.step
-    return actions, frames, plan(episode, provenance.pilot, actions, first, check=True)
+    actions = plan(start.copy(), provenance.pilot, actions, first)
+    network = job_context().networks.shown_network(provenance.pilot, start.task)
+    return actions, to_json(frames_of(start, provenance, actions, network)).decode()

@@ -1,7 +1,5 @@
 """The middleware around every request: its host, origin and token, its headers, its line in the log."""
 
-import base64
-import binascii
 import hmac
 import re
 import time
@@ -22,9 +20,8 @@ WITHOUT_HINTS = re.compile(
     r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
     rf"|(grade|tasks|{ENV_NAME})/?.*|ws)"
 )
-"""The paths of a server that withholds hints. All others, such as `/values` and `/live`, may show a better flight."""
+"""The paths of a server that withholds hints. All others, such as `/values`, may show a better flight."""
 POLICY_VIOLATION = 1008
-OFFER = "bearer."
 
 
 class Security:
@@ -49,7 +46,6 @@ class Security:
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
         framing = " ".join(settings.frame_ancestors) or "'none'"
         policy = (
-            # 'self' includes WebSockets of the same origin since Chrome 71, Firefox 63 and Safari 16.
             f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
             "img-src 'self' data: blob:"
         )
@@ -105,11 +101,11 @@ class Security:
             raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
         if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
             raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
-        if self.expected is not None and scope["path"] not in OPEN_PATHS and not is_file(scope["path"]):
-            given = _sent_token(scope) or _offered_token(scope)
-            if not hmac.compare_digest(given, self.expected):
-                detail = "this server requires a token: send Authorization: Bearer TOKEN"
-                raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
+        if self.expected is None or scope["path"] in OPEN_PATHS or is_file(scope["path"]):
+            return
+        if not hmac.compare_digest(_sent_token(scope), self.expected):
+            detail = "this server requires a token: send Authorization: Bearer TOKEN"
+            raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
 
     def _answers(self, host: str, scope: Scope) -> bool:
         if host in self.hosts:
@@ -128,15 +124,3 @@ def _sent_token(scope: Scope) -> bytes:
     """Return the token of `Authorization: Bearer TOKEN`. The scheme is case-insensitive (RFC 9110, 11.1)."""
     scheme, _, token = dict(scope["headers"]).get(b"authorization", b"").partition(b" ")
     return token.strip() if scheme.lower() == b"bearer" else b""
-
-
-def _offered_token(scope: Scope) -> bytes:
-    """Return the token of the subprotocol `bearer.` + URL-safe base64: browsers cannot send WebSocket headers."""
-    for protocol in scope.get("subprotocols", []):
-        if protocol.startswith(OFFER):
-            text = protocol.removeprefix(OFFER)
-            try:
-                return base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
-            except binascii.Error:
-                return b""
-    return b""

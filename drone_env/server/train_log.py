@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 
 from drone_env.errors import InvalidValueError, StoreError
-from drone_env.files import file_identity, open_file
+from drone_env.files import open_file
 
 FILE_NAME = "train.log"
 TAIL_BYTES = 256 * 1024
@@ -22,12 +22,6 @@ class TrainLog:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FILE_NAME
-        self._identity: object = False
-
-    def has_changed(self) -> bool:
-        """Return whether the file has changed since the last call; true for the first call."""
-        before, self._identity = self._identity, file_identity(self.path)
-        return self._identity != before
 
     def tail(self, lines: int) -> list[str]:
         """Return the last lines, oldest first, from at most 256 KiB. Empty without a file."""

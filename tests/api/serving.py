@@ -1,6 +1,5 @@
 """A server process, started as users start it."""
 
-import json
 import os
 import signal
 import subprocess
@@ -10,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
-import websockets.sync.client
 
 from tests.tools import PATIENCE, ROOT, eventually, reserved_port
 
@@ -54,10 +52,8 @@ class Server:
 
     def assert_well(self) -> None:
         """A page can fly, the health is good, and nothing has failed."""
-        with websockets.sync.client.connect(self.url.replace("http", "ws") + "/live", open_timeout=PATIENCE) as page:
-            page.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
-            while json.loads(page.recv(timeout=PATIENCE))["type"] != "flights":
-                pass
+        start = {"task": "easy", "seed": 7, "by": {"pilot": "greedy"}}
+        self.client.post("/flights/agent", json=start).raise_for_status()
         assert self.client.get("/health").status_code == 200
         assert "Traceback" not in self.log.read_text()
 

@@ -15,7 +15,7 @@ from drone_env.city.city_file import City, city_task, city_text, read_city, writ
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
-from tests.api.live_page import open_page
+from tests.api.flying import start
 
 YARD: dict[str, Any] = {
     "cells": [[0, 1, 0, 0], [0, 3, 0, 8], [0, 0, 2, 0]],
@@ -89,10 +89,8 @@ def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient
     assert answer(client, "/maps", YARD) == kept
     files = list((settings["data"] / "maps").iterdir())
     assert [(file.name, file.read_text(encoding="utf-8")) for file in files] == [(f"{task}.toml", told["toml"])]
-    with open_page(client) as page:
-        page.start("optimal", task=task, seed=0)
-        page.send("play", speed=60)
-        assert page.flight()[0][-1]["score"] == told["optimum"]["score"]
+    (shown,) = start(client, "optimal", task=task, seed=0)
+    assert shown["frames"][-1]["score"] == told["optimum"]["score"]
     with TestClient(create_app(Settings(**settings))) as again:
         [flown] = again.get("/episodes").json()["episodes"]
         assert (flown["task"], flown["score"]) == (task, told["optimum"]["score"])

@@ -9,7 +9,7 @@ from drone_env.planning.optimal import solve
 from drone_env.server import page_files
 from drone_env.server.daily import today
 from drone_env.server.page_files import PAGE
-from tests.api.live_page import flown
+from tests.api.flying import flown
 
 
 def test_a_link_to_it_shows_a_picture(shared_client: TestClient) -> None:

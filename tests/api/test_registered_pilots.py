@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from drone_env.agents import AGENTS, GreedyAgent
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.server.pilots import all_pilots
-from tests.api.live_page import open_page
+from tests.api.flying import start
 
 
 @pytest.fixture
@@ -30,14 +30,10 @@ def test_a_registered_agent_flies_on_the_page(client: TestClient) -> None:
         "automatic": True,
         "tasks": [task.id for task in TASKS.values() if not task.pads],
     }
-    with open_page(client) as page:
-        page.start("homebrew", "greedy")
-        page.send("play", speed=60)
-        frames = page.flight()
-        mine, greedy = ([frame["action"] for frame in frames[flight]] for flight in (0, 1))
-        assert mine == greedy
-        page.send("start", task="skyline_easy", seed=7, pilots=["homebrew"])
-        assert "it does not know pads" in page.socket.receive_text()
+    mine, greedy = ([frame["action"] for frame in shown["frames"]] for shown in start(client, "homebrew", "greedy"))
+    assert mine == greedy
+    refused = client.post("/flights", json={"task": "skyline_easy", "pilots": ["homebrew"]})
+    assert "it does not know pads" in refused.json()["detail"]
 
 
 @pytest.mark.usefixtures("homebrew")

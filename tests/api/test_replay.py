@@ -15,7 +15,7 @@ from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.flights.store import Store
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.results.analysis import analyse_flight
-from tests.api.live_page import flown
+from tests.api.flying import flown
 
 JSON = {"Content-Type": "application/json"}
 
@@ -178,11 +178,9 @@ def test_flights_of_a_task_that_is_gone_with_its_plugin_are_listed_without_their
         for task in ("easy", "gone"):
             store.add_episode(record(task))
     optima = [("gone", None, None), ("easy_delivery", solve("easy", 7).score, 0)]
-    with client.websocket_connect("/live") as socket:
-        socket.send_json({"type": "subscribe", "topics": ["episodes"]})
-        for listed in (client.get("/episodes").json(), client.get("/memory_logs").json(), socket.receive_json()):
-            rows = [(row["task"], row["optimal_score"], row["regret"]) for row in listed["episodes"]]
-            assert rows == optima
+    for path in ("/episodes", "/memory_logs"):
+        listed = client.get(path).json()["episodes"]
+        assert [(row["task"], row["optimal_score"], row["regret"]) for row in listed] == optima
 
 
 def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> None:

@@ -52,7 +52,8 @@ class TestBodies:
             if "requestBody" in operation.get("post", {})
         }
         assert {path for path, most in limits.items() if most > SMALL} == {
-            *("/predict", "/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file")
+            *("/predict", "/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file"),
+            *("/flights", "/flights/agent"),
         }
         for path, most in limits.items():
             refused = client.post(path, content=b"{}".ljust(most + 1), headers=JSON)
@@ -167,9 +168,12 @@ class TestHosts:
 class TestToken:
     def test_all_but_the_health_and_the_page_asks_for_it(self, tmp_path: Path) -> None:
         with app_with(tmp_path, token="secret") as client:
-            assert client.get("/health").status_code == 200
+            edition = "/static/v-0123456789abcdef"
+            for path in ("/health", "/", f"{edition}/js/main.js"):
+                assert client.get(path).status_code == 200
             assert client.get("/favicon.ico").headers["content-type"] == "image/svg+xml"  # browsers send it no token
-            for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere"):
+            beside = (f"{edition}/../../tasks", "/static/../tasks", "/static/splits", "/staticx")
+            for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere", *beside):
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
                     answer = client.get(path, headers=headers)
                     assert (answer.status_code, answer.headers["WWW-Authenticate"]) == (401, "Bearer")

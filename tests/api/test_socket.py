@@ -112,13 +112,12 @@ def test_one_connection_more_than_there_is_room_for_is_told_so(tmp_path: Path) -
         assert ask(first, {"type": "state"})["type"] == "state"
 
 
-@pytest.mark.parametrize("path", ["/ws", "/live"])
-def test_an_address_opens_as_many_sockets_as_are_free_for_others(tmp_path: Path, path: str) -> None:
+def test_an_address_opens_as_many_sockets_as_are_free_for_others(tmp_path: Path) -> None:
     app = create_app(Settings(data=tmp_path, capacity=4))
 
     def opens(client: TestClient) -> bool:
-        socket = opened.enter_context(client.websocket_connect(path))
-        socket.send_json({"type": "state"} if path == "/ws" else {"type": "subscribe", "topics": ["requests"]})
+        socket = opened.enter_context(client.websocket_connect("/ws"))
+        socket.send_json({"type": "state"})
         try:
             return "CAPACITY_REACHED" not in socket.receive_text()
         except WebSocketDisconnect:
@@ -149,8 +148,7 @@ def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: C
             assert not app.state.socket.touched
 
 
-@pytest.mark.parametrize("kind", ["/ws", "/live"])
-def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind: str) -> None:
+def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path) -> None:
     frames = iter([{"type": "websocket.connect"}, *[{"type": "websocket.receive", "text": '{"type":"none"}'}] * 200])
     turns, answers = 0, 0
 
@@ -163,10 +161,8 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind
 
     async def fly() -> None:
         nonlocal turns
-        app = create_app(Settings(data=tmp_path)).state
-        served = asyncio.create_task(
-            (app.socket if kind == "/ws" else app.live)({"type": "websocket", "query_string": b""}, receive, send)
-        )
+        socket = create_app(Settings(data=tmp_path)).state.socket
+        served = asyncio.create_task(socket({"type": "websocket", "query_string": b""}, receive, send))
         while not served.done():
             await asyncio.sleep(0)
             turns += 1

@@ -12,7 +12,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.flights.provenance import Provenance
 from drone_env.planning.optimal import solve
 from drone_env.server.daily import DAILY, map_of_the_day
-from tests.api.live_page import directions, flown, open_page
+from tests.api.flying import ByHand, directions, flown, start
 
 NOON = datetime(2020, 11, 26, 12, tzinfo=timezone.utc)
 """Of a day long ago: flights of the tests end later, whatever the clock of the machine says."""
@@ -59,14 +59,13 @@ def test_the_list_has_the_best_flight_of_each_name_flown_without_help(client: Te
     task, seed, store = today["task"], today["seed"], client.app.state.shared.store  # pyright: ignore
     optimum, weak = solve(task, seed), flown(task, "greedy", seed=seed)
     moves = [Action(action).name for action in optimum.actions]
-    with open_page(client) as page:
-        for name, actions in (("Ada", directions(weak)), ("Ada", moves), ("Grace", moves), (None, moves)):
-            # The last move is flown by hand.
-            own = {"actions": actions[:-1], "step": 0, "of": {"pilot": "human", "person": "Eve"}}
-            page.start("human", task=task, seed=seed, fork=own, name=name)
-            page.send("fly", direction=actions[-1])
-            agent = page.until("ended")["episode"]["agent"]
-            assert agent == (f"human ({name})" if name else "human")
+    for name, actions in (("Ada", directions(weak)), ("Ada", moves), ("Grace", moves), (None, moves)):
+        # The last move is flown by hand.
+        own = {"actions": actions[:-1], "step": 0, "of": {"pilot": "human", "person": "Eve"}}
+        (shown,) = start(client, "human", task=task, seed=seed, fork=own, name=name)
+        episode = ByHand(client, shown).change(actions[-1])["episode"]
+        agent = client.get(f"/episodes/{episode}").json()["agent"]
+        assert agent == (f"human ({name})" if name else "human")
     first, unnamed = (optimum.score, optimum.steps), (None, optimum.score, optimum.steps)
     assert best(client) == [("Ada", *first), ("Grace", *first), unnamed]
     human = Provenance(pilot="human")
@@ -101,17 +100,11 @@ HOSTILE = [
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_name_is_one_short_word_and_not_that_of_a_pilot(shared_client: TestClient, name: object) -> None:
-    with open_page(shared_client) as page:
-        page.send("start", task="easy", seed=7, pilots=["human"], name=name)
-        assert page.until("error")["code"] == "invalid_request"
+    body = {"task": "easy", "seed": 7, "pilots": ["human"], "name": name}
+    assert shared_client.post("/flights", json=body).json()["code"] == "invalid_request"
 
 
 def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
-    with open_page(shared_client) as page:
-        flights = page.start("greedy", "human", name="Åsa_7-語")
-        assert [flight["opening"]["by"] for flight in flights] == ["greedy", "human (Åsa_7-語)"]
-        assert flights[1]["opening"]["pilot"] == "human"
-        page.send("undo", flight=1)
-        page.until("error")
-        page.send("help", flight=1)
-        assert page.until("helped")["by"] == "human (Åsa_7-語) with values"
+    flights = start(shared_client, "greedy", "human", name="Åsa_7-語")
+    assert [flight["opening"]["by"] for flight in flights] == ["greedy", "human (Åsa_7-語)"]
+    assert flights[1]["opening"]["pilot"] == "human"

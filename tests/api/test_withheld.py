@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-import pytest
 from starlette.testclient import TestClient
-from starlette.websockets import WebSocketDisconnect
 
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
@@ -28,9 +26,7 @@ def test_no_route_shows_a_hint(tmp_path: Path) -> None:
         client.post("/reset", json=bodies["/reset"])
         described = client.get("/openapi.json").json()["paths"]
         assert set(described) > SERVED
-        pages = [
-            ("get", path) for path in ("/", "/docs", "/static/js/learn.js", "/values/", "//values", "/live", "/none")
-        ]
+        pages = [("get", path) for path in ("/", "/docs", "/static/js/learn.js", "/values/", "//values", "/none")]
         routes = [(method, path) for path, methods in described.items() for method in methods]
         for method, path in sorted([*routes, *pages], reverse=True):
             filled = path.format(task_name="hard", seed=7, episode_id="0" * 16)
@@ -40,8 +36,6 @@ def test_no_route_shows_a_hint(tmp_path: Path) -> None:
                 assert str(best.score) not in answer.text
             else:
                 assert (answer.status_code, answer.json()["code"]) == (403, "withheld"), (method, path)
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live"):
-            pass
         with client.websocket_connect("/ws") as socket:
             socket.send_json({"type": "reset", "data": {"task_name": "hard", "seed": 7, "prompt": "minimal"}})
             answers = [socket.receive_json()["data"]]

@@ -10,7 +10,7 @@ from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.flights.store import Store
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
 from drone_env.results.folder import ResultsFolder
-from tests.api import live_page
+from tests.api import flying
 from tests.api.serving import Server
 
 
@@ -18,7 +18,7 @@ def flown(
     task: str, seed: int, agent: str, label: str | Provenance | None = None, profile: str = "tiered"
 ) -> EpisodeRecord:
     """The record of a whole flight, under the agent's own name or another."""
-    return record_of(live_page.flown(task, agent, seed=seed, profile=profile), label or agent)
+    return record_of(flying.flown(task, agent, seed=seed, profile=profile), label or agent)
 
 
 def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:

@@ -31,11 +31,13 @@ from tests.browser.stage import (
     ended,
     expect_task,
     fly,
+    keys,
     map_number,
     moves,
     open_file,
     over,
     pilot,
+    press,
     show,
     slider,
     standings,
@@ -146,6 +148,32 @@ def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard
     # The other families end with their hardest task.
     at_its_end(page, 0, "/?task=skyline_hard&seed=0&pilot=optimal")
     expect(page.locator("#next")).to_be_hidden()
+
+
+def test_the_next_standard_task_starts_by_itself_unless_the_visitor_stays(shared: Tabs) -> None:
+    page = shared.open("/?task=medium&seed=0&pilots=random,optimal")
+    counts = page.locator(".results-next")
+    fly(page)
+    expect(counts).to_contain_text(re.compile(r"Next: Hard in \d s"))
+    press(page, "Stay")
+    expect(counts).to_have_text("Go on by itself")
+    # The choice is remembered, a replay or a link counts nothing, and by hand nothing starts by itself.
+    page.reload()
+    ended(page)
+    expect(counts).to_be_hidden()
+    press(page, "Reset")
+    fly(page)
+    expect(counts).to_have_text("Go on by itself")
+    press(page, "Go on by itself")
+    expect_task(page, "Hard")
+    expect_flying(page, "Optimal", "Random")
+    expect(page.locator("#step-counter")).to_contain_text(re.compile("Step [1-9]"))
+    expect(page.get_by_role("button", name="Pause", exact=True)).to_be_visible()
+    over(page, 14, "/?task=easy&seed=14&pilot=human")
+    keys(page, "ArrowLeft", "ArrowUp", "ArrowUp")
+    ended(page)
+    expect(counts).to_have_text("Go on by itself")
+    page.context.close()
 
 
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:

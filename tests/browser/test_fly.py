@@ -1,11 +1,10 @@
 """One pilot: instruments, transport, graph, thoughts, files and the map."""
 
-import json
 import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, WebSocketRoute, expect
+from playwright.sync_api import Page, Route, expect
 
 from drone_env.flights.record import parse_record
 from tests.api.serving import Server
@@ -81,30 +80,20 @@ def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Serve
 
 
 def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callable[..., Page]) -> None:
-    page, held = beside(), list[Callable[[], None]]()
-
-    def hold_the_flights(socket: WebSocketRoute) -> None:
-        def answer(text: str | bytes) -> None:
-            if json.loads(text)["type"] == "flights":
-                held.append(lambda: socket.send(text))
-            else:
-                socket.send(text)
-
-        socket.connect_to_server().on_message(answer)
-
-    page.route_web_socket("**/live", hold_the_flights)
+    page, held = beside(), list[Route]()
+    page.route("**/flights", lambda route, _: held.append(route))
     page.goto("/?task=easy&seed=3&pilot=greedy")
     until(page, lambda: bool(held))
     pilot(page, "You").click()
     choices(page)
     enter(map_number(page), "7")
-    for _ in range(2):
-        held.pop(0)()
-        until(page, lambda: bool(held))
-        expect_step(page, 0, 60)
+    until(page, lambda: len(held) == 3)
+    page.keyboard.press("Escape")
+    for route in (held[0], held[2], held[1]):
+        page.keyboard.press("ArrowUp")
+        with page.expect_response("**/flights"):
+            route.continue_()
         expect_flying(page, "You")
         expect(map_number(page)).to_have_value("7")
-    held.pop(0)()
-    page.keyboard.press("Escape")
-    page.keyboard.press("ArrowUp")
-    expect_step(page, 1, 60)
+    # The moves until the answer, and those after it.
+    expect_step(page, 3, 60)

@@ -5,10 +5,11 @@ import re
 from collections.abc import Callable
 from urllib.parse import quote
 
-from playwright.sync_api import Page, Route, WebSocketRoute, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.browser.conftest import MARKUP
 from tests.browser.stage import choices, press, show, standings, view
+from tests.browser.tabs import Tabs
 
 
 def spoiled(text: str, *fields: str) -> str:
@@ -24,14 +25,16 @@ def words(route: Route) -> None:
     route.fulfill(response=answer, body=spoiled(answer.text(), *fields))
 
 
-def socket(route: WebSocketRoute) -> None:
-    route.connect_to_server().on_message(lambda message: route.send(spoiled(str(message), "message")))
+def messages(route: Route) -> None:
+    answer = route.fetch()
+    route.fulfill(response=answer, body=spoiled(answer.text(), "message"))
 
 
-def test_in_tasks_pilots_and_messages(beside: Callable[..., Page]) -> None:
+def test_in_tasks_pilots_and_messages(beside: Callable[..., Page], shared: Tabs) -> None:
     page = beside()
+    shared.expect("422")
     page.route(re.compile("/(tasks|pilots|kinds)$"), words)
-    page.route_web_socket("**/live", socket)
+    page.route("**/flights/agent", messages)
     page.goto("/?task=easy&seed=7&pilots=greedy,random")
     expect(standings(page)).to_contain_text([MARKUP, MARKUP])
     press(page, "Step")

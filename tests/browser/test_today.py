@@ -15,6 +15,7 @@ from tests.api.serving import Server
 from tests.browser.flights import fill, flown, get
 from tests.browser.shown import expect_step, notes, points
 from tests.browser.stage import at_its_end, ended, enter, keys, over, press, until
+from tests.browser.tabs import Tabs
 from tests.browser.test_several import KEYS
 
 
@@ -24,7 +25,7 @@ def figures(page: Page) -> dict[str, str]:
 
 
 def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_best_score(
-    page: Page, server: Server
+    page: Page, server: Server, shared: Tabs
 ) -> None:
     task, seed = map_of_the_day(datetime.now(timezone.utc))
     best = solve(task, seed)
@@ -72,6 +73,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     expect(page.locator(".by-hand dt")).to_have_text(["Your best", "Possible", "Tournet", "Best today"])
     assert figures(page) == {"Your best": score, "Possible": score, "Tournet": network, "Best today": score}
     # The page rejects the names of other pilots and shows an error.
+    shared.expect("422")
     over(page, 7, "/?task=easy&seed=7&pilot=human")
     enter(field, "greedy")
     expect(page.get_by_role("alert").filter(has_text="name of a pilot")).to_be_visible()

@@ -12,7 +12,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import solve
-from tests.api.live_page import flown
+from tests.api.flying import flown
 from tests.which_tasks import SMALL
 
 PAIRS = [

@@ -18,7 +18,7 @@ from drone_env.results.analysis import (
     label_of,
     parcel_value,
 )
-from tests.api.live_page import flown
+from tests.api.flying import flown
 from tests.toy import toy_episode
 from tests.which_tasks import SMALL
 

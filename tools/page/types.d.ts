@@ -36,8 +36,8 @@ interface Context extends Emitter {
   router: import("../../drone_env/server/static/js/router.js").Router;
   /** HTTP calls. */
   api: ReturnType<typeof import("../../drone_env/server/static/js/api.js").createApi>;
-  /** The socket. */
-  live: import("../../drone_env/server/static/js/live.js").Live;
+  /** Whether the server answers, and its news. */
+  server: import("../../drone_env/server/static/js/server.js").Server;
   tasks: Answer<"TaskInfo">[];
   /** A task by its short name, id or grader. */
   task(name: string | null): Answer<"TaskInfo"> | undefined;
@@ -137,10 +137,6 @@ interface Lesson {
   goals: { text: string; done(stage: Stage): boolean }[];
 }
 
-/** The states of the live flights, which race.js explains, and what leads from one to another. */
-type RaceState = "idle" | "playing" | "starting" | "launching" | "interrupted" | "attaching" | "returning";
-type RaceCause = "start" | "launch" | "pause" | "rest" | "attach" | "lost" | "flights" | "refused" | "plays" | "pauses";
-
 interface StartOptions {
   /** Whether to play at once. */
   play?: boolean;
@@ -148,6 +144,6 @@ interface StartOptions {
   beside?: Track[];
   /** The pilots of the setup that still fly. */
   flown?: string[];
-  /** The visitor's first moves. */
+  /** The visitor's first changes: moves, `UNDO` and `VALUES`. */
   moves?: string[];
 }

@@ -19,8 +19,8 @@ from drone_env.errors import StoreError
 from drone_env.flights.provenance import HUMAN
 from drone_env.models import Count, Score, StrictModel
 from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.pilots import COLOURS, all_pilots
+from drone_env.server.routes.flights import MOST_FLIGHTS
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["catalogue"])
@@ -193,7 +193,7 @@ def pilots(app_state: AppStateDep) -> PilotList:
             look, automatic = min(colour, COLOURS), name != HUMAN
             about = {"name": pilot.name, "summary": pilot.summary}
             pilots.append(PilotInfo(id=name, **about, colour=look, automatic=automatic, tasks=tasks))
-    return PilotList(pilots=pilots, most=MOST_EPISODES)
+    return PilotList(pilots=pilots, most=MOST_FLIGHTS)
 
 
 @router.head("/health", include_in_schema=False)

@@ -130,6 +130,12 @@ def logs(app_state: AppStateDep) -> LogLines:
     return LogLines(file=FILE_NAME, lines=TrainLog(app_state.settings.data).tail(LINES))
 
 
+@router.get("/logs/curve", responses=error_responses(503))
+def curve(app_state: AppStateDep) -> dict[str, list[float | None]]:
+    """The metrics of the training log by name, of at most 400 of its lines; empty without a log."""
+    return TrainLog(app_state.settings.data).curve()
+
+
 @router.get(
     "/terminal_logs",
     response_model=dict[str, list[LoggedRequest]],

@@ -40,10 +40,10 @@ class FlightSoFar(StrictModel):
         default=[], max_length=MAX_UNITS, fail_fast=True, description="The actions so far, in order."
     )
 
-    only: Literal["range", "moves"] | None = Field(
+    only: Literal["range", "moves", "along"] | None = Field(
         default=None,
         description="`range`: compute only the range of the battery and `pads`; `moves`: only `q_values` and "
-        "`best_actions`; null: everything.",
+        "`best_actions`; `along`: only `along`; null: everything but `along`.",
     )
 
     def episode(self) -> Episode:
@@ -110,6 +110,7 @@ class ValuesAnswer(StrictModel):
     best_actions: list[Direction] | None = Field(default=None, description="All actions without regret.")
     network: CellNetwork | None = Field(default=None, description="The network; null if the task has none.")
     cells: CellValues | None = Field(default=None, description="The values at each cell.")
+    along: list[Score] | None = Field(default=None, description="`value` before each action and at the end.")
     range: Rows[Count] | None = Field(
         default=None,
         description="[y][x], the most battery units left on arrival at each cell, in the steps left and without "
@@ -140,11 +141,17 @@ def values_json(flight: FlightSoFar) -> str:
         optimum=optimum,
         value=value,
         regret=None if optimum is None or value is None else optimum - value,
-        **({} if episode.ended or flight.only == "moves" else _ranges(episode)),
-        **({} if episode.ended or solver is None else _moves(episode, solver)),
-        **({} if episode.ended or flight.only else _cells(episode, solver)),
+        **(_ranges(episode) if not episode.ended and flight.only in (None, "range") else {}),
+        **(_moves(episode, solver) if not episode.ended and flight.only in (None, "moves") and solver else {}),
+        **(_cells(episode, solver) if not episode.ended and flight.only is None else {}),
+        along=_along(flight, solver) if flight.only == "along" and solver else None,
     )
     return answer.model_dump_json()
+
+
+def _along(flight: FlightSoFar, solver: "Solver") -> list[float]:
+    start = Episode(get_task(flight.task), seed=flight.seed)
+    return [solver.value(start), *(solver.value(episode) for episode in fly_directions(start, flight.actions))]
 
 
 def _moves(episode: Episode, solver: "Solver") -> dict[str, Any]:

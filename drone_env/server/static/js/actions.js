@@ -14,8 +14,6 @@ export function actionsOf(context, race) {
     if (begun && !(await ask(`${question} your flight at step ${begun.steps}?`, yes, "Keep flying"))) return;
     act();
   }
-  /** Whether the next step is a new one of the server. */
-  const goesOn = () => race.shown && race.automatic && clock.cursor === clock.newest();
   /** Starts other flights. Missing parts come from the flights that are shown, also from a stored one. */
   function start(change, how, yes) {
     const { track, world } = stage;
@@ -24,26 +22,22 @@ export function actionsOf(context, race) {
     return givingUp(() => race.start({ ...past, ...change }, how), yes);
   }
   const acts = {
-    goesOn,
     /** The label of the start button, and whether something plays. @returns {[string, boolean]} */
     word() {
-      if (clock.playing || (race.playing && race.shown)) return ["Pause", true];
-      if (!goesOn()) return ["Replay", false];
+      if (clock.playing) return ["Pause", true];
+      if (!stage.goesOn) return ["Replay", false];
       return [clock.cursor > 0 ? "Resume" : "Start", false];
     },
     toggle() {
       if (clock.playing) clock.stop();
-      else if (race.playing) race.pause();
-      else if (goesOn()) race.play();
       else clock.play();
     },
     first: () => clock.goTo(0),
     back: () => clock.goTo(clock.cursor - 1),
     last: () => clock.goTo(clock.newest()),
-    /** Shows the next step; at the newest one, the pilots fly one more. */
     forward() {
-      if (goesOn()) race.step();
-      else clock.goTo(clock.cursor + 1);
+      clock.stop();
+      clock.forward();
     },
     undo: () => race.undo(),
     /** Starts over, beside the same ghost if there is one. */
@@ -59,7 +53,7 @@ export function actionsOf(context, race) {
     },
     faster(by) {
       const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];
-      if (speed) race.setSpeed(speed);
+      if (speed) clock.setSpeed(speed);
     },
     /** Shows or hides a layer. If the visitor flies, the record notes that values were shown. */
     flick(layer) {

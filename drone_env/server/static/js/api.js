@@ -7,6 +7,8 @@ const TOKEN = "drone-env-token";
 /** Characters that a header may contain. */
 const SENDABLE = /^[\x21-\x7e]+$/;
 
+const AWAY = [502, 504];
+
 /** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
   constructor(status, code, detail) {
@@ -31,21 +33,26 @@ export function createApi() {
   let token = recall(TOKEN, "sessionStorage");
   let asking = null;
 
-  async function call(method, path, body) {
+  /** @typedef {RequestInit & {data?: object, session?: string, accept?: string}} Given What a request has beside its address. */
+  /** The response of a request. @param {Given} given @returns {Promise<Response>} @throws {ApiError} */
+  async function request(method, path, given) {
+    const { data, session, accept, ...options } = given;
     const sent = token;
+    /** @type {Record<string, string>} */
     const headers = token ? { Authorization: `Bearer ${token}` } : {};
-    if (body !== undefined) headers["Content-Type"] = "application/json";
-    let response;
-    try {
-      response = await fetch(address(path), {
-        method,
-        headers,
-        body: body === undefined ? undefined : JSON.stringify(body),
-        credentials: "same-origin",
-      });
-    } catch {
+    if (data !== undefined) headers["Content-Type"] = "application/json";
+    if (session) headers["X-Session-Id"] = session;
+    if (accept) headers.Accept = accept;
+    const body = data === undefined ? undefined : JSON.stringify(data);
+    const how = { ...options, method, headers, body, credentials: "same-origin" };
+    const response = await fetch(address(path), /** @type {RequestInit} */ (how)).catch(() => null);
+    // Proxies answer 502 and 504 for a server that is away.
+    if (!response || AWAY.includes(response.status)) {
+      if (options.signal?.aborted) throw new ApiError(0, "aborted", "This is no longer needed.");
+      api.heard(false);
       throw new ApiError(0, "away", "The server cannot be reached.");
     }
+    api.heard(true);
     if (response.status === 401) {
       // Several requests may wait for one token.
       while (token === sent || !SENDABLE.test(token)) {
@@ -53,21 +60,44 @@ export function createApi() {
         token = await asking;
       }
       remember(TOKEN, token, "sessionStorage");
-      return call(method, path, body);
+      return request(method, path, given);
     }
+    if (response.ok) return response;
     const answer = await response.json().catch(() => null);
-    if (!response.ok) {
-      throw new ApiError(response.status, answer?.code ?? "http", answer?.detail ?? `HTTP ${response.status}`);
-    }
-    return answer;
+    throw new ApiError(response.status, answer?.code ?? "http", answer?.detail ?? `HTTP ${response.status}`);
   }
 
-  return {
+  /** @param {Given} given @returns {Promise<any>} */
+  async function call(method, path, given = {}) {
+    const response = await request(method, path, given);
+    return response.json().catch(() => null);
+  }
+
+  const api = {
+    /** Called after each request with whether the server has answered. @type {(answers: boolean) => void} */
+    heard() {},
     get: (path, query = {}) => call("GET", path + search(query)),
-    post: (path, body) => call("POST", path, body),
-    /** The subprotocols of the WebSocket, with the token if there is one. */
-    protocols: () => (token ? ["drone-env", `bearer.${base64url(token)}`] : ["drone-env"]),
+    /** @param {Given} [given] Also `session`, the session that it changes. */
+    post: (path, data, given) => call("POST", path, { data, ...given }),
+    /** Ends a session, also while the page closes. */
+    end: (session) => request("DELETE", "session", { session, keepalive: true }).catch(() => {}),
+    /** Tells the data of server-sent events, several at once, until they end. @throws {ApiError} */
+    async events(path, signal, tell) {
+      const { body } = await request("GET", path, { accept: "text/event-stream", signal });
+      const reader = body.pipeThrough(new TextDecoderStream()).getReader();
+      for (let rest = ""; ; ) {
+        const { value, done } = await reader.read();
+        if (done) return;
+        const events = (rest + value).split("\r\n\r\n");
+        rest = events.pop();
+        const data = events.map((event) => event.match(/^data: (.*)$/m)?.[1]).filter(Boolean);
+        if (data.length) tell(data.map((text) => JSON.parse(text)));
+      }
+    },
+    /** Whether the server requires a token. */
+    guarded: () => token !== null,
   };
+  return api;
 }
 
 export function address(path) {
@@ -77,11 +107,6 @@ export function address(path) {
 function search(query) {
   const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
   return given.length ? `?${new URLSearchParams(given)}` : "";
-}
-
-function base64url(text) {
-  const bytes = String.fromCharCode(...new TextEncoder().encode(text));
-  return btoa(bytes).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
 }
 
 /** Asks the visitor for the token. @param {boolean} wrong Whether the server rejected a token. @returns {Promise<string>} */

@@ -31,10 +31,9 @@ with DroneDeliveryClient("${url}").sync() as env:
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
-  const { api, live } = context;
+  const { api, server } = context;
   const url = address(".").href.replace(/\/$/, "");
-  // The page has a token only if the server requires one.
-  const token = api.protocols().length > 1 ? el("span", " Send ", el("code", { text: TOKEN }), " with each request.") : null;
+  const token = api.guarded() ? el("span", " Send ", el("code", { text: TOKEN }), " with each request.") : null;
   const requests = new Log("Requests", "log-requests", "No request yet.");
   const training = new Log("Training", "log-training", "No training log yet. To start a training, run: drone-env train");
   root.append(
@@ -48,18 +47,15 @@ export function mount(root, context) {
     el("div.logs", requests.root, training.root),
   );
 
-  live.on("requests", (message) => requests.add(message.requests.map(requestLine)));
-  live.on("training", ({ lines }) => {
+  server.on("requests", (message) => {
+    if (message.fresh) requests.clear();
+    requests.add(message.requests.map(requestLine));
+  });
+  server.on("training", ({ lines }) => {
     training.clear();
     training.add(lines.map((line) => el("li", { text: line })));
   });
-  // After each subscription the server sends the requests from the first one on.
-  live.on("state", ({ state }) => state === "open" && requests.clear());
-  context.on("view", (view) => {
-    if (view !== "api") return;
-    requests.clear();
-    live.subscribe(TOPICS);
-  });
+  context.on("view", (view) => view === "api" && server.watch(TOPICS));
 }
 
 function snippet([name, text]) {

@@ -69,7 +69,7 @@ export class Board {
     const passed = Math.min(now - this.before, 100);
     this.before = now;
     const still = lessMotion();
-    const moving = clock.advance(still ? Infinity : passed) || clock.playing || stage.flying;
+    const moving = clock.advance(still ? Infinity : passed) || clock.playing;
     if (moving && !still) this.spin += passed * SPIN;
     const size = { width: air.width, height: air.height, scale: this.size.scale };
     const layout = this.context.camera.layout(world, size, track.at(clock.position));

@@ -12,7 +12,7 @@ const MOST = 2;
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
-  const { live, router } = context;
+  const { api, server, router } = context;
   const compare = new Compare(root, context);
   const train = mountTraining(root);
   let shown = false;
@@ -21,14 +21,14 @@ export function mount(root, context) {
     shown = router.address.view === "compare";
     if (shown && before) compare.look();
     else if (shown) {
-      live.subscribe(TOPICS);
+      server.watch(TOPICS);
       compare.load();
     }
   };
   router.on("address", look);
-  live.on("training", ({ curve }) => shown && train(curve));
-  live.on("episodes", ({ episodes }) => shown && compare.onEpisodes(episodes));
-  live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
+  server.on("training", async () => shown && train(await api.get("logs/curve")));
+  server.on("episodes", ({ episodes }) => shown && compare.onEpisodes(episodes));
+  server.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
   look();
 }
 

@@ -24,7 +24,7 @@ export function mountControls(root, context, race, acts) {
   const fork = named("fork", "Try from here", "Fly on from this step yourself (F)", () => acts.fork());
   const speed = el(
     "select",
-    { id: "speed", "aria-label": "Speed", on: { change: () => race.setSpeed(Number(speed.value)) } },
+    { id: "speed", "aria-label": "Speed", on: { change: () => clock.setSpeed(Number(speed.value)) } },
     ...SPEEDS.map((steps) => el("option", { value: String(steps), text: `${steps} steps/s` })),
   );
   const where = el("p.where", { id: "step-counter" });
@@ -39,12 +39,11 @@ export function mountControls(root, context, race, acts) {
     // Replacing the children of a pressed button would cancel the click.
     if (toggle.textContent !== word) toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
     toggle.title = `${word} (${race.byHand ? "Enter" : "Space"})`;
-    const away = context.live.state !== "open" && race.shown && !stage.over;
-    toggle.disabled = !track || (away && !clock.playing);
+    toggle.disabled = !track;
     toggle.hidden = speed.hidden = race.byHand && !race.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.following;
-    forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
+    forward.disabled = !track || playing || (!stage.goesOn && clock.cursor === clock.end());
     undo.hidden = race.human < 0 || !race.shown;
     undo.disabled = race.begun === null;
     fork.hidden = !track || race.atHand;
@@ -56,8 +55,7 @@ export function mountControls(root, context, race, acts) {
   }
 
   stage.on("change", update);
-  for (const event of ["playing", "setup", "begun"]) race.on(event, update);
-  context.live.on("state", update);
+  for (const event of ["setup", "begun"]) race.on(event, update);
 }
 
 /** The present step: `Step 12 of 35 · LEFT · Delivery`. */

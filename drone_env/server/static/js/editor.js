@@ -239,6 +239,6 @@ export function mount(root, context) {
   }
 
   router.on("address", look);
-  context.live.on("state", ({ state }) => state === "open" && !worth.problem.hidden && (drawing.map ? worth.ask() : look()));
+  context.server.on("state", ({ state }) => state === "open" && !worth.problem.hidden && (drawing.map ? worth.ask() : look()));
   look();
 }

@@ -3,6 +3,7 @@ import { actionsOf } from "./actions.js";
 import { mountBoards } from "./boards.js";
 import { mountCalls } from "./calls.js";
 import { mountControls } from "./controls.js";
+import { mountCycle } from "./cycle.js";
 import { el } from "./dom.js";
 import { Race } from "./race.js";
 import { help } from "./help.js";
@@ -53,6 +54,7 @@ export function mountFly(root, context) {
   mountCredit(context);
   below("hint", mountHint, race);
   panel("strip", mountResults, race, acts);
+  mounted(side.lastElementChild, "div.results-next", mountCycle, race);
   panel("human", mountHuman, race);
   panel("controls-panel", mountControls, race, acts);
   panel("by-hand-panel", mountByHand, race, acts);
@@ -70,8 +72,7 @@ export function mountFly(root, context) {
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
-    race.pause();
-    race.turn("rest");
+    race.rest();
     try {
       await load();
       lookUp();
@@ -140,10 +141,8 @@ export function mountFly(root, context) {
         },
       );
     greeting.hidden = !greets();
-    if (view !== "fly") {
-      race.pause();
-      stage.clock.stop();
-    } else if (address.file || (address.episode && address.fork === null)) {
+    if (view !== "fly") stage.clock.stop();
+    else if (address.file || (address.episode && address.fork === null)) {
       if (history.shows(address) && history.linkParts.selected === address.selected) stage.clock.seek(address.step ?? stage.clock.end());
       else await open(() => history.open(address));
     } else await fly(address);

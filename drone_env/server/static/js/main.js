@@ -5,8 +5,8 @@ import { createContext } from "./context.js";
 import { announce, el, setText, toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { mountFly } from "./fly.js";
-import { Live } from "./live.js";
 import { Router } from "./router.js";
+import { Server } from "./server.js";
 
 /** Views that are loaded on their first visit. */
 const LATER = {
@@ -21,9 +21,9 @@ async function boot() {
   const figures = loadFigures();
   const [{ tasks }, { pilots, most }, { kinds }] = await Promise.all([api.get("tasks"), api.get("pilots"), api.get("kinds")]);
   await figures;
-  const live = new Live(api.protocols);
+  const server = new Server(api);
   const router = new Router();
-  const context = createContext({ router, api, live, tasks, pilots, most, kinds });
+  const context = createContext({ router, api, server, tasks, pilots, most, kinds });
 
   mountTheme(context);
   mountConnection(context);
@@ -31,9 +31,8 @@ async function boot() {
   const load = () => LATER[context.view] && mountLater(context.view, context);
   context.on("view", load);
   // Retries a view that failed to load while the server was away.
-  live.on("state", ({ state }) => state === "open" && load());
+  server.on("state", ({ state }) => state === "open" && load());
   mountViews(context);
-  live.connect();
 }
 
 /** Loads a view and shows it. @param {Context} context */
@@ -79,42 +78,31 @@ function mountTheme(context) {
 
 const other = (theme) => (theme === "dark" ? "light" : "dark");
 
-const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", full: "Server full", refused: "Refused" };
-
-/** Shows the state of the connection: a dot in the top bar, and a banner while the server is away. @param {Context} context */
-function mountConnection({ live, stage }) {
+/** Shows whether the server answers: a dot in the top bar, and a banner while it is away. @param {Context} context */
+function mountConnection({ server, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
-  const text = document.getElementById("banner-text");
   const again = document.getElementById("banner-countdown");
 
-  document.getElementById("banner-retry").addEventListener("click", () => live.connect());
-  live.on("state", ({ state, wait, reason }) => {
-    dot.dataset.state = state === "open" || state === "connecting" ? state : "away";
-    setText(dot.lastElementChild, WORDS[state]);
-    if (state === "open") {
-      if (!banner.hidden) announce("The server is back.");
-      banner.hidden = true;
-      return;
-    }
-    const why = reason ? ` (${reason})` : "";
+  document.getElementById("banner-retry").addEventListener("click", () => server.look());
+  function show({ state, wait }) {
+    dot.dataset.state = state;
+    setText(dot.lastElementChild, state === "open" ? "Live" : "Server away");
+    if (state === "open" && !banner.hidden) announce("The server is back.");
+    banner.hidden = state === "open";
     const kept = stage.tracks.some((track) => track.live && !track.done) ? " Your flight is kept." : "";
-    const words = {
-      refused: `The server refused the connection${why}.`,
-      full: `The server is full${why}.`,
-      away: `The server is away${why}.${kept}`,
-    };
-    setText(text, words[state]);
-    setText(again, state === "refused" ? "" : `Next try in ${Math.ceil(wait / 1000)} s …`);
-    banner.hidden = false;
-  });
+    setText(document.getElementById("banner-text"), `The server is away.${kept}`);
+    setText(again, `Next try in ${Math.ceil(wait / 1000)} s …`);
+  }
+  server.on("state", show);
+  show({ state: server.state, wait: 0 });
 }
 
 const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs", draw: "Draw a map" };
 
 /** Shows the view of the address. @param {Context} context */
 function mountViews(context) {
-  const { router, live } = context;
+  const { router, server } = context;
   /** @type {NodeListOf<HTMLElement>} */
   const sections = document.querySelectorAll("main > .view");
   /** @type {NodeListOf<HTMLAnchorElement>} */
@@ -122,8 +110,8 @@ function mountViews(context) {
 
   function show({ view, unread }) {
     const first = !document.body.dataset.view;
-    // Each view subscribes to its own topics.
-    if (context.view !== view) live.subscribe([]);
+    // Each view asks for its own news.
+    if (context.view !== view) server.watch([]);
     context.view = view;
     document.body.dataset.view = view;
     for (const section of sections) section.hidden = section.id !== `view-${view}`;

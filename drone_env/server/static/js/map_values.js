@@ -24,7 +24,7 @@ export function mountMapValues(context) {
     if (track.secret) return range ? "range" : null;
     const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
     if (track.provenance.values_used || track.forkedAt !== null || range || values) return "values";
-    return frame.done || frame.value === null || stage.flying || clock.playing ? null : "moves";
+    return frame.done || frame.value === null || clock.playing ? null : "moves";
   }
 
   function look() {

@@ -1,11 +1,12 @@
-// The live flights of this page: requests to the server, and its messages.
+// The flights that this page starts: those of pilots, which the server has flown to their ends, and the visitor's own.
+import { ApiError, tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { toast } from "./dom.js";
 import { sentence } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { nameOf, UNLISTED } from "./today.js";
-import { readProvenance, Track, writeProvenance } from "./track.js";
+import { readProvenance, Track, unweighed, writeProvenance } from "./track.js";
 
 /** Key of the ids of the last flights that this visitor has flown by hand, and how many are kept. */
 export const FLOWN = "drone-env-flown";
@@ -13,32 +14,14 @@ const KEPT = 200;
 /** Actions as links write them. */
 const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
 
-/**
- * The states, and what leads from one to another. idle: nothing is asked of the server. playing: it flies the pilots.
- * starting: a start waits for its answer, or for the connection. launching: likewise, and then the pilots fly.
- * interrupted: the connection is lost while they fly. attaching: a new connection asks for the same flights. returning:
- * likewise, and then the pilots fly on.
- */
-/** @type {Partial<Record<RaceCause, RaceState>>} */
-const START = { start: "starting", launch: "launching" };
-/** @type {Partial<Record<RaceCause, RaceState>>} */
-const ANSWER = { flights: "idle", refused: "idle" };
-/** The next state after each cause; a cause that is not listed changes nothing. @type {Record<RaceState, Partial<Record<RaceCause, RaceState>>>} */
-const NEXT = {
-  idle: { ...START, attach: "attaching", plays: "playing", lost: "idle" },
-  playing: { ...START, plays: "playing", pauses: "idle", flights: "idle", lost: "interrupted" },
-  starting: { ...START, ...ANSWER, rest: "idle" },
-  launching: { ...START, ...ANSWER, rest: "idle", pause: "starting" },
-  interrupted: { pause: "idle", attach: "returning" },
-  attaching: { ...START, ...ANSWER },
-  returning: { ...START, ...ANSWER, pause: "attaching" },
-};
+/** An error in the words of the page: it has no bodies of requests. @param {Error} error */
+const worded = ({ message }) => sentence(message.replace("body.seed", "the number of the map").replace(/body\./g, ""));
 
 /**
  * `setup` describes the flights as an `Address` of router.js.
  *
- * Events: "setup" other flights are chosen, "playing" the state or the speed changes, "refused" (text), "begun" the
- * server has opened the flights, "ended" (track) a flight has ended and is stored.
+ * Events: "setup" other flights are chosen, "refused" (text), "begun" the server has opened the flights, "ended" (track)
+ * a flight has ended and is stored.
  */
 export class Race extends Emitter {
   /** @param {Context} context */
@@ -48,49 +31,25 @@ export class Race extends Emitter {
     this.stage = context.stage;
     /** @type {Partial<Address>} */
     this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
-    /** The flights that the server runs for this page. @type {Track[]} */
+    /** The flights that this page has started. @type {Track[]} */
     this.tracks = [];
-    /** @type {RaceState} */
-    this.state = "idle";
-    this.number = 0;
+    /** The start that waits for its answer, or null. */
+    this.starting = null;
     /** Finished flights that are shown beside them. @type {Track[]} */
     this.beside = [];
     /** Ids of the pilots of the newest start. @type {string[]} */
     this.flown = [];
     /** What a start replaces until it is answered. */
     this.left = {};
-    /** The visitor's moves until it is answered. @type {string[]} */
+    /** The visitor's changes until it is answered. @type {string[]} */
     this.moves = [];
-    const { live } = context;
-    live.on("state", ({ state }) => (state === "open" ? this.resume() : this.turn("lost")));
-    live.on("flights", (message) => this.begin(message));
-    live.on("frames", ({ frames }) => this.move(frames));
-    live.on("values", (message) => this.value(message));
-    live.on("undone", (message) => this.undone(message));
-    live.on("helped", (message) => this.helped(message));
-    live.on("playing", ({ playing }) => this.turn(playing ? "plays" : "pauses"));
-    live.on("ended", ({ flight, episode }) => this.ended(this.tracks[flight], episode));
-    live.on("error", (message) => this.refused(message));
+    this.stage.on("frames", () => this.noteEnds());
     // A closed page releases its sessions for other visitors.
-    window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
-  }
-
-  /** Goes to the next state. @param {RaceCause} cause */
-  turn(cause) {
-    const next = NEXT[this.state][cause];
-    if (!next) return;
-    this.state = next;
-    this.stage.flying = this.playing;
-    this.stage.tell("cursor");
-    this.emit("playing");
+    window.addEventListener("pagehide", ({ persisted }) => persisted || this.leave(this.tracks));
   }
 
   get playing() {
-    return this.state === "playing";
-  }
-
-  get starting() {
-    return this.state === "starting" || this.state === "launching";
+    return this.shown && this.stage.clock.playing;
   }
 
   /** Whether the stage shows these flights, not a stored one. */
@@ -161,8 +120,9 @@ export class Race extends Emitter {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
 
+  /** Whether a pilot has yet to fly. */
   get automatic() {
-    return this.tracks.some(({ automatic, done }) => automatic && !done);
+    return this.tracks.some(({ goesOn }) => goesOn);
   }
 
   /** The task of the setup. */
@@ -196,35 +156,58 @@ export class Race extends Emitter {
    * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
    * @param {Partial<Address>} change @param {StartOptions} how
    */
-  start(change = {}, how = {}) {
+  async start(change = {}, how = {}) {
     const { play = false, beside = [], flown = null, moves = [] } = how;
     const { task, seed, profile, pilots } = this.setup;
-    const { live } = this.context;
-    if (live.state !== "open" && this.tracks.length) {
-      toast("The server is away. Your flight is kept; start another one when the server is back.");
-      this.emit("setup");
-      return;
-    }
+    const { api, server } = this.context;
     // If the server rejects the start, the present flights stay, paused.
-    if (this.tracks.length) live.send({ type: "pause" });
+    this.stage.clock.stop();
     if (!this.starting) this.left = { setup: this.setup, beside: this.beside, flown: this.flown };
     this.setup = this.complete({ task, seed, profile, pilots, ...change });
     this.beside = beside;
     this.flown = flown ?? this.setup.pilots;
     this.moves = [...moves];
-    this.turn(play ? "launch" : "start");
+    const start = (this.starting = {});
     this.emit("setup");
-    if (live.state === "open") this.send();
+    const ask = () => api.post("flights", this.request());
+    /** @type {Track[]} */
+    let tracks = [];
+    try {
+      const { flights } = await (this.tracks.length ? ask() : server.insist(ask));
+      tracks = this.tracksOf(flights);
+      // A link to a later moment shows that moment first.
+      if (tracks.some(({ until }) => until)) await Promise.all(tracks.map((track) => this.load(track)));
+      if (this.starting === start) this.begin(tracks, play);
+      else this.leave(tracks);
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      this.leave(tracks);
+      if (this.starting === start) this.refused(error);
+    }
   }
 
-  send() {
-    const { task, seed, profile, fork, actions, of, step, ended } = this.setup;
+  /** The request of the newest start. */
+  request() {
+    const { task, seed, profile, fork, actions, of } = this.setup;
     const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
-    if (fork !== null || of !== null)
-      request.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of: readProvenance(of) };
-    if (ended ?? step) request.step = ended ?? step;
-    this.context.live.send({ type: "start", number: ++this.number, ...request });
+    if (fork === null && of === null) return request;
+    const flown = [...(actions ?? "")].map((one) => LETTERS[one] ?? one);
+    return { ...request, fork: { actions: flown, step: fork ?? 0, of: readProvenance(of) } };
+  }
+
+  /** Gives up a start that waits for its answer, and pauses. */
+  rest() {
+    this.stage.clock.stop();
+    if (this.starting) Object.assign(this, this.left, { starting: null });
+  }
+
+  /** Ends the sessions of flights, and the requests for them. @param {Track[]} tracks */
+  leave(tracks) {
+    for (const { opening, loading } of tracks) {
+      loading.abort();
+      if (opening.session) this.context.api.end(opening.session);
+    }
   }
 
   /** Forks a flight at a step: `pilot` flies on beside it, starting with `action`. */
@@ -253,87 +236,132 @@ export class Race extends Emitter {
     this.start(change, { play, beside, flown: idsOf(along), moves: action ? [action] : [] });
   }
 
-  play(speed = this.stage.clock.speed) {
-    if (this.automatic) this.context.live.send({ type: "play", speed });
-  }
-
-  pause() {
-    this.turn("pause");
-    if (this.playing) this.context.live.send({ type: "pause" });
-  }
-
-  step() {
-    if (!this.playing && this.tracks.some(({ done }) => !done)) this.context.live.send({ type: "step" });
-  }
-
-  setSpeed(speed) {
-    this.stage.clock.speed = speed;
-    if (this.playing) this.play(speed);
-    else this.emit("playing");
-  }
-
-  /** Flies one move of the visitor; paused pilots take one step each. */
-  fly(direction) {
+  /** Flies one move of the visitor, or takes one back; paused pilots take one step each. */
+  fly(move) {
     if (!this.byHand) return;
-    if (this.starting) {
-      this.moves.push(direction);
-      return;
+    if (this.starting) this.moves.push(move);
+    else {
+      this.stage.clock.seek(this.stage.clock.newest());
+      this.change(move);
     }
-    const flight = this.human;
-    this.stage.clock.seek(this.stage.clock.newest());
-    this.context.live.send({ type: "fly", flight, direction });
-    if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
   }
 
   undo() {
-    if (this.begun) this.context.live.send({ type: "undo", flight: this.human });
+    this.fly("UNDO");
   }
 
   /** Shows values to a visitor who flies; the record notes it. */
   help() {
-    if (this.mine && !this.mine.provenance.values_used) this.context.live.send({ type: "help", flight: this.human });
+    if (this.mine && !this.mine.provenance.values_used) this.change("VALUES");
   }
 
-  resume() {
-    if (this.starting) this.send();
-    // Finished flights need no session.
-    if (this.starting || this.tracks.every(({ done }) => done)) return;
-    this.turn("attach");
-    const sessions = this.tracks.map(({ opening }) => opening.session);
-    this.context.live.send({ type: "attach", number: ++this.number, sessions });
+  /** Changes the visitor's flight, after the changes before. @param {string} change */
+  async change(change) {
+    const track = this.tracks[this.human];
+    track.pending.push(change);
+    if (track.pending.length > 1) return;
+    // Keys may be pressed after the end of the flight, or when no move is left to take back.
+    const fits = (next) => next !== "UNDO" || track.steps > (track.forkedAt ?? 0);
+    for (; track.pending.length && !track.done && this.tracks.includes(track); track.pending.shift())
+      if (fits(track.pending[0])) await this.send(track, track.pending[0]);
+    track.pending = [];
   }
 
-  begin({ flights, number }) {
-    // The answer to `end`: the page is closing.
-    if (!flights.length) return;
-    const { state, starting } = this;
-    const wasShown = this.shown || starting;
-    this.tracks = flights.map((flown) => new Track(this.context, flown, true));
-    const { fork, step, selected: chosen } = this.setup;
-    if (fork !== null) this.tracks.at(-1).forkedAt = fork;
-    for (const track of this.beside) track.live = false;
-    // An answer to an older request does not change the setup.
-    const newest = number === this.number;
-    if (newest) {
-      const { seed, short_name } = flights[0].opening;
-      const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.flown.length);
-      const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
-      this.setup = { ...this.setup, seed, task: short_name, pilots };
-      this.turn("flights");
+  async send(track, change) {
+    const { api, server } = this.context;
+    const { clock } = this.stage;
+    try {
+      const { session } = track.opening;
+      const ask = () => api.post("flights/change", { version: track.version, change }, { session });
+      const { frame, version, values_used, undo_used, episode } = await server.insist(ask);
+      if (!this.tracks.includes(track)) return;
+      if (change === "UNDO" && track.plain) toast(UNLISTED);
+      Object.assign(track, { version, stored: episode });
+      Object.assign(track.provenance, { values_used, undo_used });
+      track.frames.splice(frame.step, Infinity, unweighed(frame));
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      if (this.tracks.includes(track)) this.unmade(track, error);
+      return;
     }
-    const { clock, selected } = this.stage;
-    // After a lost connection, the page shows what it showed before.
-    const attached = state === "attaching" || state === "returning";
-    if (wasShown && attached) this.show(clock.following ? null : clock.cursor, selected);
-    else if (wasShown) this.show(step, chosen - 1);
+    this.stage.changed(track);
+    this.weigh(track);
+    if (!this.shown || change === "VALUES") return;
+    clock.seek(clock.newest());
+    if (!this.automatic || change === "UNDO") return;
+    // The race goes on without the visitor.
+    if (track.done) clock.play();
+    else if (!clock.playing) this.stage.flyOn();
+  }
+
+  unmade(track, error) {
+    const moves = track.pending.splice(0);
+    if (error.code !== "session_gone") {
+      this.emit("refused", worded(error));
+      return;
+    }
+    track.opening.session = null;
+    toast("The server has ended this flight. It starts again.");
+    const { setup, linkParts, playing: play, beside, flown } = this;
+    this.start({ ...setup, ...linkParts }, { play, beside, flown, moves });
+  }
+
+  /** The tracks of the flights that a start has begun. */
+  tracksOf(flights) {
+    const { fork, of, step, ended, actions } = this.setup;
+    const brought = fork === null && of === null ? 0 : (actions ?? "").length;
+    const tracks = flights.map((flown) => new Track(this.context, flown, true));
+    // Pilots beside a fork or the visitor's flight have flown as far.
+    for (const track of tracks) if (track.steps === 0) track.until = Math.max(brought, ended ?? step ?? 0);
+    if (fork !== null) tracks.at(-1).forkedAt = fork;
+    return tracks;
+  }
+
+  /** Loads the flight of a pilot, which the page plays. */
+  async load(track) {
+    if (!track.coming) return;
+    const { task, seed, reward_profile } = track.opening;
+    const request = { task, seed, reward_profile, by: track.provenance, actions: track.actionsTo(track.steps) };
+    const { api, server } = this.context;
+    const answer = await server.insist(() => api.post("flights/agent", request, { signal: track.loading.signal }));
+    const { following } = this.stage.clock;
+    track.fill(answer);
+    if (!this.tracks.includes(track)) return;
+    this.stage.changed(track);
+    if (this.shown && following) this.stage.clock.seek(this.stage.clock.newest());
+    this.weigh(track);
+  }
+
+  unloaded(track, error) {
+    if (!this.tracks.includes(track)) return;
+    track.coming = false;
+    this.stage.changed(track);
+    this.emit("refused", worded(error));
+  }
+
+  begin(tracks, play) {
+    const { fork, step, selected: chosen } = this.setup;
+    this.starting = null;
+    this.leave(this.tracks);
+    this.tracks = tracks;
+    for (const track of this.beside) track.live = false;
+    const { seed, short_name } = tracks[0].opening;
+    const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.flown.length);
+    const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
+    this.setup = { ...this.setup, seed, task: short_name, pilots };
+    this.show(step, chosen - 1);
     this.emit("setup");
     this.emit("begun");
-    if (!newest) return;
+    this.noteEnds();
+    for (const track of tracks) {
+      if (!track.coming) this.weigh(track);
+      else this.load(track).catch((error) => this.unloaded(track, error));
+    }
     // A fork always shows values.
-    if (this.setup.fork !== null) this.help();
+    if (fork !== null) this.help();
+    if (play) this.stage.clock.play();
     const moves = this.moves.splice(0);
-    if (state === "launching" || state === "returning") this.play();
-    for (const direction of moves) this.fly(direction);
+    for (const change of moves) this.change(change);
   }
 
   /** Puts these flights on the stage, at their newest step by default. */
@@ -346,67 +374,48 @@ export class Race extends Emitter {
     });
   }
 
-  move(frames) {
-    for (const { flight, frame } of frames) {
-      const track = this.tracks[flight];
-      track?.frames.push(frame);
-      if (track) this.stage.changed(track);
-      // The race goes on without the visitor.
-      if (flight === this.human && frame.done && this.automatic) this.play();
+  /** Loads the best score still possible at each step, unless it is hidden; too large maps do without. */
+  async weigh(track) {
+    const isLive = () => this.tracks.includes(track) && !track.done && !track.secret;
+    const lacks = () => isLive() && track.all.some(({ value }) => value === null);
+    if (track.weighing) return;
+    track.weighing = true;
+    while (lacks()) {
+      const { all: frames, opening } = track;
+      const actions = frames.slice(1).map(({ action }) => action);
+      const flight = { task: opening.task, seed: opening.seed, actions, only: "along" };
+      const { api, server } = this.context;
+      const answer = await tried(() => server.insist(() => api.post("values", flight)));
+      if (!answer?.along) return;
+      const [optimum] = answer.along;
+      answer.along.forEach((value, i) => Object.assign(frames[i], { value, regret: optimum - value }));
+      this.stage.changed(track);
     }
+    track.weighing = false;
   }
 
-  undone({ flight, step, values_used, undo_used }) {
-    const track = this.tracks[flight];
-    if (track.plain) toast(UNLISTED);
-    Object.assign(track.provenance, { values_used, undo_used });
-    track.frames.length = step + 1;
-    this.stage.changed(track);
-    this.stage.clock.seek(this.stage.clock.newest());
+  noteEnds() {
+    for (const track of this.tracks) if (track.live && track.done) this.ended(track);
   }
 
-  helped({ flight, frame, values_used, undo_used }) {
-    const track = this.tracks[flight];
-    Object.assign(track.provenance, { values_used, undo_used });
-    track.frames[frame.step] = frame;
-    this.stage.changed(track);
-  }
-
-  value({ flight, values, regrets }) {
-    const track = this.tracks[flight];
-    if (!track) return;
-    values.forEach((value, i) => track.frames[i] && Object.assign(track.frames[i], { value, regret: regrets[i] }));
-    this.stage.changed(track);
-  }
-
-  ended(track, episode) {
-    if (!track) return;
-    track.episode = episode;
+  ended(track) {
+    const id = track.stored;
+    track.episode = { id };
     track.live = false;
     const flown = (recall(FLOWN) ?? "").split(" ");
-    if (!track.automatic && flown.includes(episode.id)) track.called = this.person.name;
-    else if (!track.automatic && !track.brought) remember(FLOWN, [episode.id, ...flown].slice(0, KEPT).join(" "));
+    if (!track.automatic && flown.includes(id)) track.called = this.person.name;
+    else if (!track.automatic && !track.brought) remember(FLOWN, [id, ...flown].slice(0, KEPT).join(" "));
     this.stage.changed(track);
     this.emit("ended", track);
   }
 
-  refused({ code, detail }) {
-    const { state, starting, beside, flown, moves } = this;
-    if (!starting && code === "session_gone") {
-      toast("The server has ended this flight. It starts again.");
-      const play = state === "playing" || state === "returning";
-      this.start({ ...this.setup, ...this.linkParts }, { play, beside, flown, moves });
-      return;
-    }
-    this.turn("refused");
-    // A key may arrive after the end of the flight: ignored.
-    if ((state === "idle" || state === "playing") && code === "wrong_moment") return;
-    if (starting) {
-      // Without flights that stay, the next start is one that every visitor can fly.
-      const known = { ...NOTHING, task: (this.task ?? this.context.tasks[0]).short_name };
-      Object.assign(this, this.tracks.length ? this.left : { setup: known });
-      this.emit("setup");
-    }
-    this.emit("refused", sentence(detail));
+  refused(error) {
+    this.starting = null;
+    // Without flights that stay, the next start is one that every visitor can fly.
+    const known = { ...NOTHING, task: (this.task ?? this.context.tasks[0]).short_name };
+    Object.assign(this, this.tracks.length ? this.left : { setup: known });
+    this.emit("setup");
+    if (error.status) this.emit("refused", worded(error));
+    else toast("The server is away. Your flight is kept; start another one when the server is back.");
   }
 }

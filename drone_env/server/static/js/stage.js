@@ -8,29 +8,41 @@ export const worldOf = (opening, tasks) => ({ ...opening, task: tasks.find(({ id
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
 /** If the picture is more steps behind, it jumps instead of gliding. */
 const LEAP = 4;
+/** Milliseconds between two looks for a flight that the server still computes. */
+const LOOK = 50;
 
 /** `cursor` is the step that is shown; `position` follows it smoothly and is what is drawn between two steps. */
 export class Clock {
-  /**
-   * @param {() => number} end The last step of all flights. @param {() => number} newest The newest step of the live flights.
-   * @param {() => void} moved Called when the step changes, and when a replay starts or stops.
-   */
-  constructor(end, newest, moved) {
-    this.end = end;
-    this.newest = newest;
-    this.moved = moved;
+  /** @param {Stage} stage */
+  constructor(stage) {
+    this.stage = stage;
     this.cursor = this.position = 0;
-    /** Whether the page shows new steps as they arrive. */
-    this.following = true;
     this.playing = false;
     this.speed = 6;
     this.timer = 0;
   }
 
-  /** Goes to a step; at the newest one, the clock follows live flights again. */
+  /** The last step of all flights. */
+  end() {
+    return last(this.stage.tracks);
+  }
+
+  /** The newest step of the flights that may go on. */
+  newest() {
+    return last(this.stage.followed);
+  }
+
+  moved() {
+    this.stage.tell("cursor");
+  }
+
+  /** Whether nothing newer has been flown. */
+  get following() {
+    return this.cursor === this.newest();
+  }
+
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
-    this.following = this.cursor === this.newest();
     this.moved();
   }
 
@@ -39,26 +51,36 @@ export class Clock {
     this.seek(step);
   }
 
-  /** Shows the newest step, unless the visitor looks back. */
-  follow() {
-    if (this.following) this.seek(this.newest());
-  }
-
-  /** Replays the flights, at their end from the start. */
+  /** Plays: the pilots fly on; flights that have ended are replayed, at their end from the start. */
   play() {
-    if (this.playing || this.end() === 0) return;
-    if (this.cursor === this.end()) this.seek(0);
+    if (this.playing || !(this.end() || this.stage.goesOn)) return;
+    const again = this.cursor === this.end() && !this.stage.goesOn;
+    if (again) this.seek(0);
     this.playing = true;
-    this.tick();
+    this.tick(again ? 1000 / this.speed : 0);
     this.moved();
   }
 
-  tick() {
+  tick(wait = 1000 / this.speed) {
     this.timer = setTimeout(() => {
-      this.seek(this.cursor + 1);
-      if (this.cursor < this.end()) this.tick();
+      // The pilots wait for each other.
+      const waits = this.stage.followed.some(({ coming }) => coming);
+      if (!waits) this.forward();
+      if (this.stage.goesOn || this.cursor < this.end()) this.tick(waits ? LOOK : undefined);
       else this.stop();
-    }, 1000 / this.speed);
+    }, wait);
+  }
+
+  /** Goes to the next step; after the newest one, the pilots fly it. */
+  forward() {
+    const { cursor, stage } = this;
+    if (stage.goesOn && (this.following || cursor === this.end())) stage.flyOn();
+    else this.seek(cursor + 1);
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    this.moved();
   }
 
   stop() {
@@ -94,15 +116,9 @@ export class Stage extends Emitter {
     /** The live flights. @type {Track[]} */
     this.followed = [];
     this.selected = 0;
-    this.clock = new Clock(
-      () => last(this.tracks),
-      () => last(this.followed),
-      () => this.tell("cursor"),
-    );
+    this.clock = new Clock(this);
     /** The newest answer of `POST /values` for this flight, with its moment; null without one. */
     this.values = null;
-    /** Whether automatic pilots fly now. */
-    this.flying = false;
   }
 
   get track() {
@@ -134,6 +150,18 @@ export class Stage extends Emitter {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
+  /** Whether a pilot has yet to fly. */
+  get goesOn() {
+    return this.followed.some(({ goesOn }) => goesOn);
+  }
+
+  /** Every pilot whose flight goes on flies one step, which is shown. */
+  flyOn() {
+    for (const track of this.followed) track.flyOn();
+    this.tell("frames");
+    this.clock.seek(this.clock.newest());
+  }
+
   show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {
     this.world = world;
     this.tracks = tracks;
@@ -154,9 +182,7 @@ export class Stage extends Emitter {
   }
 
   changed(track) {
-    if (!this.tracks.includes(track)) return;
-    this.tell("frames");
-    this.clock.follow();
+    if (this.tracks.includes(track)) this.tell("frames");
   }
 
   tell(type) {

@@ -28,19 +28,40 @@ export function readProvenance(text) {
 /** A part of an address; a damaged one is kept as it is. @param {string} text */
 export const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
+/** A frame without the best score still possible and what is lost, which come later. @param {Answer<"Frame">} frame */
+export const unweighed = (frame) => ({ ...frame, value: null, regret: null });
+
 export class Track {
-  /** @param {Context} context @param {Answer<"EpisodeView">} flown @param {boolean} live Whether it may continue. */
-  constructor(context, { opening, frames }, live = false) {
+  /**
+   * @param {Context} context @param {Answer<"EpisodeView"> & Partial<Answer<"StartedFlight">>} flown
+   * @param {boolean} live Whether it may continue.
+   */
+  constructor(context, { opening, frames, version = null, episode = null }, live = false) {
+    const { name, colour, automatic } = context.pilot(opening.pilot);
     this.opening = opening;
     this.pilot = opening.pilot;
     const { person, values_used, undo_used, parent } = opening;
     /** Who flew, and with what help. @type {Provenance} */
     this.provenance = { pilot: this.pilot, person, values_used, undo_used, parent };
-    const { name, colour, automatic } = context.pilot(this.pilot);
     this.automatic = automatic;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = `--pilot-${colour}`;
-    this.frames = [...frames];
+    /** The frames so far. */
+    this.frames = frames.map(unweighed);
+    /** The frames that a pilot of this page has yet to fly. @type {typeof this.frames} */
+    this.rest = [];
+    /** Whether the server is still computing them, and the step that the pilot then has flown. */
+    this.coming = live && automatic;
+    this.until = 0;
+    this.loading = new AbortController();
+    /** The version of a visitor's flight, and its changes that the server has not answered. @type {string|null} */
+    this.version = version;
+    /** @type {string[]} */
+    this.pending = [];
+    /** Whether its values are being loaded, or cannot be. */
+    this.weighing = false;
+    /** Id of the stored flight, which the page shows at the end. @type {string|null} */
+    this.stored = episode;
     /** Whether it was over when the page met it: a flight from the store or a link. */
     this.brought = !live || this.done;
     /** In flights of this page the visitor is "You". */
@@ -51,6 +72,7 @@ export class Track {
     /** The answer of `POST /annotate`, or null. @type {Answer<"AnalysedFlight">|null} */
     this.annotation = null;
     this.record = null;
+    /** The id of the stored flight, once it has ended here. @type {{id: string}|null} */
     this.episode = null;
     /** The calls of a language model by step, or null; a retry is one more call. */
     this.calls = null;
@@ -98,6 +120,32 @@ export class Track {
 
   get done() {
     return this.last.done;
+  }
+
+  /** Whether its pilot has yet to fly. */
+  get goesOn() {
+    return this.coming || this.rest.length > 0;
+  }
+
+  /** Adds the flight that the server has computed. @param {Answer<"AgentFlight">} flight */
+  fill({ frames, episode }) {
+    const newest = Math.max(this.steps, this.until);
+    this.rest = frames.map(unweighed);
+    this.frames = this.rest.splice(0, newest + 1);
+    this.stored = episode;
+    this.coming = false;
+    this.brought = this.done;
+  }
+
+  /** Flies one step, at once or when the flight is there. */
+  flyOn() {
+    if (this.rest.length) this.frames.push(this.rest.shift());
+    else if (this.coming) this.until = Math.max(this.steps, this.until) + 1;
+  }
+
+  /** The frames, and those that its pilot has yet to fly. */
+  get all() {
+    return [...this.frames, ...this.rest];
   }
 
   get steps() {

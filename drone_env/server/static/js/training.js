@@ -10,7 +10,7 @@ const DRAWN = {
   reward: ["Reward", fixed],
 };
 
-/** @returns {(curve: Object<string, (number|null)[]>) => void} Shows a curve from `/live`; its first series is the x axis. */
+/** @returns {(curve: Object<string, (number|null)[]>) => void} Shows the answer of `GET /logs/curve`; its first series is the x axis. */
 export function mountTraining(root) {
   const charts = el("div.charts");
   const part = el("section.compare-part", { hidden: true }, el("h2", { text: "Newest training" }), charts);

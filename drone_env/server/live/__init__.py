@@ -1,1 +1,0 @@
-"""The WebSocket of the page: its episodes, and updates about the server."""

@@ -1,0 +1,111 @@
+// The server as the page sees it: whether it answers, and its news while a view shows them.
+import { ApiError } from "./api.js";
+import { Emitter } from "./base.js";
+
+const WAITS = [500, 1000, 2000, 4000, 8000];
+/** Milliseconds between two questions for news. */
+const PAUSE = 3000;
+const EPISODES = 50;
+
+const sleep = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
+
+/**
+ * Events: "state" ({state: "open" or "away", wait: ms until the next try}), and news: "requests" ({requests, fresh:
+ * whether they are all}), "training" (`GET /logs`), "episodes" (`GET /episodes`).
+ */
+export class Server extends Emitter {
+  /** @param {ReturnType<typeof import("./api.js").createApi>} api */
+  constructor(api) {
+    super();
+    this.api = api;
+    this.state = "open";
+    this.failures = 0;
+    this.timer = 0;
+    this.waiting = [];
+    this.watching = new AbortController();
+    api.heard = (answers) => (answers ? this.open() : this.away());
+  }
+
+  open() {
+    clearTimeout(this.timer);
+    this.timer = this.failures = 0;
+    if (this.state === "open") return;
+    this.state = "open";
+    this.emit("state", { state: "open", wait: 0 });
+    for (const go of this.waiting.splice(0)) go();
+  }
+
+  away() {
+    if (this.timer) return;
+    const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
+    this.failures += 1;
+    this.timer = setTimeout(() => this.look(), wait);
+    this.state = "away";
+    this.emit("state", { state: "away", wait });
+  }
+
+  /** Asks at once whether the server is back. */
+  look() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    this.api.get("health").catch(() => {});
+  }
+
+  /** Waits while the server is away. */
+  async back() {
+    if (this.state === "away") await new Promise((resolve) => this.waiting.push(resolve));
+  }
+
+  /** The answer of a request, which is repeated when the server is back. @template T @param {() => Promise<T>} ask @returns {Promise<T>} */
+  async insist(ask) {
+    try {
+      return await ask();
+    } catch (error) {
+      if (!(error instanceof ApiError && error.code === "away")) throw error;
+    }
+    await this.back();
+    return this.insist(ask);
+  }
+
+  /** Asks for the news of these topics only, until the next call: "requests", "training", "episodes". */
+  watch(topics) {
+    this.watching.abort();
+    this.watching = new AbortController();
+    const { signal } = this.watching;
+    const look = {
+      requests: () => this.follow(signal),
+      training: () => this.poll("training", () => this.api.get("logs"), signal),
+      episodes: () => this.poll("episodes", () => this.api.get("episodes", { limit: EPISODES }), signal),
+    };
+    for (const topic of topics) look[topic]();
+  }
+
+  /** Tells what has changed; a hidden page does not ask. */
+  async poll(topic, ask, signal) {
+    let told = "";
+    while (!signal.aborted) {
+      const answer = document.hidden ? null : await ask().catch(() => null);
+      const text = JSON.stringify(answer);
+      if (answer && text !== told && !signal.aborted) {
+        told = text;
+        this.emit(topic, answer);
+      }
+      await sleep(PAUSE);
+      await this.back();
+    }
+  }
+
+  /** Follows the requests of the server as a stream, because questions would be requests, too. */
+  async follow(signal) {
+    while (!signal.aborted) {
+      let fresh = true;
+      const tell = (requests) => {
+        if (!signal.aborted) this.emit("requests", { requests, fresh });
+        fresh = false;
+      };
+      await this.api.events("terminal_logs", signal, tell).catch(() => {});
+      if (!signal.aborted) await sleep(PAUSE);
+      await this.back();
+    }
+  }
+}
