@@ -5,6 +5,7 @@ from pathlib import Path
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.custom import as_agent
+from drone_env.agents.nearest import NearestAgent
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
@@ -18,6 +19,7 @@ NETWORK_AGENTS: dict[str, Callable[..., Agent]] = {"pathqnet": PathQNetAgent, "t
 AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
+    "nearest": NearestAgent,
     "optimal": OptimalAgent,
     **NETWORK_AGENTS,
 }
@@ -90,6 +92,7 @@ __all__ = [
     "Agent",
     "BatchAgent",
     "GreedyAgent",
+    "NearestAgent",
     "OptimalAgent",
     "PathQNetAgent",
     "RandomAgent",

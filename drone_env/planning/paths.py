@@ -214,7 +214,7 @@ def cheapest_actions(
     tables = tabulate(task)
     actions = np.zeros(len(grids), np.int64)
     cells = starts[:, 1] * task.width + starts[:, 0]
-    kind_costs = _move_costs(tables)
+    kind_costs = move_costs(tables)
     costs, first = np.zeros((2, tables.cells), np.int64)
     cheapest_kernel(tables, np.reshape(grids, (len(grids), tables.cells)), cells, kind_costs, costs, first, actions)
     return actions
@@ -236,10 +236,10 @@ def cheapest_ways(
     tables = tabulate(task)
     costs, first = np.full(tables.cells, NO_PATH), np.full(tables.cells, NO_ACTION)
     costs[start] = 0
-    cost_kernel(tables, grid, _move_costs(tables), costs, first)
+    cost_kernel(tables, grid, move_costs(tables), costs, first)
     return np.where(costs == NO_PATH, -1, costs // UNIT_COST), first
 
 
-def _move_costs(tables: Tables) -> npt.NDArray[np.int64]:
+def move_costs(tables: Tables) -> npt.NDArray[np.int64]:
     """int64[kinds], the cost of a move onto each kind of cell: battery counts first, then steps."""
     return np.reshape(tables.drain, (-1, N_ACTIONS))[:, 0] * np.int64(UNIT_COST) + STEP_COST
