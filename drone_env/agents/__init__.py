@@ -5,9 +5,9 @@ from pathlib import Path
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.custom import as_agent
-from drone_env.agents.nearest import NearestAgent
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.agents.routing import BeamAgent, NearestAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
 from drone_env.agents.source import imported, is_address
 from drone_env.agents.tournet import TournetAgent
@@ -20,6 +20,7 @@ AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
     "nearest": NearestAgent,
+    "beam": BeamAgent,
     "optimal": OptimalAgent,
     **NETWORK_AGENTS,
 }
@@ -78,6 +79,9 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         task = get_task(task)
     if name in list(AGENTS):
         return AGENTS[name](task)
+    kind, _, width = name.partition(":")
+    if kind == "beam" and width.isdecimal():
+        return BeamAgent(task, int(width))
     if network := network_file(name):
         return NETWORK_AGENTS[network[0]](task, network[1])
     if is_address(name):
@@ -91,6 +95,7 @@ __all__ = [
     "SHIPPED_AGENTS",
     "Agent",
     "BatchAgent",
+    "BeamAgent",
     "GreedyAgent",
     "NearestAgent",
     "OptimalAgent",

@@ -459,11 +459,7 @@ class FeatureEncoder:
             InvalidValueError: if they are no observations of the task: one shows more parcels, pads or battery than the
                 task has, or a drone beside its grid.
         """
-        grounds, drones = read_observations(self._task, grids, telemetry)
-        most = self._task.battery_capacity, self._task.max_steps
-        if not ((drones[:, 1:] >= 0) & (drones[:, 1:] <= most)).all():
-            raise InvalidValueError(f"an observation has battery or steps left that {self._task.id!r} does not have")
-        return self.encode(grounds, drones)
+        return self.encode(*read_observations(self._task, grids, telemetry))
 
     def encode(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> Features:
         """The features of M states.

@@ -96,6 +96,8 @@ def read_observations(
     units = np.rint(telemetry[:, 2] * task.battery_capacity)
     left = np.rint(telemetry[:, 5] * task.max_steps) if task.telemetry_size > 5 else units
     drones = np.stack([y * task.width + x, units, left], axis=1).astype(np.int64)
+    if not ((drones[:, 1:] >= 0) & (drones[:, 1:] <= (task.battery_capacity, task.max_steps))).all():
+        raise InvalidValueError(f"an observation has battery or steps left that {task.id!r} does not have")
     grounds = grids.reshape(len(grids), -1).copy()
     if task.telemetry_size > 6:
         below: Any = np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)]

@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS, Action
-from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
-from drone_env.core.rules import units_left
+from drone_env.core.rules import score_of, units_left
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidValueError
 from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs
 from drone_env.planning.states import require_memory
 
@@ -43,10 +44,10 @@ class StopMap(NamedTuple):
     """int64[N + 1, N], its steps."""
     passed: Any
     """int64[N + 1, N], the parcels that it delivers, bit i for parcel i."""
-    home: Any
-    """int64[N], units from each stop to the nearest pad; 0 if there are no pads."""
-    lead: Any
-    """int64[N], working memory: units from each pad to the next parcel, in a chain of pads."""
+    reserves: Any
+    """int64[2, parcels], the units that a drone needs on arrival: to deliver, and to fly on to a pad as well."""
+    chains: Any
+    """int64[2, N, parcels], the units from each pad, left full, by way of others to each parcel, for each reserve."""
 
 
 class Flight(NamedTuple):
@@ -75,6 +76,30 @@ def step_back(stops: StopMap, place: int, cell: int) -> tuple[int, int]:
     return cell, NO_ACTION
 
 
+@jitable
+def find_chains(stops: StopMap) -> None:
+    """Find the reserves, and the chains of pads to each parcel (Bellman-Ford)."""
+    n, end, capacity = stops.parcels, len(stops.cells) - 1, stops.tables.capacity
+    for parcel in range(n):
+        home = FAR if end > n else 0
+        for pad in range(n, end):
+            home = min(home, stops.units[parcel, pad])
+        stops.reserves[0, parcel] = 1 - stops.tables.drain[DELIVERY_CELL * N_ACTIONS]
+        stops.reserves[1, parcel] = home + 1
+        for kind in range(2):
+            chains, changed = stops.chains[kind], True
+            for pad in range(n, end):
+                units = stops.units[pad, parcel]
+                chains[pad, parcel] = units if capacity - units >= stops.reserves[kind, parcel] else FAR
+            while changed:
+                changed = False
+                for pad in range(n, end):
+                    for other in range(n, end):
+                        units = stops.units[pad, other]
+                        if units < capacity and units + chains[other, parcel] < chains[pad, parcel]:
+                            chains[pad, parcel], changed = units + chains[other, parcel], True
+
+
 @kernel
 def measure_kernel(stops: StopMap, first: Any) -> None:
     """Measure the distances between all places; `first` is working memory, int64[cells]."""
@@ -86,7 +111,7 @@ def measure_kernel(stops: StopMap, first: Any) -> None:
         costs[cells[place]] = 0
         find_costs(tables, stops.ground, stops.kind_costs, costs, first)
         for stop in range(len(cells) - 1):
-            cost, passed = costs[cells[stop]], 0
+            cost, passed = costs[cells[stop]], 1 << stop if stop < n else 0
             stops.units[place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
             stops.steps[place, stop] = cost % UNIT_COST if cost < NO_PATH else FAR
             cell = cells[stop]
@@ -96,57 +121,29 @@ def measure_kernel(stops: StopMap, first: Any) -> None:
                         passed |= (cells[parcel] == cell) << parcel
                 cell, _ = step_back(stops, place, cell)
             stops.passed[place, stop] = passed
-    for stop in range(len(cells) - 1):
-        stops.home[stop] = FAR if n < len(cells) - 1 else 0
-        for pad in range(n, len(cells) - 1):
-            stops.home[stop] = min(stops.home[stop], stops.units[stop, pad])
-
-
-@jitable
-def reserve(stops: StopMap, delivered: int, parcel: int, returns: int) -> int:
-    """The lowest number of units with which the drone may arrive at a parcel.
-
-    The last parcel may take the last unit, or even more. From others, if the drone `returns`, a pad is in range.
-    """
-    if delivered | 1 << parcel == (1 << stops.parcels) - 1 or not returns:
-        return 1 - stops.tables.drain[DELIVERY_CELL * N_ACTIONS]
-    return stops.home[parcel] + 1
+    find_chains(stops)
 
 
 @jitable
 def nearest_stop(stops: StopMap, flight: Flight, returns: int) -> int:
-    """The next stop by the rule, or `NO_STOP`; a drone that `returns` does not strand before the last parcel."""
-    n, end, capacity = stops.parcels, len(stops.cells) - 1, stops.tables.capacity
-    place, units = flight.place, flight.units
-    best, nearest = NO_STOP, FAR
+    """The next stop by the rule, or `NO_STOP`. A drone that `returns` keeps a pad in range up to the last parcel."""
+    n, place, best, lowest = stops.parcels, flight.place, NO_STOP, FAR
+    waiting = (1 << n) - 1 - flight.delivered
+    kind = returns if waiting & (waiting - 1) else 0
     for parcel in range(n):
-        far = stops.units[place, parcel]
-        if flight.delivered >> parcel & 1 or far >= nearest or stops.steps[place, parcel] > flight.left:
-            continue
-        if units - far >= reserve(stops, flight.delivered, parcel, returns):
-            best, nearest = parcel, far
+        units = stops.units[place, parcel]
+        in_time = stops.steps[place, parcel] <= flight.left
+        in_range = flight.units - units >= stops.reserves[kind, parcel]
+        if waiting >> parcel & 1 and units < lowest and in_time and in_range:
+            best, lowest = parcel, units
     if best != NO_STOP:
         return best
-    for pad in range(n, end):
-        stops.lead[pad] = FAR
+    for pad in range(n, len(stops.cells) - 1):
+        units = 0 if pad == place else stops.units[place, pad]
         for parcel in range(n):
-            far = stops.units[pad, parcel]
-            if not flight.delivered >> parcel & 1 and capacity - far >= reserve(
-                stops, flight.delivered, parcel, returns
-            ):
-                stops.lead[pad] = min(stops.lead[pad], far)
-    changed = True
-    while changed:
-        changed = False
-        for pad in range(n, end):
-            for other in range(n, end):
-                chained = stops.units[pad, other] + stops.lead[other]
-                if stops.units[pad, other] < capacity and chained < stops.lead[pad]:
-                    stops.lead[pad], changed = chained, True
-    for pad in range(n, end):
-        far = 0 if pad == place else stops.units[place, pad]
-        if far + stops.lead[pad] < nearest and fly_to(stops, flight, pad).left < flight.left:
-            best, nearest = pad, far + stops.lead[pad]
+            chain = units + stops.chains[kind, pad, parcel]
+            if waiting >> parcel & 1 and chain < lowest and fly_to(stops, flight, pad).left < flight.left:
+                best, lowest = pad, chain
     return best
 
 
@@ -163,8 +160,8 @@ def fly_to(stops: StopMap, flight: Flight, stop: int) -> Flight:
         return Flight(delivered, stop, max(units, 0), left) if possible else flight
     charge = -stops.tables.drain[PAD_CELL * N_ACTIONS + WAIT]
     waits = (stops.tables.capacity - units + charge - 1) // charge
-    if units <= 0 or left < waits:
-        return flight
+    if units <= 0 or left < waits or delivered == (1 << stops.parcels) - 1:
+        return flight  # the last delivery ends the flight
     return Flight(delivered, stop, stops.tables.capacity, left - waits)
 
 
@@ -183,17 +180,106 @@ def fly_by_rule(stops: StopMap, flight: Flight, order: Any) -> tuple[Any, int]:
     return flight, n_stops
 
 
+@jitable
+def score_at(stops: StopMap, flight: Flight) -> float:
+    """The score of a planned flight at its end."""
+    tables, waiting = stops.tables, 0
+    for parcel in range(stops.parcels):
+        waiting += 1 - (flight.delivered >> parcel & 1)
+    if waiting:  # only waiting remains
+        return score_of(tables, tables.deliveries - waiting, 0, tables.max_steps)
+    return score_of(tables, tables.deliveries, flight.units, tables.max_steps - flight.left)
+
+
+@jitable
+def flight_of(row: Any) -> Flight:
+    """The flight in the first columns of a row of a beam."""
+    return Flight(row[0], row[1], row[2], row[3])
+
+
+@jitable
+def is_dominated(flight: Flight, rows: Any, n: int) -> bool:
+    """Whether one of the first n rows has as many units and steps left, at the same place with the same parcels."""
+    for i in range(n):
+        other = flight_of(rows[i])
+        same = other.delivered == flight.delivered and other.place == flight.place
+        if same and other.units >= flight.units and other.left >= flight.left:
+            return True
+    return False
+
+
+@jitable
+def copy(values: Any, to: Any, n: int) -> None:
+    """Copy the first n values; slices would allocate."""
+    for i in range(n):
+        to[i] = values[i]
+
+
 @kernel
-def rule_kernel(stops: StopMap, units: int, left: int, order: Any) -> int:
-    """Write the stops of a flight by the rule to `order`, and return their number."""
-    _, n_stops = fly_by_rule(stops, Flight(0, len(stops.cells) - 1, units, left), order)
-    return n_stops
+def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, order: Any) -> int:
+    """Write the stops of the best flight found to `best`, and return their number.
+
+    A beam has the best partial flights with the same number of stops. Flights that nearest neighbour completes to
+    higher scores are better.
+
+    Args:
+        stops: The map.
+        start: int64[4], the fields of the first flight.
+        beams: int64[2, width, 4 + most stops], working memory: flights and their stops so far.
+        scores: float64[width], working memory.
+        best: int64[stops], receives the stops.
+        order: int64[stops], working memory.
+    """
+    n, everything = len(stops.cells) - 1, (1 << stops.parcels) - 1
+    end, n_best = fly_by_rule(stops, flight_of(start), best)
+    highest = score_at(stops, end)
+    copy(start, beams[0, 0], 4)
+    kept, width = 1, len(scores)
+    for depth in range(4, beams.shape[2]):
+        beam, children, n_children = beams[depth % 2], beams[1 - depth % 2], 0
+        for k in range(kept):
+            flight = flight_of(beam[k])
+            for stop in range(n):
+                if stop < stops.parcels and flight.delivered >> stop & 1:
+                    continue
+                child = fly_to(stops, flight, stop)
+                if child.left == flight.left or is_dominated(child, children, n_children):
+                    continue
+                if score_at(stops, Flight(everything, stop, stops.tables.capacity, child.left)) <= highest:
+                    continue  # no flight from here is better
+                end, n_stops = fly_by_rule(stops, child, order)
+                score = score_at(stops, end)
+                if score > highest:
+                    highest, n_best = score, depth - 3 + n_stops
+                    copy(beam[k, 4:], best, depth - 4)
+                    best[depth - 4] = stop
+                    copy(order, best[depth - 3 :], n_stops)
+                if child.delivered == everything or child.units == 0:
+                    continue
+                if n_children == width and score <= scores[width - 1]:
+                    continue
+                n_children = min(n_children + 1, width)
+                at = n_children - 1
+                while at > 0 and scores[at - 1] < score:
+                    scores[at] = scores[at - 1]
+                    copy(children[at - 1], children[at], depth + 1)
+                    at -= 1
+                scores[at] = score
+                copy(child, children[at], 4)
+                copy(beam[k, 4:], children[at, 4:], depth - 4)
+                children[at, depth] = stop
+        kept = n_children
+        if kept == 0:
+            break
+    return n_best
 
 
 @kernel
 def trace_kernel(stops: StopMap, order: Any, units: int, left: int, flown: Any) -> int:
-    """Write each step of a flight to these stops, int64[steps, 4]: cell, units left, steps left, action; return the
-    number of steps."""
+    """Write each step of a flight to these stops, int64[steps, 4], and return their number.
+
+    A step is the cell, the units left and the steps left before it, and its action.
+    """
     tables, place, steps = stops.tables, len(stops.cells) - 1, 0
     charge = int(tables.drain[PAD_CELL * N_ACTIONS + WAIT])
     for stop in order:
@@ -225,17 +311,43 @@ def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int) -
         drone: The cell of the drone.
 
     Raises:
+        InvalidValueError: if it has more parcels than the task.
         TooLargeError: if the map would take more memory than `states.MAX_BYTES`.
     """
-    tables = tabulate(task)
-    parcels = np.flatnonzero(ground == DELIVERY_CELL)
+    tables, parcels = tabulate(task), np.flatnonzero(ground == DELIVERY_CELL)
+    if len(parcels) + (ground == DELIVERED_CELL).sum() > task.deliveries:
+        raise InvalidValueError(f"an observation shows more parcels than {task.id!r} has")
     pads = np.flatnonzero(ground == PAD_CELL) if task.charge_rate and not task.uniform else parcels[:0]
-    n = len(parcels) + len(pads)
-    require_memory("the distances", task, 8 * (n + 1) * (tables.cells + 3 * n))
-    costs, distances = np.empty((n + 1, tables.cells), np.int64), np.zeros((3, n + 1, n), np.int64)
-    cells = np.concatenate([parcels, pads, [drone]])
-    stops = StopMap(
-        tables, ground, move_costs(tables), cells, len(parcels), costs, *distances, *np.zeros((2, n), np.int64)
-    )
-    measure_kernel(stops, np.empty(tables.cells, np.int64))
+    places, n = np.concatenate([parcels, pads, [drone]]), len(parcels)
+    p = len(places)
+    require_memory("the distances", task, 8 * p * (tables.cells + 3 * p + 2 * n))
+    costs, (units, steps, passed) = np.zeros((p, tables.cells), np.int64), np.zeros((3, p, p - 1), np.int64)
+    reserves, chains = np.zeros((2, n), np.int64), np.zeros((2, p, n), np.int64)
+    stops = StopMap(tables, ground, move_costs(tables), places, n, costs, units, steps, passed, reserves, chains)
+    measure_kernel(stops, np.zeros(tables.cells, np.int64))
     return stops
+
+
+def plan_flight(
+    task: TaskConfig, ground: npt.NDArray[np.uint8], drone: npt.NDArray[np.int64], width: int
+) -> npt.NDArray[np.int64]:
+    """Plan a flight by beam search, or, if `width` is 0, by nearest neighbour with recharging.
+
+    Args:
+        task: The task.
+        ground: uint8[cells], without the drone.
+        drone: int64[3], cell, units left and steps left.
+        width: Partial flights to keep after each stop.
+
+    Returns:
+        int64[steps, 4], the cell, the units left and the steps left before each step, and its action.
+    """
+    cell, units, left = drone.tolist()
+    stops = measure_stops(task, ground, cell)
+    best, order = np.zeros((2, 2 * left + 2), np.int64)
+    most = 2 * stops.parcels + 4 if width else 0
+    beams, scores = np.zeros((2, max(width, 1), 4 + most), np.int64), np.zeros(width)
+    start = np.array([0, len(stops.cells) - 1, units, left])
+    n = beam_kernel(stops, start, beams, scores, best, order)
+    flown = np.zeros((left, 4), np.int64)
+    return flown[: trace_kernel(stops, best[:n], units, left, flown)]
