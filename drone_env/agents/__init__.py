@@ -65,8 +65,8 @@ def rebase_agent_path(name: str, file: Path) -> str:
 def make_agent(name: str, task: str | TaskConfig) -> Agent:
     """Make an agent for a task by its name, as commands take it.
 
-    Names are those of `AGENTS`; `pathqnet:FILE`, the network in a file, likewise for all `NETWORK_AGENTS`;
-    `MODULE:NAME`, your own class or function, or a model of Stable-Baselines3 that the module loads.
+    Names are those of `AGENTS`; `beam:WIDTH`; `pathqnet:FILE`, the network in a file, likewise for all
+    `NETWORK_AGENTS`; `MODULE:NAME`, your own class or function, or a model of Stable-Baselines3 that the module loads.
 
     Raises:
         UnknownNameError: if there is no such agent or task; the message lists the valid names.
@@ -79,9 +79,8 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         task = get_task(task)
     if name in list(AGENTS):
         return AGENTS[name](task)
-    kind, _, width = name.partition(":")
-    if kind == "beam" and width.isdecimal():
-        return BeamAgent(task, int(width))
+    if name.startswith("beam:"):
+        return BeamAgent(task, name.removeprefix("beam:"))
     if network := network_file(name):
         return NETWORK_AGENTS[network[0]](task, network[1])
     if is_address(name):

@@ -9,10 +9,10 @@ from drone_env.agents.base import StatelessAgent
 from drone_env.core.actions import Action
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL
 from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import read_observations
 
-WIDTH = 256
-"""About 10 ms a map on `skyline_hard`."""
+MAX_WIDTH = 10_000
 
 
 class NearestAgent(StatelessAgent):
@@ -63,13 +63,18 @@ class BeamAgent(NearestAgent):
 
     Args:
         task: The task.
-        width: Partial flights that it keeps after each stop.
+        width: Number of partial flights that it keeps after each stop, 1 to 10000; also as text.
+
+    Raises:
+        InvalidValueError: if the width is another.
     """
 
-    def __init__(self, task: TaskConfig, width: int = WIDTH) -> None:
+    def __init__(self, task: TaskConfig, width: int | str = 256) -> None:
         super().__init__(task)
-        self.config = {"agent": "beam", "version": 1, "width": width}
-        self._width = width
+        if not str(width).isdecimal() or not 1 <= int(width) <= MAX_WIDTH:
+            raise InvalidValueError(f"the width of a beam is 1 to {MAX_WIDTH}, as in beam:16; got {width!r}")
+        self._width = int(width)
+        self.config = {"agent": "beam", "version": 1, "width": self._width}
 
 
 def _state(ground: npt.NDArray[np.uint8], drone: npt.NDArray[np.int64]) -> int:

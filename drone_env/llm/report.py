@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
 
 NO_PRICES = Options()
-BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
+BASELINES = ("random", "greedy", "nearest", "beam", "pathqnet", "tournet", "optimal")
 
 
 def report(run: VerifiedRun, options: Options = NO_PRICES, moves: bool = True) -> LeaderboardEntry:

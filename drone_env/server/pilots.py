@@ -38,13 +38,17 @@ BUILTIN_PILOTS: dict[str, Pilot] = {
     "tournet": Pilot(
         "Tournet", "A network that plans: chooses the parcel or pad to fly to next, and by which way.", "tournet"
     ),
-    "greedy": Pilot("Greedy", "Flies to the nearest parcel and looks no further."),
+    "greedy": Pilot("Greedy", "Flies to the nearest parcel, whatever its battery."),
+    "nearest": Pilot(
+        "Nearest neighbour", "A rule: the nearest parcel from which a pad stays in range; else it fills up."
+    ),
+    "beam": Pilot("Beam search", "Tries many orders of parcels and pads, and flies the best. No learning."),
     "optimal": Pilot("Optimal", "Plans a best flight over the whole map and flies it."),
     "random": Pilot("Random", "Takes any action; the floor that everybody must beat."),
     HUMAN: Pilot("You", "Arrow keys or the pad; space waits."),
 }
-COLOURS = len(BUILTIN_PILOTS) + 3
-"""Colours of pilots on the page, `--pilot-1` and so on; further agents share the last one."""
+COLOURS = len(BUILTIN_PILOTS) + 1
+"""Colours of pilots on the page, `--pilot-1` and so on; registered agents share the last one."""
 
 
 def all_pilots() -> dict[str, Pilot]:

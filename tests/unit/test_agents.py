@@ -67,7 +67,7 @@ def test_the_random_agent_draws_all_actions_alike_and_differently_on_each_map() 
     assert len({tuple(actions) for actions in flights}) == len(flights)
 
 
-@pytest.mark.parametrize("name", ["greedy", "tournet"])
+@pytest.mark.parametrize("name", ["greedy", "nearest", "tournet"])
 def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
     task = get_task("skyline_easy")
     agent, batch = make_agent(name, task), Batch(task, 3)
