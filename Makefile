@@ -39,8 +39,8 @@ demo: $(VENV)/.base
 	@$(BIN)/drone-env fly --task skyline_medium --agent tournet --seed 7 --picture demo/mission.png
 	@echo
 	@echo "== 100 test maps of each standard and skyline task =="
-	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy pathqnet optimal --split test --episodes 100
-	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --agents random greedy tournet optimal --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy nearest beam pathqnet optimal --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --agents random greedy nearest beam tournet optimal --split test --episodes 100
 	@echo
 	@echo "To watch and fly in the browser: make serve, then open http://127.0.0.1:8000"
 

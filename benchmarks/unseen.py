@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--network", metavar="FILE", help="an exported tour network; without one, the shipped network")
     arguments = parser.parse_args()
     file = f":{arguments.network}" if arguments.network else ""
-    agents = "greedy", f"tournet{file}", "optimal"
+    agents = "greedy", "nearest", "beam", f"tournet{file}", "optimal"
     print(f"| task | optimum | {' | '.join(f'{agent} | delivered all' for agent in agents)} |")
     for name in CHANGES:
         task = unseen(name)

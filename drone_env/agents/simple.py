@@ -1,4 +1,4 @@
-"""Agents without a plan: random actions, and greedy flight to the nearest parcel."""
+"""Agents without a plan: random actions, and greedy flight to the nearest parcel, whatever the battery."""
 
 from collections.abc import Mapping
 from functools import partial

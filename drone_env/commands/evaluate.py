@@ -41,7 +41,7 @@ Summaries = dict[TaskConfig, dict[str, Summary | Cannot]]
 
 def evaluate(
     task: TaskNames = ("all",),
-    agents: AgentNames = ("random", "greedy", "optimal"),
+    agents: AgentNames = ("random", "nearest", "beam", "optimal"),
     split: SplitName = None,
     episodes: int | None = None,
     seeds: SeedRange = None,

@@ -1,1 +1,1 @@
-"""Planners: exact and greedy."""
+"""Planners: exact and heuristic."""

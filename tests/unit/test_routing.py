@@ -22,7 +22,7 @@ RULES: dict[str, Any] = {
 
 def flight(agent: str, street: str, battery: int, actions: str = "", max_steps: int = 40) -> str:
     """The actions of an agent on a street, after those of somebody else, up to the end. One WAIT fills the battery."""
-    numbers = {"battery_capacity": battery, "charge_rate": battery, "max_steps": max_steps}
+    numbers: dict[str, Any] = {"battery_capacity": battery, "charge_rate": battery, "max_steps": max_steps}
     episode = toy_episode([street, "O" * len(street)], **RULES, **numbers)
     pilot = make_agent(agent, episode.task)
     pilot.reset(0)
