@@ -45,7 +45,7 @@ def draw(results: dict[str, Any]) -> Figure:
             flights.plot(np.arange(len(ended)) + WINDOW, ended, color=COLOURS[kind], linewidth=1, label=label)
     flights.set(xlabel="finished flights", ylabel=f"score of GRPO's flights, mean of {WINDOW}")
     table = results["evaluation"]
-    names = [name for name in ("optimum", "sft", "greedy", "weak") if name in table]
+    names = [name for name in ("optimum", "nearest", "sft", "greedy", "weak") if name in table]
     names += [name for group in runs.values() for name in group if name in table]
     means, low, high = np.array([table[name]["score"] for name in names]).T
     colours = [COLOURS.get(name.split("-")[1] if "-" in name else "", "#777777") for name in names]

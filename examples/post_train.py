@@ -30,11 +30,10 @@ from tokenizers import Regex, Tokenizer, decoders, models, pre_tokenizers, train
 from transformers import AutoModelForCausalLM, AutoTokenizer, LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
 from trl import GRPOConfig, GRPOTrainer, SFTConfig, SFTTrainer
 
-from drone_env.agents.simple import GreedyAgent
+from drone_env.agents import make_agent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import get_task
 from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.planning.optimal import solve, solver_of
@@ -44,6 +43,7 @@ Stage = Literal["sft", "weak", "grpo", "evaluate"]
 Reward = Literal["score", "regret", "rank"]
 Pilot = Callable[[list[list[Any]]], list[Action]]
 """Answers many requests at once."""
+RULES = "greedy", "nearest"
 PHRASES = (
     r"(?:pad|parcel) (?:left|right) \d+ (?:up|down) \d+|cost \d+ via [A-Z]+|(?:battery|left) \d+"
     r"|(?:UP|DOWN|LEFT|RIGHT) [a-z]+|Below the drone: [a-z]+(?: pad)?|<[a-z]+>|\S+"
@@ -390,14 +390,16 @@ def reinforce(options: Options) -> None:
 
 
 def evaluate(options: Options) -> None:
-    """Fly the test maps greedily with every model in the folder, next to the agent `greedy` and the optimum."""
+    """Fly the test maps greedily with every model in the folder, next to two rules and the optimum."""
     seeds = split_seeds("test", options.test_maps)
     best = np.array([solve(options.task, seed).score for seed in seeds])
-    greedy = GreedyAgent(get_task(options.task))
-    flights = {"greedy": [Episode(options.task, seed=seed) for seed in seeds]}
-    for flight in flights["greedy"]:
-        while not flight.ended:
-            flight.step(greedy.act(flight.observation()))
+    flights = {name: [Episode(options.task, seed=seed) for seed in seeds] for name in RULES}
+    for name in RULES:
+        agent = make_agent(name, options.task)
+        for flight in flights[name]:
+            agent.reset(flight.seed)
+            while not flight.ended:
+                flight.step(agent.act(flight.observation()))
     for folder in sorted(path.parent for path in options.out.glob("*/config.json")):
         flights[folder.name] = [Episode(options.task, seed=seed) for seed in seeds]
         fly(options, flights[folder.name], pilot(options, *load(options, folder)))

@@ -5,9 +5,8 @@ from pathlib import Path
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.custom import as_agent
-from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.agents.routing import BeamAgent, NearestAgent
+from drone_env.agents.planned import BeamAgent, NearestAgent, OptimalAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
 from drone_env.agents.source import imported, is_address
 from drone_env.agents.tournet import TournetAgent

@@ -1,20 +1,21 @@
 """Agents without a plan: random actions, and greedy flight to the nearest parcel, whatever the battery."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.core.actions import N_ACTIONS
+from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.episode import Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.greedy import greedy_actions
+from drone_env.planning.from_observation import drone_positions
 
 KEY = task_key("agent/random", 1)
+UP, LEFT, WAIT = int(Action.UP), int(Action.LEFT), int(Action.WAIT)
+"""DOWN is UP + 1, RIGHT is LEFT + 1."""
 
 
 class RandomAgent:
@@ -48,8 +49,21 @@ class RandomAgent:
 
 
 class GreedyAgent(StatelessAgent):
-    """Flies to the nearest target, on the cheapest path if terrain costs or blocks."""
+    """Flies straight to the current target. If terrain costs or blocks, the target is the cheapest parcel to reach.
+
+    It ignores the battery and never charges.
+    """
 
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}
-        self.act_batch = partial(greedy_actions, task)
+        self._task = task
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions, int64[N]; WAIT if nothing is left."""
+        if self._task.uniform:  # along the row to the target, then along the column
+            x, y, _, to_x, to_y, *_ = telemetry.T
+            down_or_wait = np.where(y == to_y, WAIT, UP + (to_y > y))
+            return np.where(x == to_x, down_or_wait, LEFT + (to_x > x))
+        from drone_env.planning.paths import cheapest_actions  # Imported lazily: compiling takes seconds.
+
+        return cheapest_actions(self._task, grids, drone_positions(self._task, grids, telemetry))

@@ -14,7 +14,7 @@ from drone_env.core.compile_cache import is_compiled
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
-from drone_env.planning import legs, solver
+from drone_env.planning import legs, solver, stops
 from drone_env.planning.cell_states import battery_range, range_kernel, states_at_cells
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.paths import cheapest_kernel
@@ -22,7 +22,10 @@ from drone_env.planning.paths import cheapest_kernel
 SOLVERS = (
     range_kernel, legs.flight_kernel, legs.rank_kernel, legs.value_kernel, solver.score_kernel, solver.step_kernel
 )  # fmt: skip
-TOURNET = (cheapest_kernel, encode_kernel)
+AGENTS = {
+    "tournet": (cheapest_kernel, encode_kernel),
+    "beam": (stops.measure_kernel, stops.beam_kernel, stops.trace_kernel),
+}
 TASKS = ("easy", "skyline_easy")
 
 
@@ -36,10 +39,10 @@ if is_compiled(*SOLVERS):
         values.best_actions()
         states_at_cells(episode)
         battery_range(episode, episode.cell, 1)
-if is_compiled(*TOURNET):
-    for task in TASKS:
+for name, kernels in AGENTS.items():
+    for task in TASKS if is_compiled(*kernels) else ():
         with suppress(DroneEnvError):  # a job that uses an invalid network raises the error
-            agent = make_agent("tournet", get_task(task))
+            agent = make_agent(name, get_task(task))
             agent.reset(0)
             agent.act(Episode(task, seed=0).observation())
 gc.collect()

@@ -19,7 +19,7 @@ def test_the_example_trains_by_both_trainers_and_evaluates(tmp_path: Path) -> No
     subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {"HF_HUB_OFFLINE": "1"}, timeout=500)
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     models = {"sft", "weak", "grpo-score-0", "grpo-regret-0", "grpo-rank-0"}
-    assert results["evaluation"].keys() == models | {"optimum", "greedy"}
+    assert results["evaluation"].keys() == models | {"optimum", "greedy", "nearest"}
     assert all((tmp_path / name / "model.safetensors").exists() for name in models)
     assert results["sft"]["answers"] > results["weak"]["answers"] > 0
     for row in results["evaluation"].values():

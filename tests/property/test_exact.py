@@ -7,7 +7,7 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drone_env.agents.optimal import OptimalAgent
+from drone_env.agents.planned import OptimalAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from drone_env.agents import make_agent
 from drone_env.core.cells import CELL_KINDS, TARGET, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs import rendering
 from drone_env.envs.ansi import ROAD, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import draw_picture
-from drone_env.planning.greedy import greedy_action
 from tests.toy import toy_episode
 
 EASY = get_task("easy")
@@ -30,9 +30,10 @@ Picture = npt.NDArray[np.uint8]
 
 def fly(episode: Episode, steps: int = 1000) -> Episode:
     """Fly towards the target until the end, at most so many steps."""
+    agent = make_agent("greedy", episode.task)
     for _ in range(steps):
         if not episode.ended:
-            episode.step(greedy_action(episode.task, episode.observation()))
+            episode.step(agent.act(episode.observation()))
     return episode
 
 
