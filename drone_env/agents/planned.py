@@ -71,7 +71,9 @@ class OptimalAgent(PlannedAgent):
     def plan(self, observation: Observation, ground: Any, drone: Any) -> Iterable[tuple[int, int, int, int]]:
         """Plan a best flight."""
         episode = episode_of(self.task, observation)
-        for action in best_actions(episode):
+        actions = iter(best_actions(episode))
+        while not episode.ended:
+            action = next(actions, Action.WAIT)
             yield episode.cell, episode.battery_units, self.task.max_steps - episode.steps, action
             episode.step(action)
 

@@ -278,9 +278,9 @@ def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, 
 def trace_kernel(stops: StopMap, order: Any, units: int, left: int, flown: Any) -> int:
     """Write each step of a flight to these stops, int64[steps, 4], and return their number.
 
-    A step is the cell, the units left and the steps left before it, and its action.
+    A step is the cell, the units left and the steps left before it, and its action. If parcels remain, the drone waits.
     """
-    tables, place, steps = stops.tables, len(stops.cells) - 1, 0
+    tables, place, steps, delivered = stops.tables, len(stops.cells) - 1, 0, 0
     charge = int(tables.drain[PAD_CELL * N_ACTIONS + WAIT])
     for stop in order:
         cell, start = stops.cells[stop], stops.cells[place]
@@ -298,7 +298,13 @@ def trace_kernel(stops: StopMap, order: Any, units: int, left: int, flown: Any) 
             flown[steps] = stops.cells[stop], units, left - steps, WAIT
             units = units_left(tables, units, charge)
             steps += 1
+        delivered |= stops.passed[place, stop]
         place = stop
+    cell = stops.cells[place]
+    while delivered != (1 << stops.parcels) - 1 and units > 0 and steps < left:
+        flown[steps] = cell, units, left - steps, WAIT
+        units = units_left(tables, units, int(tables.drain[stops.ground[cell] * N_ACTIONS + WAIT]))
+        steps += 1
     return steps
 
 
