@@ -281,7 +281,8 @@ def trace_kernel(stops: StopMap, order: Any, units: int, left: int, flown: Any) 
     A step is the cell, the units left and the steps left before it, and its action. If parcels remain, the drone waits.
     """
     tables, place, steps, delivered = stops.tables, len(stops.cells) - 1, 0, 0
-    charge = int(tables.drain[PAD_CELL * N_ACTIONS + WAIT])
+    drain: Any = tables.drain
+    charge = int(drain[PAD_CELL * N_ACTIONS + WAIT])
     for stop in order:
         cell, start = stops.cells[stop], stops.cells[place]
         arrival = steps + stops.costs[place, cell] % UNIT_COST if cell != start else steps
@@ -303,7 +304,7 @@ def trace_kernel(stops: StopMap, order: Any, units: int, left: int, flown: Any) 
     cell = stops.cells[place]
     while delivered != (1 << stops.parcels) - 1 and units > 0 and steps < left:
         flown[steps] = cell, units, left - steps, WAIT
-        units = units_left(tables, units, int(tables.drain[stops.ground[cell] * N_ACTIONS + WAIT]))
+        units = units_left(tables, units, int(drain[stops.ground[cell] * N_ACTIONS + WAIT]))
         steps += 1
     return steps
 

@@ -101,7 +101,7 @@ def test_the_maps_of_a_command() -> None:
     ("arguments", "allowed"),
     [
         (["fly", "--task", "esy"], "did you mean 'easy'? allowed: city, city_small, easy, hard, medium, skyline_easy"),
-        (["evaluate", "--agents", "ace"], "greedy, optimal, pathqnet, random"),
+        (["evaluate", "--agents", "ace"], "beam, greedy, nearest, optimal, pathqnet, random"),
         (["evaluate", "--episodes", "0"], "at least 1"),
         (["evaluate", "--seeds", "5:5"], "A < B"),
         (["evaluate", "--seeds", "1:2", "--split", "test"], "without --split"),
