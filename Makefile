@@ -91,17 +91,20 @@ format: $(VENV)/.dev
 docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
-# One case of each test on the lowest and the highest Python, without PyTorch: tests that need it are skipped. Folders that
-# are left out need a browser, a cluster or programs of this Python, or search at random what no Python changes.
+# On the lowest and the highest Python, without PyTorch, one case of each test of what a Python or the oldest packages for it
+# can change: imports, what is read, written, printed, compiled and served, and the golden hashes. The rest is built on that.
 PYTHONS := python-lowest python-highest
-LEFT_OUT := browser cluster container docs package parity property
+ANY_PYTHON := test_env.py test_api.py parity contract/test_gymnasium.py contract/test_openenv.py \
+    $(addprefix api/test_,golden_output.py socket.py starting.py) $(addprefix llm/test_,endpoint.py failures.py settings.py) \
+    $(patsubst %,unit/test_%.py,city_file cli cli_records compile_cache doctor errors files graders imports maps \
+    provenance public_names record registry reward_files rewards rules sessions store tables tasks toml_text)
 python-lowest: VERSIONS := 3.10
 python-highest: VERSIONS := 3.14 3.13
 python: $(PYTHONS)
 $(PYTHONS): %: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $(VERSIONS)) && $$python -m venv $(VENV)/$@
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest --one-case $(SIDE_BY_SIDE) $(addprefix --ignore tests/,$(LEFT_OUT))
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest --one-case $(SIDE_BY_SIDE) $(addprefix tests/,$(ANY_PYTHON))
 
 # Every client and trainer that the docs name, each in an environment with its own packages.
 adapters: $(VENV)/.dev

@@ -129,23 +129,22 @@ def append_line(file: FileIO, line: str) -> None:
 
 
 @contextmanager
-def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
+def locked(path: Path, taken: str) -> Generator[None, None, None]:
     """Hold an exclusive lock on a file, which is created, until the end of the `with` or of this process.
 
     Args:
         path: The file.
         taken: The error message if another process holds the lock.
-        seconds: How long to wait for it.
 
     Raises:
-        InvalidValueError: if another process still holds the lock.
+        InvalidValueError: if another process holds the lock.
         OSError: if the file cannot be created.
     """
     from filelock import FileLock, Timeout  # slow to load, and seldom needed
 
-    lock = FileLock(path, timeout=seconds, mode=0o600, thread_local=False)
+    lock = FileLock(path, timeout=0, mode=0o600, thread_local=False)
     try:
-        lock.acquire(poll_interval=0.2)
+        lock.acquire()
     except Timeout:
         raise InvalidValueError(taken) from None
     try:

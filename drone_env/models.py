@@ -72,10 +72,8 @@ class DroneAction(StrictModel):
 class DroneObservation(StrictModel):
     """The observation after a reset or a step."""
 
-    grid: list[str] = Field(fail_fast=True, description="The map as one row of emoji per line, top row first.")
-    cell_types: list[Annotated[list[CellName], Field(fail_fast=True)]] = Field(
-        fail_fast=True, description="Names of the cell kinds, cell_types[y][x]."
-    )
+    grid: list[str] = Field(description="The map as one row of emoji per line, top row first.")
+    cell_types: list[list[CellName]] = Field(description="Names of the cell kinds, cell_types[y][x].")
     grid_width: int = Field(ge=2, description="Columns of the grid.")
     grid_height: int = Field(ge=2, description="Rows of the grid.")
     drone_x: Count = Field(description="Column of the drone, 0 at the left.")

@@ -5,6 +5,7 @@ python tools/docs_tables.py --check    changes nothing, and names what is not up
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -15,7 +16,6 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS
 from drone_env.llm.config import InferenceSettings
-from drone_env.results.tables import markdown_table
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -23,20 +23,21 @@ STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max
 SPECIAL = (Event.NONE, Event.DELIVERY)
 
 
-def table(rows: list[list[str]]) -> str:
+def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows as a table in Markdown; the first one is its head."""
-    return markdown_table(rows[0], rows[1:])
+    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 
 def settings_table(settings: type[BaseSettings]) -> str:
     """Return the settings of a class as a table in Markdown."""
-    prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
+    prefix, rows = settings.model_config.get("env_prefix", ""), [("variable", "default", "meaning")]
     for name, field in settings.model_fields.items():
         several = isinstance(field.default, tuple)
         default = ",".join(cast(tuple[str, ...], field.default)) if several else str(field.default or "")
         shown = "in the package" if Path(default).is_absolute() else f"`{default}`" if default else "-"
         rows.append((f"`{prefix}{name.upper()}`", shown, f"{field.description}"))
-    return markdown_table(("variable", "default", "meaning"), rows)
+    return table(rows)
 
 
 def kinds() -> str:

@@ -33,11 +33,7 @@ from drone_env.core.tables import (
     Buffer,
     FloatBuffer,
     Tables,
-    interpreted,
-    state_size,
-    view,
 )
-from drone_env.core.tasks import TaskConfig
 
 # Plain integers, because compiled code cannot use enum members.
 DELIVERY, BATTERY_EMPTY = int(Event.DELIVERY), int(Event.BATTERY_DEAD)
@@ -256,25 +252,3 @@ def open_actions(tables: Tables, grid: Buffer, state: Buffer) -> int:
         for action in range(N_MOVES):
             mask -= tables.impassable[grid[tables.around[state[CELL] * N_MOVES + action]]] << 8 * action
     return mask
-
-
-def telemetry_of(
-    task: TaskConfig, cell: int, under: int, battery: int, steps: int, target: int | None
-) -> npt.NDArray[np.float32]:
-    """The telemetry of a drone with these fields, as `write_telemetry` writes it.
-
-    Args:
-        task: The task.
-        cell: Cell of the drone, y * width + x.
-        under: The kind of the cell below it.
-        battery: Units left.
-        steps: Steps taken.
-        target: The cell of the current target; None if nothing is left to deliver.
-    """
-    tables = interpreted(task)
-    state = np.zeros(state_size(tables), np.uint16)
-    state[[CELL, UNDER, BATTERY, STEPS]] = cell, under, battery, steps
-    state[TARGET] = NOWHERE if target is None else target
-    telemetry = np.zeros(task.telemetry_size, np.float32)
-    write_telemetry(tables, view(state), view(telemetry))
-    return telemetry

@@ -211,7 +211,7 @@ class Store:
         query = f"{SELECT_ROWS} {where} {NEWEST}", (*values, min(n, MOST_ROWS))
         return [EpisodeSummary(**row) for row in self._read_solved(*query, "seed", patience)]
 
-    def means_by_map(self, task: str | TaskConfig, patience: float | None = None) -> list[sqlite3.Row]:
+    def means_by_map(self, task: str | TaskConfig) -> list[sqlite3.Row]:
         """Return the means of each agent's flights over each map of a task; optima as in `listed`.
 
         Raises:
@@ -219,7 +219,7 @@ class Store:
             StoreError: if the store cannot be read.
         """
         where, values = _where(task)
-        return self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds", patience)
+        return self._read_solved(SELECT_BY_MAP.format(where=where), values, "seeds")
 
     def best(self, task: str | TaskConfig, seed: int, since: float, n: int) -> list[EpisodeSummary]:
         """Return the best flights by hand over a map, without help and forks: one for each name, the best first.
@@ -302,7 +302,7 @@ class Store:
                 self._read_solved(f"{SELECT_ROWS} WHERE id = ?", (flight_id,), "seed", 0)
 
     def _read_solved(
-        self, query: str, values: tuple[object, ...], seed: str, patience: float | None
+        self, query: str, values: tuple[object, ...], seed: str, patience: float | None = None
     ) -> list[sqlite3.Row]:
         """Run a query with a column `solved`; if maps are not solved, wait for the solver and run it again.
 

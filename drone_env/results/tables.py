@@ -36,12 +36,6 @@ def percent(value: float | None) -> str:
     return number(value, ".1%")
 
 
-def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown; cells are not escaped."""
-    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in (head, *rows)]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
-
-
 def print_table(
     table: Table,
     names: int,

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from drone_env.agents.pathqnet import EPSILON, MAP_FEATURES, POOLED
 from drone_env.agents.tour_features import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES
+from drone_env.agents.tour_network import EDGE, EDGE_HIDDEN, HEADS, HIDDEN, LAYERS, WIDTH
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.errors import InvalidValueError
@@ -85,21 +86,19 @@ class PathQNet(nn.Module):
 class Block(nn.Module):
     """Attention with edge features in its weights and messages, then a layer for each token."""
 
-    def __init__(self, width: int, heads: int, edge: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.heads = heads
-        self.qkv = nn.Linear(width, 3 * width)
-        self.bias = nn.Linear(edge, heads)
-        self.out = nn.Linear(width + heads * edge, width)
-        self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.up, self.down = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
+        self.qkv = nn.Linear(WIDTH, 3 * WIDTH)
+        self.bias = nn.Linear(EDGE, HEADS)
+        self.out = nn.Linear(WIDTH + HEADS * EDGE, WIDTH)
+        self.norm1, self.norm2 = nn.LayerNorm(WIDTH), nn.LayerNorm(WIDTH)
+        self.up, self.down = nn.Linear(WIDTH, 2 * WIDTH), nn.Linear(2 * WIDTH, WIDTH)
 
     def forward(self, x: Tensor, e: Tensor, absent: Tensor) -> Tensor:
         """The next x, float32[B, N, width], from edges float32[B, N, N, edge]; absent, float32[B, N], is -1e9 or 0."""
         b, n, w = x.shape
-        h = self.heads
-        q, k, v = self.qkv(self.norm1(x)).view(b, n, 3, h, w // h).permute(2, 0, 3, 1, 4)
-        a = q @ k.transpose(-1, -2) / sqrt(w // h) + self.bias(e).permute(0, 3, 1, 2)
+        q, k, v = self.qkv(self.norm1(x)).view(b, n, 3, HEADS, w // HEADS).permute(2, 0, 3, 1, 4)
+        a = q @ k.transpose(-1, -2) / sqrt(w // HEADS) + self.bias(e).permute(0, 3, 1, 2)
         a = (a + absent[:, None, None, :]).softmax(-1)
         messages = torch.matmul(a.permute(0, 2, 1, 3), e)  # b, n, h, edge
         x = x + self.out(torch.cat([(a @ v).permute(0, 2, 1, 3).reshape(b, n, w), messages.reshape(b, n, -1)], -1))
@@ -109,16 +108,16 @@ class Block(nn.Module):
 class TourNet(nn.Module):
     """From features to two logits for each option: its choice, and whether the mission can be completed after it."""
 
-    def __init__(self, width: int = 64, heads: int = 4, layers: int = 4, edge: int = 16, hidden: int = 64) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.tokens = nn.Linear(TOKEN_FEATURES, width)
-        self.edges1, self.edges2 = nn.Linear(EDGE_FEATURES, 32), nn.Linear(32, edge)
-        self.blocks = nn.ModuleList([Block(width, heads, edge) for _ in range(layers)])
-        self.norm = nn.LayerNorm(width)
-        self.node = nn.Linear(width, hidden)
-        self.option = nn.Linear(OPTION_FEATURES, hidden, bias=False)
-        self.hidden = nn.Linear(hidden, hidden)
-        self.head = nn.Linear(hidden, 2)
+        self.tokens = nn.Linear(TOKEN_FEATURES, WIDTH)
+        self.edges1, self.edges2 = nn.Linear(EDGE_FEATURES, EDGE_HIDDEN), nn.Linear(EDGE_HIDDEN, EDGE)
+        self.blocks = nn.ModuleList([Block() for _ in range(LAYERS)])
+        self.norm = nn.LayerNorm(WIDTH)
+        self.node = nn.Linear(WIDTH, HIDDEN)
+        self.option = nn.Linear(OPTION_FEATURES, HIDDEN, bias=False)
+        self.hidden = nn.Linear(HIDDEN, HIDDEN)
+        self.head = nn.Linear(HIDDEN, 2)
 
     def forward(self, tokens: Tensor, present: Tensor, edges: Tensor, owner: Tensor, token: Tensor, features: Tensor):
         """Preference and completion logits of each option; owner int64[options]: its state, token: its token."""

@@ -22,7 +22,7 @@ TOO_BIG, TRY_LATER = 1009, 1013
 SMALL = 8192
 """Default limit of a body or frame in bytes: enough for the longest valid reset with all text escaped."""
 LARGE = 131_072
-"""Limit of a body with a record, an observation or a map. jiter parses any text of that size within 3 ms."""
+"""Limit of a body with a record or a map. jiter parses any text of that size within 3 ms."""
 LIMIT = "x-max-bytes"
 """Key of the limit in the OpenAPI description of a route."""
 LARGE_BODY = {LIMIT: LARGE}

@@ -17,11 +17,11 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
-from drone_env.models import NAMES, DroneObservation
+from drone_env.models import NAMES
 from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.history import LINES
-from drone_env.server.routes.predict import Prediction, arrays_of
+from drone_env.server.routes.predict import Prediction
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import POINTS, TrainLog
 from tests.api.networks import put_network, put_tour, put_trained
@@ -87,7 +87,7 @@ class TestPredictions:
         return {"data": tmp_path / "data", "weights": tmp_path}
 
     @pytest.mark.parametrize("task", ["easy", "skyline_easy"])
-    def test_the_network_is_asked_about_the_session_or_about_an_observation(
+    def test_the_network_is_asked_about_the_session(
         self, client: TestClient, settings: dict[str, Any], task: str
     ) -> None:
         config = get_task(task)
@@ -102,16 +102,6 @@ class TestPredictions:
         assert list(told.q_values.values()) == pytest.approx(values.tolist())
         assert told.action == Action(int(values.argmax())).name
         assert told.model.digest == agent.config["network"]
-        assert client.post("/predict", json=reset).json() == answer.json()
-        below = reset.pop("cell_below")
-        untold = client.post("/predict", json=reset)
-        if config.pads:
-            assert (untold.status_code, untold.json()["code"]) == (422, "invalid_request")
-            values = [client.post("/predict", json=reset | {"cell_below": kind}).json() for kind in (below, "pad")]
-            assert values[0] == answer.json() != values[1], "the network is given what the request says"
-            assert client.post("/predict", json=reset | {"cell_below": "obstacle"}).status_code == 422
-        else:
-            assert untold.json() == answer.json(), "older clients were never told, and nothing depends on it"
 
     @pytest.mark.feature("L7")
     def test_what_was_trained_here_goes_before_what_is_shipped(
@@ -172,35 +162,6 @@ class TestPredictions:
         while not observation["done"]:
             observation = client.post("/step", json={"direction": "WAIT"}, headers=session).json()
         assert client.post("/predict", headers=session).status_code == 409
-        assert client.post("/predict", json=observation).status_code == 422
-
-    @pytest.mark.parametrize(
-        "wrong",
-        [
-            {"max_steps": 61},
-            {"battery_steps_remaining": 61},
-            {"cell_types": []},
-            {"cell_types": [["road"] * 11] * 10},
-            {"drone_y": 10},
-            {"current_target": [0, 10]},
-        ],
-    )
-    def test_an_observation_of_no_task_is_refused(self, client: TestClient, wrong: dict[str, Any]) -> None:
-        assert client.post("/predict", json=client.post("/reset").json() | wrong).status_code == 422
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_an_observation_from_the_wire_becomes_what_agents_see(task: str) -> None:
-    episode = Episode(task)
-    for seed in range(5):
-        episode.reset(seed)
-        for action in np.random.default_rng(seed).integers(5, size=40).tolist():
-            found, arrays = arrays_of(DroneObservation.of(episode))
-            expected = episode.observation()
-            assert found is episode.task
-            np.testing.assert_array_equal(arrays["grid"], expected["grid"])
-            np.testing.assert_array_equal(arrays["telemetry"], expected["telemetry"])
-            episode.step(action)
 
 
 def test_the_api_is_described_before_the_server_is_healthy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ class TestBodies:
             if "requestBody" in operation.get("post", {})
         }
         assert {path for path, most in limits.items() if most > SMALL} == {
-            *("/predict", "/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file"),
+            *("/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file"),
             *("/flights", "/flights/agent"),
         }
         for path, most in limits.items():
@@ -98,7 +98,6 @@ class TestJson:
             ("/replay", {"actions": [12345] * 20_000}),
             ("/annotate", {"rewards": ["x"] * 20_000}),
             ("/values", {"actions": ["x"] * 20_000}),
-            ("/predict", {"grid": [["x"] * 64] * 300, "telemetry": ["x"] * 5_000}),
             ("/maps", {"cells": [["x"] * 128] * 120}),
         ],
     )
