@@ -33,14 +33,14 @@ $(VENV)/.dev: $(VENV)/.base
 	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
 	touch $@
 
-# Fly a network that plans, compare the agents on the standard and skyline tasks, draw one flight.
+# Fly a network that plans, compare the agents on the generated tasks, draw one flight.
 demo: $(VENV)/.base
 	@echo "== One mission: a network that plans, over skyline_medium map 7 =="
 	@$(BIN)/drone-env fly --task skyline_medium --agent tournet --seed 7 --picture demo/mission.png
 	@echo
-	@echo "== 100 test maps of each standard and skyline task =="
+	@echo "== 100 test maps of each standard, skyline and rush task =="
 	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy nearest beam pathqnet optimal --split test --episodes 100
-	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --agents random greedy nearest beam tournet optimal --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard rush_easy rush_medium rush_hard --agents random greedy nearest beam tournet optimal --split test --episodes 100
 	@echo
 	@echo "To watch and fly in the browser: make serve, then open http://127.0.0.1:8000"
 

@@ -8,10 +8,21 @@ import numpy.typing as npt
 
 from drone_env.core import compiled, rules
 from drone_env.core.actions import N_ACTIONS
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, DRONE_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode, EpisodeState
 from drone_env.core.rewards import get_reward_profile, tabulate_rewards
-from drone_env.core.tables import OUTCOME, tabulate
+from drone_env.core.tables import (
+    BATTERY,
+    CELL,
+    DELIVERED_FLAG,
+    DELIVERIES_DONE,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    UNDER,
+    tabulate,
+)
 
 
 @compiled_once()
@@ -24,6 +35,42 @@ def fly_every_action(
         next_states[k] = states[k // N_ACTIONS]
         compiled.step(tables, rewards, next_grids[k], next_states[k], k % N_ACTIONS)
         scores[k] = rules.score(tables, next_states[k])
+
+
+def best_score(start: Episode) -> float:
+    """The highest score that a new episode can reach, step by step: the optimum without paths, stops or values.
+
+    Of two flights with equal steps, deliveries and cell, one with more battery can do whatever the other can. So it is
+    enough to know the most units at each step, delivered set and cell.
+    """
+    task, parcels = start.task, [y * start.task.width + x for x, y, _ in start.parcels]
+    tables, rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
+    bits = 1 << np.arange(len(parcels))
+    done = np.arange(1 << len(parcels))[:, None] & bits > 0
+    ground = start.grid().ravel()
+    ground[start.cell] = start.under
+    grids = np.repeat(ground[None], len(done), axis=0)
+    grids[:, parcels] = np.where(done, DELIVERED_CELL, DELIVERY_CELL)
+    states = np.repeat(np.frombuffer(start.get_state().numbers, np.uint16)[None], len(done), axis=0)
+    states[:, PARCELS:] += np.uint16(DELIVERED_FLAG) * done
+    states[:, DELIVERIES_DONE] = done.sum(axis=1)
+    most = np.zeros(grids.shape, np.uint16)
+    most[0, start.cell] = start.battery_units
+    best = 0.0
+    for steps in range(task.max_steps):
+        delivered, cells = np.nonzero(most)
+        now, seen, rows = states[delivered], grids[delivered], np.arange(len(cells))
+        now[:, CELL], now[:, UNDER] = cells, seen[rows, cells]
+        now[:, STEPS], now[:, BATTERY] = steps, most[delivered, cells]
+        seen[rows, cells] = DRONE_CELL
+        flown, scores = np.zeros((N_ACTIONS * len(now), now.shape[1]), np.uint16), np.zeros(N_ACTIONS * len(now))
+        fly_every_action(tables, rewards, seen, now, np.zeros((len(flown), len(ground)), np.uint8), flown, scores)
+        flying = flown[:, OUTCOME] == 0
+        best = max(best, scores[~flying].max(initial=0.0))
+        flown = flown[flying]
+        most = np.zeros_like(most)
+        np.maximum.at(most, ((flown[:, PARCELS:] >= DELIVERED_FLAG) @ bits, flown[:, CELL]), flown[:, BATTERY])
+    return best
 
 
 class BruteForce:

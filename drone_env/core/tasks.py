@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import MISSING, asdict, dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import sha256
 from itertools import chain
 from typing import Any
@@ -277,6 +277,9 @@ OVER_CITIES: dict[str, Any] = {
 }
 """Battery costs and score rule of all cities, random or real."""
 
+EASY, MEDIUM, HARD = (0.95, 0.10), (0.90, 0.15), (0.85, 0.25)
+"""Rewards of `tiered` by level: of a delivery, and of all other events."""
+
 
 def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
     others = {f"r_{event.name.lower()}": r_other for event in Event if event is not Event.NONE}
@@ -310,11 +313,14 @@ def _task(
     )
 
 
-def _skyline(level: str, *numbers: Any, **others: Any) -> TaskConfig:
-    """A city of streets and blocks. The battery is too small for the whole tour."""
-    name = f"skyline_{level}"
-    city: dict[str, Any] = {"id": name, "street_spacing": 4, "version": 2, "family": "skyline", **OVER_CITIES}
-    return _task(name, *numbers, **city, **others)
+def _city(family: str, level: str, *numbers: Any, **others: Any) -> TaskConfig:
+    """A city of streets and blocks, with pads. The battery is too small for the whole tour."""
+    name = f"{family}_{level}"
+    return _task(name, *numbers, id=name, street_spacing=4, family=family, **OVER_CITIES, **others)
+
+
+_skyline = partial(_city, "skyline", version=2)
+_rush = partial(_city, "rush")
 
 
 def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
@@ -334,7 +340,7 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
         trees=terrain.count(Cell.TREE),
         obstacles=terrain.count(Cell.OBSTACLE),
         terrain=terrain,
-        **_rewards(r_delivery=0.85, r_other=0.25),
+        **_rewards(*HARD),
         **OVER_CITIES,
         **numbers,
     )
@@ -343,12 +349,16 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
 TASKS: dict[str, TaskConfig] = {
     task.id: task
     for task in (
-        _task("easy", 10, (4, 4, 3), deliveries=1, steps=60, rewards=(0.95, 0.10)),
-        _task("medium", 14, (8, 6, 6), deliveries=3, steps=100, rewards=(0.90, 0.15)),
-        _task("hard", 18, (12, 10, 10), deliveries=5, steps=160, rewards=(0.85, 0.25)),
-        _skyline("easy", 8, (18, 6, 3), 3, 60, (0.95, 0.10), pads=5, battery_capacity=11, charge_rate=4),
-        _skyline("medium", 12, (40, 14, 8), 4, 100, (0.90, 0.15), pads=4, battery_capacity=18, charge_rate=4),
-        _skyline("hard", 16, (80, 24, 14), 5, 160, (0.85, 0.25), pads=5, battery_capacity=26, charge_rate=5),
+        _task("easy", 10, (4, 4, 3), deliveries=1, steps=60, rewards=EASY),
+        _task("medium", 14, (8, 6, 6), deliveries=3, steps=100, rewards=MEDIUM),
+        _task("hard", 18, (12, 10, 10), deliveries=5, steps=160, rewards=HARD),
+        _skyline("easy", 8, (18, 6, 3), 3, 60, EASY, pads=5, battery_capacity=11, charge_rate=4),
+        _skyline("medium", 12, (40, 14, 8), 4, 100, MEDIUM, pads=4, battery_capacity=18, charge_rate=4),
+        _skyline("hard", 16, (80, 24, 14), 5, 160, HARD, pads=5, battery_capacity=26, charge_rate=5),
+        # More parcels than the steps allow: which ones to leave is part of the plan.
+        _rush("easy", 8, (18, 6, 1), 9, 16, EASY, pads=2, battery_capacity=9, charge_rate=3),
+        _rush("medium", 12, (40, 14, 2), 9, 32, MEDIUM, pads=3, battery_capacity=13, charge_rate=2),
+        _rush("hard", 16, (80, 24, 4), 10, 40, HARD, pads=3, battery_capacity=16, charge_rate=2),
         task_on(
             shipped_terrain("helsinki_8"),
             "city_small",

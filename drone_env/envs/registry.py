@@ -33,6 +33,9 @@ REWARD_THRESHOLDS = {
     "skyline_easy": 0.33,
     "skyline_medium": 0.25,
     "skyline_hard": 0.19,
+    "rush_easy": 0.14,
+    "rush_medium": 0.10,
+    "rush_hard": 0.04,
     "city_small": 0.22,
 }
 """The mean sum of rewards of `aligned` that is 95 % of the way from random to optimal flights, on the first 100

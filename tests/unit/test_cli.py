@@ -100,7 +100,7 @@ def test_the_maps_of_a_command() -> None:
 @pytest.mark.parametrize(
     ("arguments", "allowed"),
     [
-        (["fly", "--task", "esy"], "did you mean 'easy'? allowed: city, city_small, easy, hard, medium, skyline_easy"),
+        (["fly", "--task", "esy"], "did you mean 'easy'? allowed: city, city_small, easy, hard, medium, rush_easy"),
         (["evaluate", "--agents", "ace"], "beam, greedy, nearest, optimal, pathqnet, random"),
         (["evaluate", "--episodes", "0"], "at least 1"),
         (["evaluate", "--seeds", "5:5"], "A < B"),

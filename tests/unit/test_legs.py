@@ -14,6 +14,7 @@ from drone_env.planning.legs import LegSolver
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
 from drone_env.planning.states import battery_ranges
+from tests.brute_force import best_score
 from tests.toy import toy_episode
 
 TIMES = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
@@ -46,7 +47,14 @@ def test_every_state_has_the_value_that_the_exact_solver_gives_it(task: str) -> 
         assert np.array_equal(exact._values_in_flight(states), legs._values_in_flight(states))
 
 
-@pytest.mark.parametrize("task", [*COMPARED, "skyline_hard", "city_small", "city"])
+@pytest.mark.parametrize("maps", [2, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("task", ["skyline_easy", "rush_easy", "rush_medium", "rush_hard"])
+def test_the_optimum_is_what_flying_every_action_reaches(task: str, maps: int) -> None:
+    for seed in split_seeds("test", maps):
+        assert solve(task, seed).score == best_score(Episode(task, seed=seed)), seed
+
+
+@pytest.mark.parametrize("task", [*COMPARED, "skyline_hard", "rush_hard", "city_small", "city"])
 def test_a_best_flight_reaches_the_value_of_the_start(task: str) -> None:
     for seed in split_seeds("test", TIMES * (1 if task == "city" else 5)):
         start = Episode(task, seed=seed)

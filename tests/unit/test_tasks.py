@@ -22,6 +22,9 @@ NUMBERS = {
     "skyline_easy": (8, (18, 6, 3, 5), 3, (11, 60, 4), (0.95, 0.10)),
     "skyline_medium": (12, (40, 14, 8, 4), 4, (18, 100, 4), (0.90, 0.15)),
     "skyline_hard": (16, (80, 24, 14, 5), 5, (26, 160, 5), (0.85, 0.25)),
+    "rush_easy": (8, (18, 6, 1, 2), 9, (9, 16, 3), (0.95, 0.10)),
+    "rush_medium": (12, (40, 14, 2, 3), 9, (13, 32, 2), (0.90, 0.15)),
+    "rush_hard": (16, (80, 24, 4, 3), 10, (16, 40, 2), (0.85, 0.25)),
 }
 EVENTS = ("battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step")
 
@@ -29,27 +32,29 @@ EVENTS = ("battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wa
 @pytest.mark.feature("E6")
 @pytest.mark.parametrize("name", NUMBERS)
 def test_numbers(name: str) -> None:
-    task, skyline = get_task(name), name.startswith("skyline")
+    task = get_task(name)
+    standard = task.family == "standard"
     rewards = task.r_delivery, *{getattr(task, f"r_{event}") for event in EVENTS}
     counts = (task.buildings, task.trees, task.obstacles, task.pads)
     units = (task.battery_capacity, task.max_steps, task.charge_rate)
     assert (task.width, counts, task.deliveries, units, rewards) == NUMBERS[name]
     assert task.height == task.width
-    assert (task.id, task.version) == ((name, 2) if skyline else (f"{name}_delivery", 1))
+    assert (task.id, task.version) == (f"{name}_delivery" if standard else name, 1 + (task.family == "skyline"))
     assert task.gym_id == f"DroneDelivery-{name.replace('_', '-').title()}-v{task.version}"
     assert get_task(task.id) is get_task(f"drone_env.graders:grade_{name}") is get_task(task) is task
     rules = (task.drain, task.impassable, task.street_spacing, task.efficiency_needs_all, task.telemetry_size)
-    if skyline:
-        assert rules == (((Cell.BUILDING, 3), (Cell.TREE, 2)), {Cell.OBSTACLE}, 4, True, 13)
-    else:
+    if standard:
         assert rules == ((), frozenset(), 0, False, 5)
-    assert task.uniform != skyline
+    else:
+        assert rules == (((Cell.BUILDING, 3), (Cell.TREE, 2)), {Cell.OBSTACLE}, 4, True, 13)
+    assert task.uniform == standard
 
 
 def test_families() -> None:
     assert [task.short_name for task in TASKS.values()] == [*NUMBERS, "city_small", "city"]
-    assert [task.gym_id for task in TASKS.values()][6:] == ["DroneDelivery-City-Small-v1", "DroneDelivery-City-v1"]
-    assert [task.family for task in TASKS.values()] == ["standard"] * 3 + ["skyline"] * 3 + ["city"] * 2
+    assert [task.gym_id for task in TASKS.values()][-2:] == ["DroneDelivery-City-Small-v1", "DroneDelivery-City-v1"]
+    families = ["standard"] * 3 + ["skyline"] * 3 + ["rush"] * 3 + ["city"] * 2
+    assert [task.family for task in TASKS.values()] == families
     assert replace(EASY, family="courier").rules() == EASY.rules() != replace(EASY, trees=5).rules()
     assert "family" not in EASY.rules()
 
