@@ -4,7 +4,7 @@ from pathlib import Path
 
 from drone_env.city.openstreetmap import import_city
 from drone_env.core import terrain
-from drone_env.core.terrain import terrain_text
+from drone_env.core.terrain import Terrain, terrain_text
 
 EXTRACT = Path(__file__).parents[1] / "examples" / "cities" / "helsinki.osm.pbf"
 CENTRE = (24.9351440, 60.1641664, 24.9534467, 60.1733574)
@@ -16,8 +16,13 @@ CELLS = {"helsinki_8": 8.0, "helsinki_16": 16.0}
 
 def city_data() -> dict[str, str]:
     """The files, by name."""
-    found = {name: import_city(EXTRACT, CENTRE, cell, (128, 128)) for name, cell in CELLS.items()}
-    return {name: terrain_text(one.grid, f"Helsinki, {one.attribution}, {one.licence}") for name, one in found.items()}
+    return {name: terrain_text(_terrain(cell)) for name, cell in CELLS.items()}
+
+
+def _terrain(cell: float) -> Terrain:
+    city = import_city(EXTRACT, CENTRE, cell, (128, 128))
+    attribution = f"Helsinki, {city.attribution}, {city.licence}"
+    return Terrain(city.grid.tobytes(), city.grid.shape[1], None, (), attribution, cell, city.names)
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
 """Fixed terrain. Each map of a task is the whole terrain or a window of it."""
 
+import json
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -22,6 +23,15 @@ MAX_WINDOWS_PER_SIDE = 32
 """Approximate limit: the tables for map generation grow with the number of windows."""
 
 
+class Name(NamedTuple):
+    """A name on a map: its text, its middle in cells, and the degrees clockwise of a street; None for a district."""
+
+    text: str
+    x: float
+    y: float
+    angle: int | None = None
+
+
 class Window(NamedTuple):
     """A part of the terrain with the size of a map."""
 
@@ -42,7 +52,9 @@ class Terrain:
         width: Cells per row. If the terrain is larger than the task's maps, each map is a window of it.
         start: (x, y) of the start; None if it is random.
         parcels: (x, y) of each parcel; empty if they are random.
-        attribution: Source of the data, which every picture must show. It does not affect rules.
+        attribution: Source of the data, which every picture must show. This and what follows does not affect rules.
+        cell: Side of a cell in metres; None if unknown.
+        names: Names of streets and districts.
     """
 
     cells: bytes = field(repr=False)
@@ -50,6 +62,8 @@ class Terrain:
     start: XY | None = None
     parcels: tuple[XY, ...] = ()
     attribution: str = field(default="", compare=False)
+    cell: float | None = field(default=None, compare=False)
+    names: tuple[Name, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def height(self) -> int:
@@ -70,7 +84,7 @@ class Terrain:
         return np.reshape(np.frombuffer(self.cells, np.uint8), (-1, self.width))
 
     def digest(self) -> str:
-        """A hash of everything except the attribution, 64 hex digits."""
+        """A hash of everything that affects rules, 64 hex digits."""
         return sha256(self.cells + repr((self.width, self.start, self.parcels)).encode()).hexdigest()
 
     def corners(self, width: int, height: int) -> dict[str, list[XY]]:
@@ -127,15 +141,19 @@ class Terrain:
 
 
 def shipped_terrain(name: str) -> Terrain:
-    """Load a file of `cities`: the first line is the attribution, every other line is a row of letters."""
-    attribution, *rows = (Path(__file__).with_name("cities") / f"{name}.txt").read_text("utf-8").split("\n")
-    return Terrain("".join(rows).encode().translate(KIND_OF_LETTER), len(rows[0]), attribution=attribution)
+    """Load a file of `cities`: a line of JSON, and a row of letters in every other line."""
+    text = (Path(__file__).with_name("cities") / f"{name}.txt").read_text("utf-8")
+    about, *rows = text.splitlines()
+    attribution, cell, names = json.loads(about)
+    cells = "".join(rows).encode().translate(KIND_OF_LETTER)
+    return Terrain(cells, len(rows[0]), None, (), attribution, cell, tuple(Name(*name) for name in names))
 
 
-def terrain_text(grid: npt.NDArray[np.uint8], attribution: str) -> str:
+def terrain_text(terrain: Terrain) -> str:
     """The text of a file of `cities`."""
     letters = {kind: chr(letter) for letter, kind in LETTERS.items()}
-    return "\n".join([attribution, *("".join(map(letters.__getitem__, row)) for row in grid.tolist()), ""])
+    about = json.dumps([terrain.attribution, terrain.cell, terrain.names], ensure_ascii=False)
+    return "\n".join([about, *("".join(map(letters.__getitem__, row)) for row in terrain.grid().tolist()), ""])
 
 
 def _along(area: tuple[int, int], side: int) -> range:

@@ -5,7 +5,7 @@
 
 import math
 import textwrap
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -38,7 +38,8 @@ STATUS = {
 }
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, steps: they limit the cost of a picture
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
-FPS = 8  # pictures per second of a window, and of a film of `RecordVideo`
+FPS = 8  # pictures per second of a window, and of a film
+MAX_FILM, REST = 30 * FPS, 2000  # pictures of a film, and milliseconds of its last one
 PANEL, TEXT = 46, 38  # widths of the panel and of its text, in hundredths of the picture's height
 
 
@@ -94,6 +95,38 @@ def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
     picture = _picture(episode, size)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.save(path)
+
+
+def save_film(episode: Episode, path: str | Path, size: int = 480) -> None:
+    """Write the flight as an animated GIF of at most half a minute: 8 pictures per second, and the last one longer.
+
+    A picture is a step; of long flights, every second, third or further one.
+
+    Raises:
+        EpisodeError: before the first reset.
+        InvalidValueError: if the size is not 64 to 4096 pixels.
+        OSError: if the file cannot be written.
+    """
+    last = _picture(episode, size)
+    # All pictures share the colours of the last one and of the palette.
+    colours = Image.new("RGB", (last.width, last.height + len(PALETTE)))
+    colours.paste(last)
+    for row, colour in enumerate(PALETTE.values()):
+        colours.paste(colour, (0, last.height + row, last.width, last.height + row + 1))
+    palette = colours.quantize(256, Image.Quantize.MAXCOVERAGE)
+    every = max(1, math.ceil(episode.steps / MAX_FILM))
+    flown = Episode(episode.task, episode.reward_profile, episode.seed)
+    first = _picture(flown, size).quantize(palette=palette, dither=Image.Dither.NONE)
+
+    def pictures() -> Iterator[Image.Image]:
+        for step, action in enumerate(episode.actions, 1):
+            flown.step(action)
+            if step % every == 0 or step == episode.steps:
+                yield _picture(flown, size).quantize(palette=palette, dither=Image.Dither.NONE)
+
+    milliseconds = [1000 // FPS] * math.ceil(episode.steps / every) + [REST]
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    first.save(path, "GIF", save_all=True, append_images=pictures(), duration=milliseconds, loop=0)
 
 
 def _picture(episode: Episode, size: int) -> Image.Image:

@@ -1,13 +1,20 @@
 """The map: its layers, asked of the server once a moment, and cities, joined to blocks and seen from nearby."""
 
+import io
 import json
+import re
 from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
 
+import numpy as np
+from PIL import Image, ImageSequence
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
 from tests.browser.shown import box as place_of
-from tests.browser.shown import changed, expect_step, painted, pictures, points
-from tests.browser.stage import ended, fly, press, show, until
+from tests.browser.shown import changed, expect_step, measured, painted, pictures, points
+from tests.browser.stage import ended, fly, press, show, slider, until
+from tests.browser.tabs import SMALL
 
 GROUND, CELLS, AIR = range(3)
 """The canvases of a map: the city, the layers of its cells, what moves."""
@@ -89,7 +96,7 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
 
 CONTRIBUTORS = "© OpenStreetMap contributors"
 FIELD = "#boards .map-ground"
-JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
+JOINED = ("--block-street", "--block-roof", "--block-wood", "--block-closed")
 
 
 def test_a_city_is_joined_to_blocks_and_other_maps_show_only_what_they_have(page: Page) -> None:
@@ -169,3 +176,127 @@ def test_a_message_covers_no_button(beside: Callable[..., Page]) -> None:
                 f"/?{path}&lesson=junk",
             )
             assert (seen, covered) == (True, []), (width, path)
+
+
+def test_the_range_of_the_battery_is_an_outline_and_the_signs_keep_their_strength(page: Page) -> None:
+    show(page, "/?task=skyline_hard&seed=7&pilot=greedy&step=12")
+    expect_step(page, 12, 160)
+    for name in ("Best flight", "Best moves"):
+        if box(page, name).is_visible():
+            box(page, name).uncheck()
+    cells = page.locator("#boards .map-cells")
+    inked = "canvas => { const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+        return data.filter((value, i) => i % 4 === 3 && value > 0).length / (canvas.width * canvas.height); }"
+    air = pictures(page)[AIR]
+    with page.expect_response("**/values"):
+        box(page, "Battery range").check()
+    until(page, lambda: painted(cells, "--range") == ["--range"])
+    # A wash would ink each cell; what moves, pads and barricades are above the layer.
+    assert 0 < cells.evaluate(inked) < 0.12
+    assert pictures(page)[AIR] == air
+    box(page, "Battery range").uncheck()
+
+
+def test_a_city_has_names_a_scale_and_a_legend_and_standard_maps_have_scenery(page: Page) -> None:
+    legend = page.get_by_role("list", name="Battery units of a step").get_by_role("listitem")
+    show(page, "/?task=city&seed=7&pilot=greedy")
+    expect(legend).to_have_text(["road 1", "tree 2", "building 3", "hatched closed", "pad +8", "any order"])
+    (city,) = (task for task in page.request.get("/tasks").json()["tasks"] if task["id"] == "city")
+    assert (city["cell"], ["Kluuvi", 42.5, 18, None] in city["names"]) == (16, True)
+    # Without its names and its scale, other pixels: the ground and what is above it.
+    written = pictures(page)
+    page.route("**/tasks", lambda route: route.fulfill(json={"tasks": [{**city, "cell": None, "names": []}]}))
+    try:
+        page.reload()
+        expect(legend).to_have_text(["road 1", "tree 2", "building 3", "hatched closed", "pad +8", "any order"])
+        until(page, lambda: changed(page, written) == [GROUND, AIR])
+    finally:
+        page.unroute("**/tasks")
+    page.goto("/?task=easy&seed=7&pilot=greedy")
+    expect(legend).to_have_text(["each step 1", "buildings are scenery here", "any order"])
+
+
+def test_the_map_is_saved_as_an_image_and_its_flights_as_a_film(page: Page) -> None:
+    show(page, "/?task=easy&seed=14&pilot=greedy&step=999")
+    ended(page)
+    opened: list[Image.Image] = []
+    for button, name in (("Save image", "drone-easy-14.png"), ("Save film", "drone-easy-14.gif")):
+        with page.expect_download() as saved:
+            page.get_by_role("button", name=button).click()
+        assert saved.value.suggested_filename == name
+        opened.append(Image.open(io.BytesIO(Path(saved.value.path()).read_bytes())))
+    image, film = opened
+    assert image.size == (1200, 1256)
+    assert (film.size, film.n_frames) == ((480, 508), int(slider(page).get_attribute("max") or 0) + 1)
+    frames = [np.asarray(frame.convert("RGB"), np.int16) for frame in ImageSequence.Iterator(film)]
+    assert all((one != other).any() for one, other in pairwise(frames))
+    # The film ends with what the image shows; a cell has another whole number of pixels.
+    still = np.asarray(image.convert("RGB").resize((480, 502)), np.int16)
+    assert np.abs(frames[-1][:480] - still[:480]).mean() < np.abs(frames[0][:480] - still[:480]).mean()
+    expect(page.get_by_role("button", name="Save film")).to_be_enabled()
+
+
+def test_a_screen_reader_hears_each_move_and_reads_where_everything_is(page: Page) -> None:
+    heard = page.locator("#announcer")
+    show(page, "/?task=skyline_easy&seed=7&pilot=human")
+    expect(heard).to_contain_text("Column 7, row 4. Battery 11 of 11. Up: Road: costs 1 unit. Down:")
+    page.keyboard.press("ArrowUp")
+    expect(heard).to_have_text(re.compile(r"^Column 7, row 3\. Battery 10 of 11\. Up: .*Right: edge of the map\.$"))
+    page.keyboard.press("ArrowRight")
+    # What a move meets is heard before the place.
+    expect(heard).to_have_text(re.compile(r"^.*\. Column 7, row 3\. Battery 9 of 11\."))
+    page.get_by_text("The map in words").click()
+    words = page.locator(".text-map")
+    for term in ("You", "Around it", "Target", "Parcels to deliver", "Delivered", "Pads", "Closed"):
+        expect(words.get_by_role("term").filter(has_text=re.compile(f"^{term}$"))).to_be_visible()
+    expect(words).to_contain_text("column 7, row 3.")
+    page.keyboard.press("ArrowDown")
+    expect(words).to_contain_text("column 7, row 4.")
+
+
+def test_forced_colours_and_large_text_keep_bars_dots_title_and_standings(page: Page) -> None:
+    show(page, "/?task=skyline_hard&seed=7&pilots=greedy,tournet&step=12")
+    expect_step(page, 12, 160)
+    colour = "one => getComputedStyle(one, {pseudo}).backgroundColor"
+    shown = {"#battery .gauge-bar i": "null", ".standing-name": "'::before'", ".pips i.done": "null"}
+    page.emulate_media(forced_colors="active")
+    ground = page.locator("body").evaluate("one => getComputedStyle(one.parentElement).backgroundColor")
+    for selector, pseudo in shown.items():
+        assert page.locator(selector).first.evaluate(colour.replace("{pseudo}", pseudo)) != ground
+    page.emulate_media(forced_colors="none")
+    page.evaluate("document.documentElement.style.fontSize = '200%'")
+    try:
+        for width, height in ((1440, 900), (1024, 768), (390, 844)):
+            page.set_viewport_size({"width": width, "height": height})
+            pictures(page)  # drawn
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert place_of(page, ".plan-head").width > width / 4
+            cut = measured(page, ".middle button, .side button", "one.scrollWidth > one.clientWidth + 1")
+            assert not any(cut)
+            assert place_of(page, ".standings-panel").height > 100
+    finally:
+        page.evaluate("document.documentElement.style.fontSize = ''")
+        page.set_viewport_size(SMALL)
+
+
+def test_an_idle_tab_draws_nothing(page: Page) -> None:
+    page.emulate_media(reduced_motion="no-preference")
+    try:
+        for path in ("/", "/?task=skyline_easy&seed=7&pilot=human", "/?task=city&seed=7&pilots=greedy,tournet&step=20"):
+            page.goto(path)
+            expect(page.locator("#connection")).to_have_text("Live")
+            page.evaluate("""() => {
+                const draw = requestAnimationFrame;
+                window.requestAnimationFrame = (drawn) => ((window.asked += 1), draw(drawn));
+            }""")
+            # Until what the page loads has arrived.
+            until(
+                page,
+                lambda: page.evaluate("""async () => {
+                window.asked = 0;
+                await new Promise((resolve) => setTimeout(resolve, 1500));
+                return window.asked === 0;
+            }"""),
+            )
+    finally:
+        page.emulate_media(reduced_motion="reduce")

@@ -179,7 +179,8 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
 
 def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_could_be_won(page: Page) -> None:
     over(page, 7, "/?task=skyline_easy&seed=7&pilot=human")
-    expect(page.locator(".hint")).to_contain_text("A step costs 1 battery unit, 3 above a building, 2 above a tree.")
+    legend = page.get_by_role("list", name="Battery units of a step").get_by_role("listitem")
+    expect(legend).to_have_text(["road 1", "tree 2", "building 3", "barricade closed", "pad +4", "any order"])
     told, side = page.locator(".hint strong"), page.locator(".side")
     expect(told).to_have_text("Fly with the arrow keys.", use_inner_text=True)
     side.evaluate("side => side.scrollTo(0, 999)")

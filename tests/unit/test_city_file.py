@@ -18,6 +18,10 @@ cell = 16.5
 bbox = [24.9351762, 60.164155, 24.9534145, 60.179113]
 start = [1, 0]
 parcels = [[2, 1], [3, 0]]
+names = [
+    ["Käpylä", 2.5, 1.0],
+    ["a \\"street\\"", 0.0, 2.0, -35],
+]
 
 [task]
 deliveries = 2
@@ -48,6 +52,7 @@ def test_a_city_is_read_and_written_byte_for_byte(tmp_path: Path) -> None:
     assert (city.cell, city.start, city.parcels) == (16.5, (1, 0), ((2, 1), (3, 0)))
     assert city.bbox == (24.9351762, 60.164155, 24.9534145, 60.179113)
     assert city.source == 'a "town".osm'
+    assert city.names == (("Käpylä", 2.5, 1.0, None), ('a "street"', 0.0, 2.0, -35))
     write_city(city, tmp_path / "again.toml")
     assert (tmp_path / "again.toml").read_bytes() == WHOLE.encode()
 
@@ -90,6 +95,11 @@ ALL = f"format = 1\n{ROWS}"
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),
         (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "obstacles block every way from parcel 1 to parcel 2 [2, 2]"),
         (f"parcels = {[[0, 0]] * 17}\n{ALL}", "at most 16 parcels, got 17"),
+        (f'names = [["a", 1]]\n{ALL}', "names.0.2: missing"),
+        (f'names = [["a", 1, 2, 3.5]]\n{ALL}', "names.0.3: must be a whole number"),
+        (f'names = [["a", nan, 2]]\n{ALL}', "name 'a' is outside the 3 x 3 cells"),
+        (f'names = [["a\\n", 1, 2]]\n{ALL}', "a name must be one printable line of at most 200 characters"),
+        (f"names = {[['a', 1, 2]] * 101}\n{ALL}", "at most 100 names, got 101"),
         (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide.[key]: must be 'width', 'height'"),
     ],
 )

@@ -127,5 +127,6 @@ def test_the_shipped_cities_are_what_the_importer_makes_of_the_extract() -> None
         assert (FOLDER / f"{name}.txt").read_text("utf-8") == text
     city = get_task("city").terrain
     assert city is not None
-    assert (city.attribution, city.width) == ("Helsinki, © OpenStreetMap contributors, ODbL-1.0", 64)
-    assert terrain_text(city.grid(), city.attribution) == made["helsinki_16"]
+    assert (city.attribution, city.width, city.cell) == ("Helsinki, © OpenStreetMap contributors, ODbL-1.0", 64, 16)
+    assert {"Kluuvi", "Mannerheimintie", "Aleksanterinkatu"} <= {name.text for name in city.names}
+    assert terrain_text(city) == made["helsinki_16"]

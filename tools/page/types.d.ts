@@ -49,6 +49,8 @@ interface Context extends Emitter {
   /** The maximum number of pilots of a flight. */
   most: number;
   kinds: Answer<"KindInfo">[];
+  /** The names of the kinds of cells, by id. */
+  names: Record<number, string>;
   /** The map, the flights and the moment of Fly. */
   stage: Stage;
   camera: import("../../drone_env/server/static/js/camera.js").Camera;

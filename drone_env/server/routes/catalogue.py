@@ -15,6 +15,7 @@ from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewa
 from drone_env.core.rules import HIGHEST, LOWEST, score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
+from drone_env.core.terrain import Name, Terrain
 from drone_env.errors import StoreError
 from drone_env.flights.provenance import HUMAN
 from drone_env.models import Count, Score, StrictModel
@@ -64,11 +65,16 @@ class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
     score_weights: dict[str, int] = Field(description="Points, of 100, for all parcels, a full battery and no step.")
     score_range: tuple[Score, Score] = Field(description="The lowest and the highest score.")
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
+    cell: float | None = Field(description="Metres along the side of a cell; null if unknown.")
+    names: list[Name] = Field(
+        description="Names on its maps: text, x and y in cells; of a street its degrees clockwise."
+    )
 
     @classmethod
     def of(cls, task: TaskConfig) -> Self:
         """Describe a task."""
-        sizes = None if task.terrain is None else (task.terrain.width, task.terrain.height)
+        terrain = task.terrain or Terrain(b"", task.width)
+        sizes = None if task.terrain is None else (terrain.width, terrain.height)
         same = sizes in (None, (task.width, task.height))
         return cls(
             **{name: getattr(task, name) for name in _PLAIN},
@@ -82,6 +88,8 @@ class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
             score_weights=SCORE_WEIGHTS,
             score_range=(LOWEST, HIGHEST),
             attribution=task.attribution,
+            cell=terrain.cell,
+            names=[*terrain.names] if same else [],
         )
 
 

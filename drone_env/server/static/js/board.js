@@ -15,8 +15,6 @@ export class Board {
   constructor(root, context) {
     this.context = context;
     this.stage = context.stage;
-    this.names = [];
-    for (const kind of context.kinds) this.names[kind.id] = kind.name;
     this.canvases = PLACES.map((place) => el(`canvas.map-${place}`, { "aria-hidden": "true" }));
     const [, , air] = this.canvases;
     air.removeAttribute("aria-hidden");
@@ -81,7 +79,7 @@ export class Board {
       tracks: stage.tracks,
       clock,
       layout,
-      names: this.names,
+      names: this.context.names,
       spin: this.spin,
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
     };

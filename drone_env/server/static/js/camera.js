@@ -75,7 +75,7 @@ export class Camera {
 const within = (value, least, most) => Math.max(least, Math.min(most, value));
 
 /** The whole map, centred, with whole device pixels per cell for sharp lines. */
-function fitted(world, { width, height, scale }) {
+export function fitted(world, { width, height, scale }) {
   const place = (room) =>
     Math.floor(Math.min((width - room) / (world.width + EDGE), (height - room) / (world.height + EDGE)));
   const room = LABEL_ROOM * scale;

@@ -18,6 +18,7 @@ export function createContext(parts) {
     families,
     stage: new Stage(),
     camera: new Camera(),
+    names: Object.fromEntries(parts.kinds.map(({ id, name }) => [id, name])),
     view: "fly",
     pilot: (id) => parts.pilots.find((pilot) => pilot.id === id) ?? { ...UNKNOWN, id, name: id },
     task: (name) => parts.tasks.find((task) => [task.id, task.short_name, task.grader].includes(name)),

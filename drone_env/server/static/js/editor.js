@@ -17,7 +17,7 @@ import { Track } from "./track.js";
 
 const SIDES = [2, 128];
 const EMPTY = 12;
-const SHOWN = new Set(["city", "best", "parcels", "drones"]);
+const SHOWN = new Set(["city", "signs", "best", "parcels", "drones"]);
 const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
 const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
 const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";

@@ -49,8 +49,8 @@ export function mountFly(root, context) {
   let lessons = null;
   side.append(lesson);
   const problem = below("problems", mountProblem, race);
-  const board = below("boards-panel", mountBoards);
-  mountCellNote(middle.querySelector(".map"), context, board.names);
+  below("boards-panel", mountBoards);
+  mountCellNote(middle.querySelector(".map"), context);
   mountCredit(context);
   below("hint", mountHint, race);
   panel("strip", mountResults, race, acts);

@@ -1,20 +1,42 @@
 // The fixed parts of the map: ground, grid, numbers and figures.
 import { colourOf, font } from "./base.js";
+import { el } from "./dom.js";
 import { drawFigure } from "./figures.js";
 import { middle } from "./layer_flights.js";
 
+const SMALLEST_SIGN = 14;
+
+/** Whether adjacent cells of one kind are drawn as one block: on large maps and in real cities. */
+export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
+
 export function drawCity(ctx, { world, layout, names }) {
   const { cell, left, top } = layout;
-  const field = [left, top, world.width * cell, world.height * cell];
   ctx.fillStyle = colourOf("--map-ground");
-  ctx.fillRect(...field);
+  ctx.fillRect(left, top, world.width * cell, world.height * cell);
   drawGrid(ctx, world, layout);
-  world.cells.forEach((row, y) =>
-    row.forEach((kind, x) => drawFigure(ctx, names[kind], ...middle(layout, [x, y]), cell, variety(x, y))),
-  );
-  ctx.fillStyle = colourOf("--map-night");
-  ctx.fillRect(...field);
+  const { width, height } = ctx.canvas;
+  const scenery = el("canvas", { width, height }).getContext("2d");
+  eachFigure(scenery, { world, layout, names }, ["building", "tree"], cell);
+  // Only the figures take the tint.
+  scenery.globalCompositeOperation = "source-atop";
+  scenery.fillStyle = colourOf("--map-tint");
+  scenery.fillRect(0, 0, width, height);
+  ctx.drawImage(scenery.canvas, 0, 0);
   if (layout.labels) drawLabels(ctx, world, layout);
+}
+
+/** Above the layers of the cells, which would dim them: pads and barricades. */
+export function drawSigns(ctx, view) {
+  const { cell, scale } = view.layout;
+  eachFigure(ctx, view, isJoined(view.world) ? ["pad"] : ["pad", "obstacle"], Math.max(cell, SMALLEST_SIGN * scale));
+}
+
+function eachFigure(ctx, { world, layout, names }, kinds, side) {
+  world.cells.forEach((row, y) =>
+    row.forEach((id, x) => {
+      if (kinds.includes(names[id])) drawFigure(ctx, names[id], ...middle(layout, [x, y]), side, variety(x, y));
+    }),
+  );
 }
 
 /** A fixed pseudo-random number for a cell. */

@@ -7,7 +7,7 @@ import { STEP } from "./layer_flights.js";
 const LEAST_CELL = 16;
 
 /** The kind of a cell at a frame, whether it is closed, the units of a step there, and those that a wait charges. */
-function cellAt({ task, cells }, names, frame, [x, y]) {
+export function cellAt({ task, cells }, names, frame, x, y) {
   const kind = frame.delivered.some(([px, py]) => px === x && py === y) ? "delivered" : names[cells[y][x]];
   const charge = kind === "pad" ? task.charge_rate : 0;
   return { kind, closed: task.impassable.includes(kind), units: task.drain[kind], charge };
@@ -27,7 +27,7 @@ export function drawCosts(ctx, { world, track, layout, clock, names }) {
   for (const [dx, dy] of [...Object.values(STEP), [0, 0]]) {
     const [x, y] = [frame.x + dx, frame.y + dy];
     if (!world.cells[y]?.[x] && world.cells[y]?.[x] !== 0) continue;
-    const { closed, units, charge } = cellAt(world, names, frame, [x, y]);
+    const { closed, units, charge } = cellAt(world, names, frame, x, y);
     const waits = !dx && !dy;
     if (waits && !charge) continue;
     const text = closed ? "×" : waits ? `+${charge}` : String(units);
@@ -43,7 +43,7 @@ export function drawCosts(ctx, { world, track, layout, clock, names }) {
 }
 
 /** A note at the cell under the pointer or the finger: what it is, and what it costs. @param {Context} context */
-export function mountCellNote(field, context, names) {
+export function mountCellNote(field, context) {
   const note = el("p.cell-note", { "aria-hidden": "true", hidden: true });
   field.append(note);
   let view = null;
@@ -60,7 +60,7 @@ export function mountCellNote(field, context, names) {
     note.hidden = world.cells[y]?.[x] === undefined;
     if (note.hidden) return;
     const values = context.shows("values") && context.stage.answer?.cells?.q_values?.[y][x];
-    const cost = inWords(cellAt(world, names, track.frameAt(clock.cursor), [x, y]));
+    const cost = inWords(cellAt(world, context.names, track.frameAt(clock.cursor), x, y));
     note.replaceChildren(el("span", cost), ...(values ? movesIn(values) : []));
     const right = x > world.width / 2;
     note.style.setProperty("left", `${(left + (x + (right ? 0 : 1)) * cell) / scale}px`);
@@ -80,7 +80,7 @@ function movesIn(values) {
   );
 }
 
-function inWords({ kind, closed, units, charge }) {
+export function inWords({ kind, closed, units, charge }) {
   if (closed) return `${cellName(kind)}: closed`;
   return `${cellName(kind)}: costs ${counted(units, "unit")}${charge ? `, each wait charges ${charge}` : ""}`;
 }

@@ -8,7 +8,9 @@ const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
 const RECENT = 5;
 const SMALLEST_DRONE = 22;
 const LARGE_DRONE = 56;
-const SMALLEST_PARCEL = 15;
+const SMALLEST_PARCEL = 18;
+/** The minimum width of a line in CSS pixels. */
+const THIN = 3;
 /** The offset between flights in the same cell, in cells. */
 const ASIDE = 0.09;
 
@@ -24,7 +26,7 @@ const inOrder = ({ tracks, track }) => [...tracks.filter((other) => other !== tr
 
 export function drawTrails(ctx, view) {
   const { layout, clock, track } = view;
-  const { cell } = layout;
+  const { cell, scale } = layout;
   ctx.lineCap = ctx.lineJoin = "round";
   inOrder(view).forEach((one, i) => {
     const aside = one === track ? 0 : (i + 1) * ASIDE;
@@ -34,7 +36,7 @@ export function drawTrails(ctx, view) {
     ctx.globalAlpha = one === track ? 0.42 : 0.5;
     // The path is in units of cells.
     ctx.setTransform(cell, 0, 0, cell, layout.left + aside * cell, layout.top + aside * cell);
-    ctx.lineWidth = Math.max(1.5 / cell, 0.09);
+    ctx.lineWidth = Math.max((THIN * scale) / cell, 0.09);
     ctx.stroke(one.wayTo(end));
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     if (one !== track) return;
@@ -42,7 +44,7 @@ export function drawTrails(ctx, view) {
     ctx.moveTo(...middle(layout, one.at(end)));
     ctx.lineTo(...here);
     ctx.stroke();
-    ctx.lineWidth = Math.max(2, cell * 0.13);
+    ctx.lineWidth = Math.max(THIN * scale, cell * 0.13);
     ctx.beginPath();
     for (let k = Math.max(0, end - RECENT); k <= end; k++) ctx.lineTo(...middle(layout, one.at(k)));
     ctx.lineTo(...here);
@@ -51,18 +53,21 @@ export function drawTrails(ctx, view) {
   ctx.globalAlpha = 1;
 }
 
-export function drawBest(ctx, { track, layout, clock }) {
+/** The best flight as a dashed line, beside the lines of the flights where they share cells. */
+export function drawBest(ctx, { track, tracks, layout, clock }) {
   const path = track.annotation?.optimal_path;
   if (!path) return;
   const { cell, scale } = layout;
-  const aside = cell * 0.13;
+  const width = Math.max(THIN * scale, cell * 0.06);
+  const flown = new Set(tracks.flatMap(({ frames }) => frames.slice(0, clock.position + 1).map(({ x, y }) => `${x},${y}`)));
   ctx.strokeStyle = colourOf("--map-ghost");
-  ctx.lineWidth = Math.max(1.5 * scale, cell * 0.06);
-  ctx.setLineDash([cell * 0.2, cell * 0.16]);
+  ctx.lineWidth = width;
+  ctx.setLineDash([Math.max(cell * 0.2, 2 * width), Math.max(cell * 0.16, 1.5 * width)]);
   ctx.lineCap = "butt";
   ctx.beginPath();
   for (const point of path) {
     const [x, y] = middle(layout, point);
+    const aside = flown.has(String(point)) ? Math.max(cell * 0.13, 1.5 * width) : 0;
     ctx.lineTo(x + aside, y + aside);
   }
   ctx.stroke();
@@ -97,7 +102,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
 export function drawThoughts(ctx, { track, layout, clock }) {
   const values = track.frameAt(clock.cursor).q_values;
   if (!values) return;
-  const { cell } = layout;
+  const { cell, scale } = layout;
   const [x, y] = middle(layout, track.at(clock.position));
   const size = droneSize(layout);
   const all = Object.values(values);
@@ -107,7 +112,7 @@ export function drawThoughts(ctx, { track, layout, clock }) {
     const strength = (value - (best - spread)) / spread;
     ctx.fillStyle = ctx.strokeStyle = colourOf(value === best ? "--network" : "--ink");
     ctx.globalAlpha = value === best ? 1 : 0.12 + 0.4 * strength;
-    const width = Math.max(3, cell * 0.11);
+    const width = Math.max(THIN * scale, cell * 0.11);
     if (action !== "WAIT") pointTo(ctx, action, x, y, size * 0.56, cell * (0.18 + 0.62 * strength), width);
     else if (value === best) {
       ctx.lineWidth = width * 0.7;
@@ -146,9 +151,9 @@ export function drawDrones(ctx, view) {
 function drawBetterMoves(ctx, { track, clock, layout }, x, y, size) {
   const next = track.annotation?.moves[clock.cursor];
   if (!next || next.label === "best" || clock.position !== clock.cursor) return;
-  const { cell } = layout;
+  const { cell, scale } = layout;
   ctx.fillStyle = colourOf("--map-ghost");
   for (const action of next.best_actions) {
-    if (STEP[action]) pointTo(ctx, action, x, y, size * 0.56, cell * 0.8, Math.max(3, cell * 0.13));
+    if (STEP[action]) pointTo(ctx, action, x, y, size * 0.56, cell * 0.8, Math.max(THIN * scale, cell * 0.13));
   }
 }

@@ -2,7 +2,17 @@
 import { colourOf, font } from "./base.js";
 import { middle, pointTo, STEP } from "./layer_flights.js";
 
-const SMALL = 18;
+/** The minimum size of a cell in CSS pixels that shows the units left there. */
+const WRITTEN = 32;
+/** The opacity of the colour of a cell that loses nothing, and what the largest loss adds: the map stays visible. */
+const WASH = [0.1, 0.3];
+/** The sides of a cell: its neighbour, and the two corners. */
+const SIDES = [
+  [0, -1, 0, 0, 1, 0],
+  [0, 1, 0, 1, 1, 1],
+  [-1, 0, 0, 0, 0, 1],
+  [1, 0, 1, 0, 1, 1],
+];
 
 function eachCell(rows, visit) {
   rows?.forEach((row, y) => row.forEach((item, x) => item !== null && visit(item, x, y)));
@@ -13,23 +23,20 @@ export function spanOf(values) {
   return { most: Math.max(...all), least: Math.min(...all) };
 }
 
-/** Colours show what each cell loses against the best one; arrows are the best moves. */
+/** Colours show what each cell loses against the best one, from blue to orange; arrows are the best moves. */
 export function drawValues(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   if (!cells?.values) return;
   const { most, least } = spanOf(cells.values);
   const { cell, left, top } = layout;
-  ctx.globalAlpha = 0.5;
   eachCell(cells.values, (value, x, y) => {
-    const lost = (100 * (most - value)) / (most - least || 1);
-    const ends = lost < 50 ? ["--good", "--warn"] : ["--warn", "--bad"];
-    ctx.fillStyle = `color-mix(in oklab, ${ends.map(colourOf).join(", ")} ${(2 * lost) % 100}%)`;
+    const lost = (most - value) / (most - least || 1);
+    ctx.fillStyle = `color-mix(in oklab, ${colourOf("--best")}, ${colourOf("--worst")} ${100 * lost}%)`;
+    ctx.globalAlpha = WASH[0] + WASH[1] * lost;
     ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
+    ctx.globalAlpha = 1;
+    for (const action of cells.best_actions[y][x] ?? []) drawMove(ctx, layout, action, x, y);
   });
-  ctx.globalAlpha = 0.8;
-  ctx.fillStyle = ctx.strokeStyle = colourOf("--ink");
-  eachCell(cells.best_actions, (actions, x, y) => actions.forEach((action) => drawMove(ctx, layout, action, x, y)));
-  ctx.globalAlpha = 1;
 }
 
 export function drawNetwork(ctx, { stage, layout }) {
@@ -57,21 +64,29 @@ function drawMove(ctx, layout, action, x, y) {
   ctx.fill();
 }
 
-/** The cells in reach, with the battery units left there; only a faint shade while a visitor flies. */
-export function drawRange(ctx, { stage, world, track, layout }) {
+/** An outline between the cells in reach and the others, with the battery units left there unless a visitor flies. */
+export function drawRange(ctx, { stage, world, track, layout, names }) {
   const range = stage.values?.answer?.range;
   if (!range) return;
   const { cell, left, top, scale } = layout;
-  range.forEach((row, y) =>
-    row.forEach((units, x) => {
-      ctx.fillStyle = colourOf(units === null ? "--ground" : "--good");
-      const strength = units === null ? 0.55 : 0.06 + (0.34 * units) / world.battery_capacity;
-      ctx.globalAlpha = track.byHand ? strength * 0.6 : strength;
-      ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
-    }),
-  );
-  ctx.globalAlpha = 1;
-  if (track.byHand || cell < SMALL * 1.8 * scale) return;
+  const { impassable } = world.task;
+  ctx.beginPath();
+  eachCell(range, (units, x, y) => {
+    for (const [dx, dy, x1, y1, x2, y2] of SIDES) {
+      if (range[y + dy]?.[x + dx] !== null || impassable.includes(names[world.cells[y + dy][x + dx]])) continue;
+      ctx.moveTo(left + (x + x1) * cell, top + (y + y1) * cell);
+      ctx.lineTo(left + (x + x2) * cell, top + (y + y2) * cell);
+    }
+  });
+  ctx.lineCap = "round";
+  const stroke = (width, colour) => {
+    ctx.lineWidth = width * scale;
+    ctx.strokeStyle = colourOf(colour);
+    ctx.stroke();
+  };
+  stroke(5, "--map-ground");
+  stroke(2.5, "--range");
+  if (track.byHand || cell < WRITTEN * scale) return;
   ctx.fillStyle = colourOf("--ink");
   ctx.font = font(Math.round(cell * 0.26));
   ctx.textAlign = "right";

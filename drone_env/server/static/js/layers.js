@@ -1,13 +1,15 @@
 // The layers of a map, from the ground up. To add a layer, add an entry here.
-import { drawBlocks, isJoined } from "./blocks.js";
-import { drawCity } from "./layer_city.js";
+import { drawBlocks } from "./blocks.js";
+import { drawCity, drawSigns, isJoined } from "./layer_city.js";
 import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
+import { drawNames, drawScale } from "./layer_names.js";
 import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
 /** @type {Layer[]} */
 export const LAYERS = [
   { id: "city", place: "ground", draw: (ctx, view) => (isJoined(view.world) ? drawBlocks : drawCity)(ctx, view) },
+  { id: "names", place: "ground", draw: drawNames },
   {
     id: "values",
     place: "cells",
@@ -36,6 +38,8 @@ export const LAYERS = [
     when: ({ world }) => Boolean(world?.task.pads),
     draw: drawRange,
   },
+  { id: "signs", place: "air", draw: drawSigns },
+  { id: "scale", place: "air", draw: drawScale },
   { id: "trails", place: "air", draw: drawTrails },
   {
     id: "best",

@@ -1,9 +1,33 @@
-// The figures of the kinds of cells for legends, and the attribution of a map's data.
+// What cells cost, below the map; the figures of the kinds of cells; and the attribution of a map's data.
 import { el } from "./dom.js";
 import { drawFigure } from "./figures.js";
+import { isJoined } from "./layer_city.js";
 
 const SIDE = 24;
 const OPEN_STREET_MAP = "https://www.openstreetmap.org/copyright";
+const KINDS = ["road", "tree", "building", "obstacle"];
+
+/** The numbers of a map's task: `road 1 · tree 2 · building 3 · barricade closed · pad +4 · any order`. @param {HTMLElement} root @param {Context} context */
+export function mountLegend(root, { stage }) {
+  const list = el("ul.legend", { "aria-label": "Battery units of a step" });
+  root.append(list);
+  stage.on("load", () => list.replaceChildren(...itemsOf(stage.world)));
+}
+
+/** @param {World} world */
+function itemsOf(world) {
+  const { drain, impassable, pads, charge_rate: charge } = world.task;
+  const joined = isJoined(world);
+  const item = (text, ...signs) => el("li", ...signs, text);
+  const equal = !impassable.length && KINDS.every((kind) => drain[kind] === drain.road);
+  const kinds = KINDS.map((kind) => {
+    const swatch = joined ? el("i", { data: { kind }, "aria-hidden": "true" }) : kind === "road" ? "" : drawSign(kind);
+    const name = kind === "obstacle" ? (joined ? "hatched" : "barricade") : kind;
+    return item(`${name} ${impassable.includes(kind) ? "closed" : drain[kind]}`, swatch);
+  });
+  const costs = equal ? [item(`each step ${drain.road}`), item("buildings are scenery here")] : kinds;
+  return [...costs, ...(pads ? [item(`pad +${charge}`, drawSign("pad"))] : []), item("any order", drawSign("parcel"))];
+}
 
 /** The attribution below the map. @param {Context} context */
 export function mountCredit({ stage }) {

@@ -4,6 +4,8 @@ import { el, setText } from "./dom.js";
 import { points } from "./format.js";
 import { spanOf } from "./layer_values.js";
 import { LAYERS } from "./layers.js";
+import { mountPictures } from "./picture.js";
+import { mountTextMap } from "./text_map.js";
 
 const KEPT = 60;
 /** Milliseconds between a new moment and its request. */
@@ -82,6 +84,8 @@ export function mountSwitches(root, context, acts) {
   const scale = el("p.scale", el("span"), el("i", { "aria-hidden": "true" }), el("span"));
   root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), note);
   rows[0].node.after(scale);
+  mountTextMap(root, context);
+  mountPictures(root, context);
 
   function draw() {
     root.hidden = !stage.world;
