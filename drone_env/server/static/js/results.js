@@ -70,7 +70,7 @@ export function mountResults(root, context, race, acts) {
   /** Puts the card beside the map for good. */
   function dock() {
     closed = stage.track;
-    draw();
+    root.classList.remove("over");
   }
   document.addEventListener("keydown", ({ key }) => {
     if (key === "Escape" && isOver() && !document.querySelector("dialog[open], .plan-details[open]")) dock();
