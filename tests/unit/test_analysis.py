@@ -93,8 +93,8 @@ def test_a_loop_is_blamed_as_a_whole_not_its_last_step() -> None:
     # After seven waits the two steps left no longer reach the parcel.
     analysis = analyse_actions(toy_episode(MAP, max_steps=8), letters("WWWWWWWR"), "sleeper")
     assert max(analysis.moves, key=lambda move: move.regret).step == 7
-    worst = analysis.worst
-    assert worst == analysis.loops[0]
+    [worst] = analysis.loops
+    assert analysis.worst == worst
     assert (worst.first, worst.last, worst.regret, worst.mark) == (1, 7, analysis.values[0] - 0.01, "??")
     assert analysis.worst_why == "stayed on one cell for 7 steps"
     assert analysis.why == "The drone stayed on one cell for 7 steps (1 to 7); then the battery was empty."

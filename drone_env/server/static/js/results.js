@@ -1,6 +1,6 @@
 // Mission Results: a card over the map at the end of a flight of this page, else the first panel beside it.
 import { nextFrame, TOUCH } from "./base.js";
-import { announce, bring, el, fact, icon, leaveFocus, setText } from "./dom.js";
+import { announce, bring, el, fact, icon, keepFocus, leaveFocus } from "./dom.js";
 import { counted, fixed, optimumOf, outcome, percent, points, pointsBetween, signed, title } from "./format.js";
 import { pointsBar } from "./points_bar.js";
 import { placeOf } from "./standings.js";
@@ -10,61 +10,27 @@ import { writeProvenance } from "./track.js";
 const REST = 700;
 /** Windows in which the card can be beside the last cell. A smaller one has it below or beside the map. */
 const ROOMY = matchMedia("(min-width: 1000px) and (min-height: 600px)");
-/** The smallest width of the card over the map, and its distance from the edge and from the last cell. */
-const NARROWEST = 260;
-const GAP = 12;
+/** Widths of the card over the map, and its distance from the edge and from the last cell. */
+const [NARROWEST, WIDEST, GAP] = [260, 380, 12];
 const MOST_BUTTONS = 3;
+const CROSS = "M6 6l12 12M18 6L6 18";
+const UNDOES = "Trying again counts as Undo: not listed, not kept as your best.";
 
 /** @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountResults(root, context, race, acts) {
   const { stage } = context;
-  const close = el("button.icon-button", { "aria-label": "Close (Esc)", title: "Close (Esc)", press: dock }, icon("M6 6l12 12M18 6L6 18"));
-  const head = el("h3", { id: "results-title" });
-  const score = el("strong.hero-number", { id: "final-score" });
-  const optimum = el("span.hero-of", { id: "optimum" });
-  const bar = el("div");
-  const drawBar = pointsBar(bar);
-  const place = el("p.note");
-  const reason = el("p.results-reason");
-  const see = el("button.link", {
-    id: "worst",
-    title: "Show the step before it",
-    press() {
-      dock();
-      stage.clock.goTo(stage.track.worst.first - 1);
-    },
-  });
-  const again = el("button.button", { id: "again", press: () => tryAgain(context, race, acts) });
-  const afresh = el("button.button", { id: "start-over", text: "Start over", press: acts.reset });
-  const watch = el("button.button", {
-    id: "watch",
-    press: () => acts.start({ pilots: [stage.track.annotation.network] }, { play: true }),
-  });
-  const undoes = el("p.note", { id: "undoes", text: "Trying again counts as Undo: not listed, not kept as your best." });
-  const next = el("button.button", { id: "next", press: () => goOn(context, race, acts) });
-  const efficiency = el("div", { id: "efficiency-parts" });
-  const analysis = el("div", { id: "analysis" });
-  const first = el(
-    "div.results-first",
-    el("div.panel-head", el("h2", { id: "results-name", text: "Mission Results" }), close),
-    head,
-    el("p.hero", score, " ", optimum),
-    bar,
-    place,
-    reason,
-    see,
-    el("div.results-actions", next, again, watch, afresh),
-    undoes,
-  );
+  const first = el("div.results-first");
+  const rest = el("div.results-rest");
   // What starts the next flight by itself goes to the foot.
-  root.append(first, efficiency, analysis, el("div.results-next", { id: "results-next" }));
+  root.append(first, rest, el("div", { id: "results-next" }));
   root.setAttribute("aria-labelledby", "results-name results-title");
   const view = document.getElementById("view-fly");
-  const isOver = () => root.classList.contains("over");
-  let announced = null;
-  let analysed = null;
+  /** What the card shows depends on. */
+  let drawn = [];
+  let figures = null;
   /** The flight whose card the visitor has closed. */
   let closed = null;
+  const isOver = () => root.classList.contains("over");
   race.on("ended", (track) => track === stage.track && nextFrame(() => isOver() || bring(first)));
 
   /** Puts the card beside the map for good. */
@@ -78,15 +44,12 @@ export function mountResults(root, context, race, acts) {
 
   /** Places the card over the map on the side of the last cell that has more room; without room it is beside the map. */
   function put({ layout, size, track }) {
-    const own = !track.brought && stage.over && closed !== track && ROOMY.matches;
     const map = document.getElementById("boards").getBoundingClientRect();
-    const { cell } = layout;
-    const left = (layout.left + track.last.x * cell) / size.scale;
-    const right = map.width - left - cell / size.scale;
-    const width = Math.min(380, Math.max(left, right) - 2 * GAP);
-    const over = own && width >= NARROWEST;
+    const left = (layout.left + track.last.x * layout.cell) / size.scale;
+    const right = map.width - left - layout.cell / size.scale;
+    const width = Math.min(WIDEST, Math.max(left, right) - 2 * GAP);
+    const over = !track.brought && stage.over && closed !== track && ROOMY.matches && width >= NARROWEST;
     root.classList.toggle("over", over);
-    if (!over) return;
     const x = left > right ? map.left + GAP : map.right - GAP - width;
     for (const [name, value] of Object.entries({ x, y: map.top + GAP, width, height: map.height - 2 * GAP }))
       root.style.setProperty(`--card-${name}`, `${Math.round(value)}px`);
@@ -94,84 +57,99 @@ export function mountResults(root, context, race, acts) {
   context.on("drawn", (drawn) => root.hidden || put(drawn));
 
   function draw() {
-    const { track, world, clock } = stage;
+    const { track, clock } = stage;
     const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
-    const { last, annotation, worst } = track;
-    root.dataset.outcome = last.outcome;
     // A card over the map would hide the moments before the end.
     root.classList.toggle("away", !clock.following);
-    setText(head, `${track.name}: ${outcome(last)}.`);
-    setText(score, points(last.score));
-    const best = optimumOf(track);
-    setText(optimum, best === null ? "" : `/ ${points(best)} possible`);
-    drawBar(partsOf(last, best));
-    setText(place, placeOf(stage));
-    const why = whyOf(track);
-    if (annotation?.why && reason.textContent !== why) announce(why);
-    setText(reason, why);
-    see.hidden = !worst;
-    if (worst) setText(see, worstOf(track, worst));
-    const own = !track.automatic && track.forkedAt === null;
-    undoes.hidden = !own || !annotation?.rescue_step;
-    const step = stepToTry(track);
-    setText(again, `${annotation?.why ? (track.automatic ? "Try it yourself" : "Try again") : "Try"} from ${step ? `step ${step}` : "the start"}`);
-    if (annotation?.network) setText(watch, `Watch ${context.pilot(annotation.network).name}`);
-    const after = nextTask(context.families, world.task);
-    setText(next, `Next: ${title(after.short_name)}`);
-    const goesOn = after === world.task ? [] : [next];
-    const delivered = last.outcome === "delivered";
-    const shown = [
-      ...(delivered ? goesOn : []),
-      ...(worst || (annotation?.unsolved && !delivered) ? [again] : []),
-      ...(own && annotation?.network ? [watch] : []),
-      ...(own && (!annotation?.why || !undoes.hidden) ? [afresh] : []),
-      ...(delivered || !track.done ? [] : goesOn),
-    ].slice(0, MOST_BUTTONS);
-    for (const button of [next, again, watch, afresh]) {
-      button.hidden = !shown.includes(button);
-      button.classList.toggle("primary", button === shown[0]);
-    }
-    drawEfficiency(efficiency, last);
-    if (analysed !== track && (track.past || track.episode)) {
-      analysed = track;
-      analyse(world.task);
-    }
-    if (announced === track) return;
+    const told = figures?.task === stage.world.task.id ? figures : null;
+    const now = [track, track.annotation, track.unexplained, track.name, optimumOf(track), placeOf(stage), told];
+    if (now.every((one, i) => one === drawn[i])) return;
+    const isNew = track !== drawn[0];
+    const why = track.annotation?.why;
+    if (why && track.annotation !== drawn[1]) announce(why);
+    drawn = now;
+    root.dataset.outcome = track.last.outcome;
+    keepFocus(root, () => first.replaceChildren(...headOf(track), actionsOf(track), ...noteOf(track)));
+    rest.replaceChildren(efficiencyOf(track.last), ...(told ? [statistics(told, title(stage.world.task.short_name))] : []));
+    if (isNew) meet(track);
+  }
+
+  /** Announces the end of a flight, and asks for the statistics. */
+  function meet(track) {
+    const { last, live, episode, done, brought } = track;
     // The card takes the place of the pad: a tap that is on its way presses nothing.
-    if (TOUCH && own && !track.brought) {
+    if (TOUCH && isOwn(track) && !brought) {
       view.inert = true;
       setTimeout(() => (view.inert = false), REST);
     }
-    announced = track;
-    if (track.done && (track.live || track.episode)) announce(`Mission Results: ${outcome(last)}. Score ${points(last.score)}.`);
+    if (done && (live || episode)) announce(`Mission Results: ${outcome(last)}. Score ${points(last.score)}.`);
+    if (!live) analyse();
+  }
+  race.on("ended", analyse);
+
+  async function analyse() {
+    const { id } = stage.world.task;
+    figures = await context.api.get(`analyse/${encodeURIComponent(id)}`).catch(() => null);
+    draw();
   }
 
-  async function analyse(task) {
-    try {
-      const figures = await context.api.get(`analyse/${encodeURIComponent(task.id)}`);
-      if (stage.world.task === task) analysis.replaceChildren(...statistics(figures, task));
-    } catch (error) {
-      analysis.replaceChildren(el("p.note", { text: `The statistics of this task could not be loaded: ${error.message}` }));
-    }
+  function headOf(track) {
+    const { last, annotation, worst } = track;
+    const best = optimumOf(track);
+    const look = () => {
+      dock();
+      stage.clock.goTo(worst.first - 1);
+    };
+    const close = { "aria-label": "Close (Esc)", title: "Close (Esc)", press: dock };
+    const see = { id: "worst", data: { key: "worst" }, title: "Show the step before it", press: look };
+    return [
+      el("div.panel-head", el("h2", { id: "results-name", text: "Mission Results" }), el("button.icon-button", close, icon(CROSS))),
+      el("h3", { id: "results-title", text: `${track.name}: ${outcome(last)}.` }),
+      el("p.hero", el("strong.hero-number", { text: points(last.score) }), best === null ? "" : el("span.hero-of", ` / ${points(best)} possible`)),
+      ...pointsBar(partsOf(last, best)),
+      el("p.note", { text: placeOf(stage) }),
+      el("p.results-reason", { text: whyOf(track) }),
+      worst && el("button.link", { ...see, text: worstOf(annotation, track.frames[worst.first].action) }),
+    ].filter(Boolean);
   }
+
+  /** At most three ways on, the first of which stands out. */
+  function actionsOf(track) {
+    const { annotation, worst, automatic, last, done } = track;
+    const button = (id, text, press) => [el("button.button", { id, data: { key: id }, text, press })];
+    const step = stepToTry(track);
+    const verb = annotation?.why ? (automatic ? "Try it yourself" : "Try again") : "Try";
+    const after = nextTask(context.families, stage.world.task);
+    const next = after === stage.world.task ? [] : button("next", `Next: ${title(after.short_name)}`, () => goOn(context, race, acts));
+    const again = () => button("again", `${verb} from ${step ? `step ${step}` : "the start"}`, () => tryAgain(context, race, acts));
+    const watch = () =>
+      button("watch", `Watch ${context.pilot(annotation.network).name}`, () => acts.start({ pilots: [annotation.network] }, { play: true }));
+    const delivered = last.outcome === "delivered";
+    const shown = [
+      ...(delivered ? next : []),
+      ...(worst || (annotation?.unsolved && !delivered) ? again() : []),
+      ...(isOwn(track) && annotation?.network ? watch() : []),
+      ...(isOwn(track) && (!annotation?.why || annotation.rescue_step) ? button("start-over", "Start over", acts.reset) : []),
+      ...(delivered || !done ? [] : next),
+    ].slice(0, MOST_BUTTONS);
+    shown[0]?.classList.add("primary");
+    return el("div.results-actions", ...shown);
+  }
+
+  const isOwn = ({ automatic, forkedAt }) => !automatic && forkedAt === null;
+  const noteOf = (track) => (isOwn(track) && track.annotation?.rescue_step ? [el("p.note", { id: "undoes", text: UNDOES })] : []);
 
   stage.on("change", draw);
 }
 
-/** The parts of the final score, and what is lost of the optimum. */
+/** The parts of the final score, and what is lost of the optimum. @returns {import("./points_bar.js").Part[]} */
 function partsOf({ score, deliveries_done: delivered, efficiency_parts }, optimum) {
   const [parcels, battery, steps] = efficiency_parts;
-  const points = pointsBetween(0, parcels.score, parcels.score + battery.score, score, optimum ?? score);
-  /** @type {import("./points_bar.js").Part[]} */
-  const parts = [
-    ["parcels", points[0], delivered ? parcels.name : "lowest score"],
-    ["battery", points[1], battery.name],
-    ["steps", points[2], steps.name],
-    ["lost", points[3], "lost"],
-  ];
-  return parts.filter(([, value]) => value > 0.01);
+  const names = [delivered ? parcels.name : "lowest score", battery.name, steps.name, "lost"];
+  const values = pointsBetween(0, parcels.score, parcels.score + battery.score, score, optimum ?? score);
+  return ["parcels", "battery", "steps", "lost"].map((kind, i) => [kind, values[i], names[i]]);
 }
 
 /** Why the flight failed, or how it compares, in a sentence. */
@@ -179,52 +157,51 @@ function whyOf({ done, annotation, unexplained }) {
   if (!done) return "This flight is not finished, so its moves have no marks.";
   if (unexplained) return `This flight is not compared with a best one: ${unexplained}`;
   if (!annotation) return "Comparing this flight with a best one …";
-  if (annotation.why) return annotation.why;
-  if (annotation.unsolved) return `The best flight is not known: ${annotation.unsolved}.`;
-  return annotation.worst ? "" : "No flight over this map scores more.";
+  if (annotation.unsolved) return `${annotation.why} The best flight is not known: ${annotation.unsolved}.`;
+  return annotation.why || (annotation.worst ? "" : "No flight over this map scores more.");
 }
 
 /** The worst move, or the loop as a whole: `Steps 17 to 79, lost 4.2: circled a pad for 63 steps`. */
-function worstOf({ annotation, frames }, { first, last, regret, why }) {
-  const span = first === last ? `Step ${first}, ${frames[first].action}` : `Steps ${first} to ${last}`;
+function worstOf({ why: reason, worst: { first, last, regret, why } }, action) {
   // The reason names the loop already.
-  if (annotation.why.includes(why)) return `See step ${first}`;
+  if (reason.includes(why)) return `See step ${first}`;
+  const span = first === last ? `Step ${first}, ${action}` : `Steps ${first} to ${last}`;
   return `${span}${regret === null ? "" : `, lost ${points(regret)}`}: ${why}`;
 }
 
 /** The step before the last one that could be saved; of a flight that delivered all parcels, before its worst move. */
 const stepToTry = ({ annotation, worst }) => (annotation?.why ? annotation.rescue_step : worst && worst.first - 1) ?? 0;
 
-function drawEfficiency(root, { efficiency, efficiency_parts: parts }) {
-  const meters = parts.map(({ name, weight, share }) =>
-    el(
-      "div.part",
-      el("span", { text: title(name) }),
-      el("span.gauge-bar", { "aria-hidden": "true" }, el("i", { style: { "--share": String(share) } })),
-      el("span", { text: `${fixed(weight * share, 1)} of ${weight}` }),
+function efficiencyOf({ efficiency, efficiency_parts: parts }) {
+  const meter = (share) => el("span.gauge-bar", { "aria-hidden": "true" }, el("i", { style: { "--share": String(share) } }));
+  return el(
+    "div",
+    { id: "efficiency-parts" },
+    el("h3", { text: `Efficiency ${fixed(efficiency, 1)} of 100 (not the score)` }),
+    ...parts.map(({ name, weight, share }) =>
+      el("div.part", el("span", { text: title(name) }), meter(share), el("span", { text: `${fixed(weight * share, 1)} of ${weight}` })),
     ),
   );
-  root.replaceChildren(el("h3", { text: `Efficiency ${fixed(efficiency, 1)} of 100 (not the score)` }), ...meters);
 }
 
 /** The answer of `GET /analyse`: means, the trend, and a bar for each action. */
-function statistics(figures, task) {
-  const actions = Object.entries(figures.action_distribution).map(([action, share]) =>
-    el("div.action-share", { style: { "--share": String(share) } }, el("i", { "aria-hidden": "true" }), `${action} ${percent(share)}`),
-  );
-  return [
-    el("h3", { text: `${counted(figures.episodes, "flight")} of ${title(task.short_name)} on this server` }),
+function statistics({ episodes, success_trend: trend, action_distribution: shares, ...means }, task) {
+  const bar = ([action, share]) =>
+    el("div.action-share", { style: { "--share": String(share) } }, el("i", { "aria-hidden": "true" }), `${action} ${percent(share)}`);
+  return el(
+    "div",
+    { id: "analysis" },
+    el("h3", { text: `${counted(episodes, "flight")} of ${task} on this server` }),
     el(
       "dl.results-facts",
-      fact("Average reward", fixed(figures.average_reward)),
-      fact("Average score", points(figures.average_score)),
-      fact("Success", percent(figures.success_rate)),
-      fact("Success trend", figures.success_trend === null ? "–" : `${signed(figures.success_trend * 100, 0)} points`),
+      fact("Average reward", fixed(means.average_reward)),
+      fact("Average score", points(means.average_score)),
+      fact("Success", percent(means.success_rate)),
+      fact("Success trend", trend === null ? "–" : `${signed(trend * 100, 0)} points`),
     ),
-    el("div.action-shares", { role: "group", "aria-label": "Action distribution" }, ...actions),
-  ];
+    el("div.action-shares", { role: "group", "aria-label": "Action distribution" }, ...Object.entries(shares).map(bar)),
+  );
 }
-
 /** The next task of the family, or the last one again. Only the standard ones begin again: Easy, Medium, Hard, Easy. */
 function nextTask(families, task) {
   const group = families.get(task.family);
