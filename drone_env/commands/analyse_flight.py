@@ -95,7 +95,7 @@ def _print(flight: "analysis.FlightAnalysis") -> None:
     print(f"Score {flight.score:.4f}, optimum {flight.optimum:.4f}, regret {flight.regret:.5f}")
     worst = flight.worst
     if worst is not None:
-        steps = f"{worst.first}" if worst.first == worst.last else f"{worst.first} to {worst.last}"
+        steps = f"step {worst.first}" if worst.first == worst.last else f"steps {worst.first} to {worst.last}"
         print(f"Worst: {steps}, regret {worst.regret:.5f}: {flight.worst_why}")
     if flight.why:
         print(flight.why)

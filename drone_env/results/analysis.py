@@ -10,6 +10,7 @@ once, so their sum may differ in the last digits; `FlightAnalysis.regret` is opt
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
@@ -211,7 +212,7 @@ class FlightAnalysis:
         known = failed < least <= self.optimum
         return sum(value >= least for value in self.values) - 1 if known else None
 
-    @property
+    @cached_property
     def loops(self) -> tuple[Loop, ...]:
         """The loops of the flight, each with the sum of its regrets."""
         values, loops, before = self.values, list[Loop](), self.flown.steps - len(self.moves)
@@ -221,7 +222,7 @@ class FlightAnalysis:
             loops.append(replace(loop, regret=regret, label=label, mark=MARKS[label]))
         return tuple(loops)
 
-    @property
+    @cached_property
     def worst(self) -> Move | Loop | None:
         """The move or the whole loop that lost most, the first of equals; None if nothing was lost."""
         worst = max((*self.loops, *self.moves), key=lambda one: one.regret or 0, default=None)

@@ -25,8 +25,6 @@ export function mountResults(root, context, race, acts) {
   root.append(first, rest, el("div", { id: "results-next" }));
   root.setAttribute("aria-labelledby", "results-name results-title");
   const view = document.getElementById("view-fly");
-  /** What the card shows depends on. */
-  let drawn = [];
   let figures = null;
   /** The flight whose card the visitor has closed. */
   let closed = null;
@@ -63,17 +61,24 @@ export function mountResults(root, context, race, acts) {
     if (hidden) return;
     // A card over the map would hide the moments before the end.
     root.classList.toggle("away", !clock.following);
-    const told = figures?.task === stage.world.task.id ? figures : null;
-    const now = [track, track.annotation, track.unexplained, track.name, optimumOf(track), placeOf(stage), told];
-    if (now.every((one, i) => one === drawn[i])) return;
-    const isNew = track !== drawn[0];
-    const why = track.annotation?.why;
-    if (why && track.annotation !== drawn[1]) announce(why);
-    drawn = now;
     root.dataset.outcome = track.last.outcome;
-    keepFocus(root, () => first.replaceChildren(...headOf(track), actionsOf(track), ...noteOf(track)));
-    rest.replaceChildren(efficiencyOf(track.last), ...(told ? [statistics(told, title(stage.world.task.short_name))] : []));
-    if (isNew) meet(track);
+    const { annotation, unexplained, name, last } = track;
+    if (changed("reason", annotation) && annotation?.why) announce(annotation.why);
+    if (changed("head", track, annotation, unexplained, name, optimumOf(track), placeOf(stage)))
+      keepFocus(root, () => first.replaceChildren(...headOf(track), actionsOf(track), ...noteOf(track)));
+    const { task } = stage.world;
+    const told = figures?.task === task.id ? figures : null;
+    if (changed("rest", track, told))
+      rest.replaceChildren(efficiencyOf(last), ...(told ? [statistics(told, title(task.short_name))] : []));
+    if (changed("flight", track)) meet(track);
+  }
+
+  /** Whether a part of the card depends on something else than when it was drawn: a pressed button must stay. */
+  const seen = {};
+  function changed(part, ...now) {
+    const same = seen[part]?.every((one, i) => one === now[i]);
+    seen[part] = now;
+    return !same;
   }
 
   /** Announces the end of a flight, and asks for the statistics. */
@@ -91,7 +96,8 @@ export function mountResults(root, context, race, acts) {
 
   async function analyse() {
     const { id } = stage.world.task;
-    figures = await context.api.get(`analyse/${encodeURIComponent(id)}`).catch(() => null);
+    const failed = ({ message }) => ({ task: id, failed: message });
+    figures = await context.api.get(`analyse/${encodeURIComponent(id)}`).catch(failed);
     draw();
   }
 
@@ -185,9 +191,10 @@ function efficiencyOf({ efficiency, efficiency_parts: parts }) {
 }
 
 /** The answer of `GET /analyse`: means, the trend, and a bar for each action. */
-function statistics({ episodes, success_trend: trend, action_distribution: shares, ...means }, task) {
+function statistics({ episodes, success_trend: trend, action_distribution: shares, failed, ...means }, task) {
+  if (failed) return el("p.note", { text: `The statistics of this task could not be loaded: ${failed}` });
   const bar = ([action, share]) =>
-    el("div.action-share", { style: { "--share": String(share) } }, el("i", { "aria-hidden": "true" }), `${action} ${percent(share)}`);
+    el("div.action-share", { style: { "--share": String(share) } }, el("i", { "aria-hidden": "true" }), `${action}\n${percent(share)}`);
   return el(
     "div",
     { id: "analysis" },
