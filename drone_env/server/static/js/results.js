@@ -26,6 +26,7 @@ export function mountResults(root, context, race, acts) {
   root.setAttribute("aria-labelledby", "results-name results-title");
   const view = document.getElementById("view-fly");
   let figures = null;
+  let placed = { x: 0, y: 0, width: 0, height: 0 };
   /** The flight whose card the visitor has closed. */
   let closed = null;
   const isOver = () => root.classList.contains("over");
@@ -40,27 +41,36 @@ export function mountResults(root, context, race, acts) {
     if (key === "Escape" && isOver() && !document.querySelector("dialog[open], .plan-details[open]")) dock();
   });
 
-  /** Places the card over the map on the side of the last cell that has more room; without room it is beside the map. */
-  function put({ layout, size, track }) {
+  /**
+   * Places the card over the map on the side of the last cell that has more room; without room it is beside the map.
+   * While the visitor looks back, it hides from a drone that is under it.
+   */
+  function put({ layout, size, track, clock }) {
     const map = document.getElementById("boards").getBoundingClientRect();
-    const left = (layout.left + track.last.x * layout.cell) / size.scale;
+    const column = clock.following ? track.last.x : track.at(clock.position)[0];
+    const left = (layout.left + column * layout.cell) / size.scale;
     const right = map.width - left - layout.cell / size.scale;
+    if (!clock.following && isOver()) {
+      const { x, width } = placed;
+      root.classList.toggle("away", x + width > map.left + left && x < map.right - right);
+      return;
+    }
     const width = Math.min(WIDEST, Math.max(left, right) - 2 * GAP);
     const over = !track.brought && stage.over && closed !== track && ROOMY.matches && width >= NARROWEST;
     root.classList.toggle("over", over);
+    root.classList.remove("away");
     const x = left > right ? map.left + GAP : map.right - GAP - width;
-    for (const [name, value] of Object.entries({ x, y: map.top + GAP, width, height: map.height - 2 * GAP }))
+    placed = { x, y: map.top + GAP, width, height: map.height - 2 * GAP };
+    for (const [name, value] of Object.entries(placed))
       root.style.setProperty(`--card-${name}`, `${Math.round(value)}px`);
   }
   context.on("drawn", (drawn) => root.hidden || put(drawn));
 
   function draw() {
-    const { track, clock } = stage;
+    const { track } = stage;
     const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
-    // A card over the map would hide the moments before the end.
-    root.classList.toggle("away", !clock.following);
     root.dataset.outcome = track.last.outcome;
     const { annotation, unexplained, name, last } = track;
     if (changed("reason", annotation) && annotation?.why) announce(annotation.why);
