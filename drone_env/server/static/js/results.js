@@ -21,8 +21,7 @@ export function mountResults(root, context, race, acts) {
   const { stage } = context;
   const first = el("div.results-first");
   const rest = el("div.results-rest");
-  // What starts the next flight by itself goes to the foot.
-  root.append(first, rest, el("div", { id: "results-next" }));
+  root.append(first, rest);
   root.setAttribute("aria-labelledby", "results-name results-title");
   const view = document.getElementById("view-fly");
   let figures = null;
