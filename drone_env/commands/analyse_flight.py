@@ -26,9 +26,9 @@ def analyse_flight(
     """Print the exact score that each move of a flight lost, and the better moves.
 
     Name the file of a recorded flight, or a task to fly. Value: the highest attainable score before the move. Regret:
-    the loss of value. Better: all moves without regret. Marks: ?? blunder (a parcel lost), ? mistake, ?! inaccuracy,
-    !! the only move that was not a blunder. Accuracy: the share of best moves among those on which anything could be
-    lost.
+    the loss of value. Better: all moves without regret. A loop is one row. Marks: ?? blunder (a parcel lost),
+    ? mistake, ?! inaccuracy, !! the only move that was not a blunder. Accuracy: the share of best moves among those
+    on which anything could be lost.
 
     Example: drone-env analyse-flight --task hard --agent greedy --seed 7
 
@@ -65,9 +65,20 @@ def _print(flight: "analysis.FlightAnalysis") -> None:
     """Print a table of the moves, one of the labels, and the score."""
     from drone_env.results.analysis import MARKS
 
-    moves = [
-        (f"{m.step}", m.action.name, m.mark, f"{m.position}", m.event.name.lower(), *_loss(m)) for m in flight.moves
-    ]
+    loops = {step: loop for loop in flight.loops for step in range(loop.first, loop.last + 1)}
+    moves: list[tuple[str, ...]] = []
+    for move in flight.moves:
+        loop = loops.get(move.step)
+        if loop is None:
+            moves.append(
+                (f"{move.step}", move.action.name, move.mark, f"{move.position}", move.event.name.lower(), *_loss(move))
+            )
+        elif loop.first == move.step:
+            names = ", ".join(action.name for action in loop.actions)
+            rounds = (loop.last - loop.first + 1) // len(loop.actions)
+            lost = f"{loop.regret:.5f}" if loop.regret else ""
+            steps = f"{loop.first} to {loop.last}"
+            moves.append((steps, f"{names} x {rounds}", loop.mark, "", loop.words, f"{move.value:.4f}", lost, ""))
     labels = [
         (label, f"{count}", number(math.fsum(m.regret for m in flight.moves if m.label == label), ".5f"), mark)
         for (label, count), mark in zip(flight.counts.items(), MARKS.values(), strict=True)
@@ -80,8 +91,14 @@ def _print(flight: "analysis.FlightAnalysis") -> None:
     print_table(Table(f"{flight.task.id}, map {flight.seed}, flown by {flight.agent}", head, moves), names=8)
     print_table(Table("", ("move", "count", "lost", "mark"), labels), names=1)
     if flight.giving_up is not None:
-        print(f"Unfinished after {len(moves) - 1} steps: counted as if it had waited to the end")
+        print(f"Unfinished after {flight.flown.steps} steps: counted as if it had waited to the end")
     print(f"Score {flight.score:.4f}, optimum {flight.optimum:.4f}, regret {flight.regret:.5f}")
+    worst = flight.worst
+    if worst is not None:
+        steps = f"step {worst.first}" if worst.first == worst.last else f"steps {worst.first} to {worst.last}"
+        print(f"Worst: {steps}, regret {worst.regret:.5f}: {flight.worst_why}")
+    if flight.why:
+        print(flight.why)
     print(f"Accuracy {percent(flight.accuracy)}: {flight.decisive_best} best moves of {flight.decisive} that mattered")
 
 

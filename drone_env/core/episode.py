@@ -11,7 +11,7 @@ import numpy.typing as npt
 from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
-from drone_env.core.rules import EFFICIENCY_WEIGHTS, Observation, open_actions, score, write_telemetry
+from drone_env.core.rules import EFFICIENCY_WEIGHTS, Observation, open_actions, score, score_of, write_telemetry
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
     BATTERY,
@@ -258,6 +258,13 @@ class Episode:
     def efficiency_shares(self) -> tuple[float, float, float]:
         """Each part of the efficiency, 0 to 1, in the order of `rules.EFFICIENCY_WEIGHTS`."""
         return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
+
+    @property
+    def score_parts(self) -> tuple[float, float, float]:
+        """What each of these parts adds to the score. The first contains the lowest score, which is never lost."""
+        done, units, steps = self.deliveries_done, self.battery_units, self.task.max_steps
+        parcels, charged = (score_of(self.tables, done, left, steps) for left in (0, units))
+        return parcels, charged - parcels, self.score - charged
 
     @property
     def reward_last(self) -> float:

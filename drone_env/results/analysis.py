@@ -8,14 +8,16 @@ neighbours in `FlightAnalysis.values`, and the exact regrets add up to optimum -
 once, so their sum may differ in the last digits; `FlightAnalysis.regret` is optimum - score, rounded once.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 
 from drone_env.core.actions import Action, Event, Outcome
-from drone_env.core.episode import Episode, EpisodeState, PathStep
+from drone_env.core.cells import CELL_KINDS
+from drone_env.core.episode import Episode, EpisodeState, PathStep, rollout
 from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TaskConfig
@@ -51,6 +53,10 @@ One parcel adds 0.8 / (parcels of the map) to the score; this unit gives a label
 """
 MARKS: dict[Label, str] = {"best": "", **{label: mark for label, (_, mark) in SEVERITIES.items()}}
 ONLY_MOVE = "!!"
+LONGEST_ROUND = 12
+"""Actions of the longest round of a loop that `find_loops` looks for."""
+LEAST_ROUNDS, LEAST_LOOP = 3, 6
+"""The fewest rounds and steps of a loop: a shorter one may be an accident."""
 
 
 def parcel_value(task: TaskConfig) -> float:
@@ -94,6 +100,41 @@ class Move:
     margin: float
     mark: str
 
+    @property
+    def first(self) -> int:
+        """Its number, as of a loop."""
+        return self.step
+
+    @property
+    def last(self) -> int:
+        """Its number, as of a loop."""
+        return self.step
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Steps that repeat the same actions over the same cells and deliver nothing.
+
+    Attributes:
+        first: The first step, from 1.
+        last: The last step, which ends a round.
+        actions: The actions of one round.
+        words: What the drone did: `circled a pad for 63 steps`.
+        idle: Steps after which the battery was no fuller than before in this loop.
+        regret: The loss of score of all these moves; None if the map is not solved.
+        label: The label of the regret.
+        mark: `?!`, `?` or `??` by the label, else empty.
+    """
+
+    first: int
+    last: int
+    actions: tuple[Action, ...]
+    words: str
+    idle: int
+    regret: float | None = None
+    label: Label | None = None
+    mark: str = ""
+
 
 @dataclass(frozen=True)
 class GivingUp:
@@ -124,6 +165,8 @@ class FlightAnalysis:
         score: The graded score; for an unfinished flight, the score after waiting to the end.
         moves: One entry per move, in order.
         giving_up: The last state of an unfinished flight; None if the flight has ended.
+        flown: The flight after its last move.
+        solver: The exact values of its map.
     """
 
     task: TaskConfig
@@ -133,6 +176,8 @@ class FlightAnalysis:
     score: float
     moves: tuple[Move, ...]
     giving_up: GivingUp | None
+    flown: Episode = field(repr=False, compare=False)
+    solver: "Solver" = field(repr=False, compare=False)
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -166,6 +211,49 @@ class FlightAnalysis:
         failed = max(score_of(tables, n - 1, 0, 0), score_of(tables, n - 1, full, task.max_steps))
         known = failed < least <= self.optimum
         return sum(value >= least for value in self.values) - 1 if known else None
+
+    @cached_property
+    def loops(self) -> tuple[Loop, ...]:
+        """The loops of the flight, each with the sum of its regrets."""
+        values, loops, before = self.values, list[Loop](), self.flown.steps - len(self.moves)
+        for loop in find_loops(self.flown, before):
+            regret = values[loop.first - 1 - before] - values[loop.last - before]
+            label = label_of(regret, self.task)
+            loops.append(replace(loop, regret=regret, label=label, mark=MARKS[label]))
+        return tuple(loops)
+
+    @cached_property
+    def worst(self) -> Move | Loop | None:
+        """The move or the whole loop that lost most, the first of equals; None if nothing was lost."""
+        worst = max((*self.loops, *self.moves), key=lambda one: one.regret or 0, default=None)
+        return worst if worst and worst.regret else None
+
+    @property
+    def worst_why(self) -> str:
+        """What the drone did wrong in `worst`: `LEFT saves 2 steps`, `circled a pad for 63 steps`; empty without it."""
+        worst = self.worst
+        if worst is None or isinstance(worst, Loop):
+            return "" if worst is None else worst.words
+        before = self.flown.actions[: worst.step - 1]
+
+        def end(action: Action) -> Episode:
+            flight = Episode(self.task, seed=self.seed).fly([*before, action])
+            return rollout(flight, lambda _: self.solver.optimal_actions(flight)[0])
+
+        best, flown = end(worst.best_actions[0]), end(worst.action)
+        names = " or ".join(action.name for action in worst.best_actions)
+        if best.deliveries_done > flown.deliveries_done:
+            reach = f"{best.deliveries_done} of {self.task.deliveries}"
+            return f"{names} keeps {reach} parcels in reach, not {flown.deliveries_done}"
+        steps, units = flown.steps - best.steps, best.battery_units - flown.battery_units
+        gains = (("saves", steps, "step"), ("leaves", units, "more battery unit"))
+        return f"{names} {' and '.join(f'{gain} {n} {what}' + 's' * (n > 1) for gain, n, what in gains if n > 0)}"
+
+    @property
+    def why(self) -> str:
+        """Why the flight failed, in one sentence; empty if it delivered all parcels or goes on."""
+        why = why_failed(self.flown, self.worst)
+        return "No flight over this map scores more." if why and self.regret == 0 else why
 
     @property
     def counts(self) -> dict[Label, int]:
@@ -206,8 +294,10 @@ class FlightAnalysis:
             "decisive": self.decisive,
             "counts": self.counts,
             "values": list(self.values),
-            "moves": [_plain(vars(move)) for move in self.moves],
-            "giving_up": self.giving_up and _plain(vars(self.giving_up)),
+            "moves": [plain(vars(move)) for move in self.moves],
+            "loops": [plain(vars(loop)) for loop in self.loops],
+            "why": self.why,
+            "giving_up": self.giving_up and plain(vars(self.giving_up)),
         }
 
 
@@ -268,7 +358,81 @@ def analyse_actions(
         value = solver.value(flight)
         regret = value - score
         giving_up = GivingUp(value, regret, label_of(regret, start.task), solver.optimal_actions(flight))
-    return FlightAnalysis(start.task, start.seed, agent, flight.outcome, score, tuple(moves), giving_up)
+    return FlightAnalysis(start.task, start.seed, agent, flight.outcome, score, tuple(moves), giving_up, flight, solver)
+
+
+def find_loops(flown: Episode, after: int = 0) -> tuple[Loop, ...]:
+    """Return the loops of a flight in order. Waiting for a full battery is one, too.
+
+    Args:
+        flown: The flight.
+        after: Number of its first steps that are left out.
+    """
+    from drone_env.planning.cell_states import charging_pads  # loads Numba
+
+    path, pads, loops, at = flown.path, set(charging_pads(flown)), list[Loop](), after
+    # A delivery is never repeated.
+    keys = [(i,) if one.event is Event.DELIVERY else (one.action, one.x, one.y) for i, one in enumerate(path)]
+    while at < len(path):
+        length, shortest = max((_repeated(keys, at, size), -size) for size in range(1, LONGEST_ROUND + 1))
+        if length < LEAST_LOOP:
+            at += 1
+            continue
+        steps = path[at : at + length]
+        cells = {step.y * flown.task.width + step.x for step in steps}
+        if len(cells) == 1 and steps[0].action is not Action.WAIT:
+            did = "flew against an edge or an obstacle"
+        elif cells & pads:
+            did = "stayed on a pad" if len(cells) == 1 else "circled a pad"
+        else:
+            did = {1: "stayed on one cell", 2: "flew back and forth"}.get(len(cells), "flew in circles")
+        units = [step.battery for step in steps]
+        idle = length - 1 - units.index(max(units))
+        one_round = tuple(step.action for step in steps[:-shortest])
+        loops.append(Loop(at + 1, at + length, one_round, f"{did} for {length} steps", idle))
+        at += length
+    return tuple(loops)
+
+
+def _repeated(keys: Sequence[object], first: int, period: int) -> int:
+    """The number of steps from `first` on that repeat their first `period` ones, in whole rounds; 0 for too few."""
+    last = first + period
+    while last < len(keys) and keys[last] == keys[last - period]:
+        last += 1
+    rounds = (last - first) // period
+    return rounds * period if rounds >= LEAST_ROUNDS else 0
+
+
+def why_failed(flown: Episode, worst: Move | Loop | None = None) -> str:
+    """Return why an ended flight failed, in one sentence; empty if it delivered all parcels or goes on.
+
+    Args:
+        flown: The flight.
+        worst: What lost most. A loop is the reason, not the last step.
+    """
+    from drone_env.planning.cell_states import charging_pads  # loads Numba
+
+    if flown.outcome not in (Outcome.OUT_OF_STEPS, Outcome.BATTERY_DEAD):
+        return ""
+    ran_out = flown.outcome is Outcome.OUT_OF_STEPS
+    if isinstance(worst, Loop):
+        end = "the steps ran out" if ran_out else "the battery was empty"
+        return f"The drone {worst.words} ({worst.first} to {worst.last}); then {end}."
+    task, pads = flown.task, charging_pads(flown)
+    if ran_out:
+        return f"The steps ran out: a flight has {task.max_steps}."
+    grid = Episode(task, seed=flown.seed).grid()
+    below = {int(grid[step.y, step.x]) for step in flown.path}
+    costly = {CELL_KINDS[kind].name: units for kind, units in task.drain if units > 1 and kind in below}
+    costs = " and ".join(f"{kind}s cost {units} units" for kind, units in costly.items()) or "each step costs a unit"
+    x, y = flown.position
+    away = min((abs(x - pad % task.width) + abs(y - pad // task.width) for pad in pads), default=None)
+    if away is None:
+        return f"{costs.capitalize()}."
+    distance = f"a pad was {away} {'cell' if away == 1 else 'cells'} away"
+    reached = [(step.x, step.y) for step in flown.path[-2:]].count((x, y)) == 1
+    here = "the drone reached a pad with an empty battery" if reached else "the drone was on a pad and did not wait"
+    return f"{costs.capitalize()}; {distance if away else here}."
 
 
 def _move(task: TaskConfig, number: int, step: PathStep, values: list[float]) -> Move:
@@ -293,12 +457,12 @@ def _move(task: TaskConfig, number: int, step: PathStep, values: list[float]) ->
     )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a JSON value; actions and events become names."""
     if isinstance(value, dict):
-        return {name: _plain(item) for name, item in cast(dict[str, Any], value).items()}
+        return {name: plain(item) for name, item in cast(dict[str, Any], value).items()}
     if isinstance(value, tuple):
-        return [_plain(item) for item in cast(tuple[Any, ...], value)]
+        return [plain(item) for item in cast(tuple[Any, ...], value)]
     if isinstance(value, Action):
         return value.name
     return value.name.lower() if isinstance(value, Event) else value

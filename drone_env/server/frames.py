@@ -75,11 +75,12 @@ class FlightHeader(Provenance):
 
 
 class EfficiencyPart(StrictModel):
-    """One part of the efficiency."""
+    """One part of the efficiency and of the score."""
 
     name: str
     weight: int = Field(description="Weight in percent; the weights add up to 100.")
     share: float = Field(ge=0, le=1, description="Value of this part.")
+    score: float = Field(description="What this part adds to the score.")
 
 
 class Frame(StrictModel):
@@ -141,8 +142,10 @@ def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
         score=episode.score,
         efficiency=episode.efficiency,
         efficiency_parts=[
-            EfficiencyPart(name=name, weight=weight, share=share)
-            for (name, weight), share in zip(EFFICIENCY_WEIGHTS.items(), episode.efficiency_shares, strict=True)
+            EfficiencyPart(name=name, weight=weight, share=share, score=score)
+            for (name, weight), share, score in zip(
+                EFFICIENCY_WEIGHTS.items(), episode.efficiency_shares, episode.score_parts, strict=True
+            )
         ],
         message=episode.message,
         done=episode.ended,

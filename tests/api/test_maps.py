@@ -11,9 +11,14 @@ import pytest
 from pydantic import SecretStr
 from starlette.testclient import TestClient
 
-from drone_env.city.city_file import City, city_task, city_text, read_city, write_city
+from drone_env.city.city_file import City, city_task, city_text, parse_city, read_city, write_city
+from drone_env.core.actions import Action
+from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
+from drone_env.flights.record import record_of
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
+from drone_env.server.drawn_maps import drawn_task
 from drone_env.server.settings import Settings
 from tests.api.flying import start
 
@@ -49,6 +54,22 @@ def test_a_drawing_is_worth_what_its_file_is(client: TestClient, tmp_path: Path)
     assert answer(client, "/maps/worth", empty)["optimum"]["success"] is False
     opened = answer(client, "/maps/file", {"toml": told["toml"]})
     assert answer(client, "/maps/worth", opened)["name"] == told["name"]
+
+
+def test_a_flight_over_a_map_that_is_too_large_to_solve_is_explained_without_an_optimum(client: TestClient) -> None:
+    cells = np.zeros((20, 20), np.uint8)
+    cells[[3, 15], [3, 4]] = Cell.PAD
+    parcels = [[column, 19] for column in range(12)]
+    numbers = {"max_steps": 400, "battery_capacity": 200}
+    drawing = {"cells": cells.tolist(), "start": [0, 0], "parcels": parcels, "numbers": numbers}
+    name = answer(client, "/maps", drawing)["task"]["id"]
+    city = parse_city(answer(client, "/maps/worth", drawing)["toml"].encode())
+    flown = Episode(drawn_task(city, name), seed=0).fly([Action.RIGHT, Action.LEFT] * 100)
+    told = answer(client, "/annotate", record_of(flown, "someone").model_dump())
+    assert told["unsolved"].startswith(f"the exact values of a map of '{name}' would take")
+    assert (told["optimal_score"], told["moves"], told["rescue_step"]) == (None, [], None)
+    assert told["worst"] == {"first": 1, "last": 200, "regret": None, "why": "flew back and forth for 200 steps"}
+    assert told["why"] == "Each step costs a unit; a pad was 6 cells away."
 
 
 def test_any_map_can_be_drawn_on(client: TestClient) -> None:

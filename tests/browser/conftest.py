@@ -76,6 +76,7 @@ def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
     # Without a next task that starts by itself while a test looks at the last one.
     page.evaluate("localStorage.clear(); localStorage['drone-env-cycle-pilots'] = 'off'")
     page.evaluate("document.querySelectorAll('dialog[open]').forEach(one => one.close())")
+    page.evaluate("document.querySelector('.plan-details')?.removeAttribute('open')")
     show(page, "/?view=learn")
     yield page
     assert tabs.unexpected() == []

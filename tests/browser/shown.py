@@ -18,6 +18,11 @@ def points(score: float, digits: int = 1) -> str:
     return fixed(score * 100, digits)
 
 
+def lost(optimum: float, score: float) -> str:
+    """The points between two scores as the page writes them: of the rounded scores, so that all add up."""
+    return str(Decimal(points(optimum)) - Decimal(points(score)))
+
+
 def percent(share: float) -> str:
     """A share as the page writes it."""
     return f"{fixed(share * 100, 0)} %"
@@ -72,7 +77,7 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
     """The instruments show this frame."""
     expect(page.locator("#step-counter")).to_have_text(re.compile(rf"^Step {frame['step']} of "))
     if frame["done"]:
-        expect(page.locator("#score")).to_have_text(points(frame["score"]))
+        expect(page.locator(".live-points [data-kind=won] strong")).to_have_text(points(frame["score"]))
     expect(page.locator("#battery")).to_contain_text(f"{frame['battery_units']} of {capacity}")
     expect(page.locator("#reward-total")).to_have_text(fixed(frame["reward_total"]))
     expect(page.locator("#efficiency")).to_have_text(fixed(frame["efficiency"], 1))

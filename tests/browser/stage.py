@@ -79,7 +79,7 @@ def over(page: Page, seed: int, path: str) -> None:
 
 
 def at_its_end(page: Page, seed: int, path: str) -> Locator:
-    """Go to the end of a flight, which costs less than to watch each step; its strip."""
+    """Go to the end of a flight, which costs less than to watch each step; its results."""
     over(page, seed, f"{path}&step=999")
     return ended(page)
 
@@ -112,11 +112,12 @@ def fly(page: Page, button: str = "Start") -> None:
 
 
 def ended(page: Page) -> Locator:
-    """The strip beside the map, once the flight has ended and is annotated."""
-    strip = page.locator(".strip")
-    expect(strip).to_be_visible()  # a hidden strip may be that of the flight before
-    expect(strip).to_contain_text("a best flight ends with")
-    return strip
+    """Mission Results, once the flight has ended and is annotated."""
+    card = page.locator(".results")
+    expect(card).to_be_visible()  # a hidden card may be that of the flight before
+    expect(card).to_contain_text("possible")
+    expect(card).not_to_contain_text("Comparing this flight")
+    return card
 
 
 def pilot(page: Page, name: str) -> Locator:

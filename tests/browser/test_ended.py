@@ -1,14 +1,15 @@
-"""Flights that have ended: the strip under the map, stored flights by their link, and flights in files."""
+"""Flights that have ended: Mission Results, stored flights by their link, and flights in files."""
 
 import json
 import re
+from decimal import Decimal
 
 import pytest
 from playwright.sync_api import Page, Route, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rules import HIGHEST, LOWEST
+from drone_env.core.rules import LOWEST
 from drone_env.flights.provenance import Parent, Provenance
 from drone_env.flights.record import record_of
 from tests.api.serving import Server
@@ -20,13 +21,16 @@ from tests.browser.shown import (
     expect_frame,
     expect_step,
     fixed,
+    lost,
     measured,
     painted,
     percent,
     points,
 )
 from tests.browser.stage import (
+    FASTEST,
     at_its_end,
+    at_speed,
     choices,
     ended,
     expect_task,
@@ -48,15 +52,18 @@ from tests.browser.tabs import Tabs
 
 
 def expect_efficiency(page: Page, done: float, left: float) -> None:
-    """The strip shows three shares with their weights, and their sum."""
-    expect(page.locator("#efficiency-parts")).to_have_text(
-        f"Efficiency (not the score) {fixed(75 * done + 25 * left, 1)} of 100: parcels delivered {percent(done)} "
-        f"(weight 75), battery left {percent(left)} (weight 15), steps left {percent(left)} (weight 10)."
+    """The card shows three shares with their weights, and their sum."""
+    efficiency = page.locator("#efficiency-parts")
+    total = fixed(75 * done + 25 * left, 1)
+    expect(efficiency.get_by_role("heading")).to_have_text(f"Efficiency {total} of 100 (not the score)")
+    parts = (("Parcels delivered", done, 75), ("Battery left", left, 15), ("Steps left", left, 10))
+    expect(efficiency.locator(".part")).to_have_text(
+        [f"{name}{fixed(weight * share, 1)} of {weight}" for name, share, weight in parts]
     )
 
 
 @pytest.mark.feature("D2", "D5")
-def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the_graph(
+def test_mission_results_show_score_efficiency_and_statistics_of_a_success_without_a_click(
     page: Page, server: Server
 ) -> None:
     # Chance delivers on this map, but late: it loses points.
@@ -65,42 +72,43 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     last = len(flight) - 1
     over(page, 82, "/?task=easy&seed=82&pilot=random")
     fly(page)
-    strip = ended(page)
-    score, optimum = points(annotation["score"]), points(annotation["optimal_score"])
-    expect(strip.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
-    expect(strip).to_contain_text(
-        f"Score {score} of {optimum} possible, lost {points(annotation['regret'])}, 1 of 1 parcel, "
-        f"{60 - last} battery units after {last} steps, "
-        f"a best flight ends with {annotation['optimal_battery']} after {annotation['optimal_steps']} steps."
-    )
-    expect(strip).to_contain_text("What counts: parcels (80 points), then battery left (10) and steps left (10).")
-    expect(strip).to_contain_text(f"The lowest score is {points(LOWEST)}, the highest {points(HIGHEST)}.")
-    expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
+    card = ended(page)
+    expect(card.get_by_role("heading", name="Mission Results")).to_be_visible()
+    expect(card.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
+    score, optimum = annotation["score"], annotation["optimal_score"]
+    expect(card.locator(".hero")).to_have_text(f"{points(score)} / {points(optimum)} possible")
+    # The parts of the score and what is lost add up to the optimum, also when rounded.
+    parts = card.locator(".points-legend strong").all_inner_texts()
+    assert len(parts) == 4
+    assert sum(map(Decimal, parts)) == Decimal(points(optimum))
+    assert parts[-1] == lost(optimum, score)
+    expect(page.locator("#announcer")).to_have_text(f"Mission Results: All parcels delivered. Score {points(score)}.")
     expect_efficiency(page, 1, 1 - last / 60)  # both the battery and the steps are 60
     analysis = get(server, "analyse/easy")
     trend = analysis["success_trend"] * 100
-    counted = strip.locator(".strip-analysis")
-    expect(counted).to_contain_text(f"reward {fixed(analysis['average_reward'])}, ")
-    expect(counted).to_contain_text(
-        f"success {percent(analysis['success_rate'])} (trend {'+' * (trend >= 0)}{fixed(trend, 0)} points)"
-    )
+    counted = card.locator("#analysis")
+    expect(counted).to_contain_text(f"Average reward{fixed(analysis['average_reward'])}")
+    expect(counted).to_contain_text(f"Success{percent(analysis['success_rate'])}")
+    expect(counted).to_contain_text(f"Success trend{'+' * (trend >= 0)}{fixed(trend, 0)} points")
+    shares = counted.get_by_role("group", name="Action distribution")
     for action, share in analysis["action_distribution"].items():
-        expect(counted).to_contain_text(f"{action} {percent(share)}")
+        expect(shares).to_contain_text(f"{action} {percent(share)}")
+    assert card.evaluate("card => card.querySelector('details') === null"), "nothing is folded"
     move = max(annotation["moves"], key=lambda move: move["regret"])
     worst, possible = move["step"], annotation["moves"][move["step"]]["value"]
     best = " or ".join(move["best_actions"])
-    seen = strip.get_by_role("button", name=re.compile("^Worst move"))
-    lost = points(move["regret"])
-    better = f"best: {best}, {annotation['worst_why']}"
-    expect(seen).to_have_text(f"Worst move: step {worst}, {move['action']}, lost {lost}; {better}")
+    seen = page.locator("#worst")
+    expect(seen).to_have_text(
+        f"Step {worst}, {move['action']}, lost {points(move['regret'])}: {annotation['worst']['why']}"
+    )
     seen.click()
     expect_frame(page, flight[worst - 1], 60)
     page.keyboard.press("ArrowRight")
     expect_frame(page, flight[worst], 60)
-    expect(page.locator("#score")).to_have_text(points(possible))
-    expect(page.locator("#lost")).to_have_text(points(annotation["optimal_score"] - possible))
-    lost = f"Lost {points(move['regret'], 2)}. Best move: {best}. {points(possible)} still possible."
-    expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {lost}")
+    live = page.locator(".live-points strong")
+    expect(live).to_have_text(["0.0", points(possible), lost(optimum, possible)])
+    told = f"Lost {points(move['regret'], 2)}. Best move: {best}. {points(possible)} still possible."
+    expect(slider(page)).to_have_attribute("aria-valuetext", f"Step {worst}: {flight[worst]['message']} {told}")
     # The graph leads to each moment.
     page.keyboard.press("Home")
     slider(page).click(position=at(slider(page), worst / last))
@@ -110,7 +118,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     moves(page).nth(worst - 1).click()
     expect(moves(page).nth(worst - 1)).to_have_attribute("aria-current", "step")
     expect_frame(page, flight[worst], 60)
-    expect(page.locator("#move-detail")).to_have_text(f"{flight[worst]['message']} {lost}")
+    expect(page.locator("#move-detail")).to_have_text(f"{flight[worst]['message']} {told}")
     assert box(page, "#moves").height > 200, "most moves are seen without scrolling"
     page.keyboard.press("ArrowRight")  # the line of the moment is beside the mark
     expect_frame(page, flight[worst + 1], 60)
@@ -123,22 +131,22 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_all_flights_and_the
     until(page, lambda: marked() == wrong)
     assert painted(graph, "--map-box", across=1), "where the parcel is delivered"
     # The visitor flies on from before it.
-    strip.get_by_role("button", name="Try from step").click()
+    card.get_by_role("button", name="Try from step").click()
     expect(page).to_have_url(re.compile(f"fork={worst - 1}&of=random"))
 
 
 @pytest.mark.feature("D2", "D3")
-def test_failure_says_why_without_a_dialog_and_leads_from_easy_to_medium_to_hard_to_easy(page: Page) -> None:
+def test_mission_results_of_a_failure_lead_from_easy_to_medium_to_hard_to_easy(page: Page) -> None:
     over(page, 0, "/?task=easy&seed=0&pilots=random,optimal")
     fly(page)
-    strip = ended(page)
-    expect(strip.get_by_role("heading", name="Random: Battery empty.")).to_be_visible()
-    expect(strip).to_contain_text("0 of 1 parcel, 0 battery units after 60 steps")
-    expect(page.get_by_role("dialog")).to_be_hidden()
+    card = ended(page)
+    expect(card.get_by_role("heading", name="Random: Battery empty.")).to_be_visible()
+    expect(card.locator(".results-reason")).to_have_text("Each step costs a unit.")
+    expect(card.locator(".points-legend span").first).to_have_text(f"{points(LOWEST)} lowest score")
     expect_efficiency(page, 0, 0)
-    # With several flights, the strip is about the one that is selected.
+    # With several flights, the card is about the one that is selected.
     page.keyboard.press("2")
-    expect(strip.get_by_role("heading", name="Optimal: All parcels delivered.")).to_be_visible()
+    expect(card.get_by_role("heading", name="Optimal: All parcels delivered.")).to_be_visible()
     for after, steps in (("Medium", 100), ("Hard", 160), ("Easy", 60)):
         ended(page).get_by_role("button", name=f"Next: {after}").click()
         expect_step(page, 0, steps)
@@ -176,6 +184,46 @@ def test_the_next_standard_task_starts_by_itself_unless_the_visitor_stays(shared
     page.context.close()
 
 
+@pytest.mark.parametrize(("seed", "x"), [(15, 0), (75, 7)])
+def test_the_card_is_over_the_map_but_not_over_the_drone_until_the_visitor_closes_it(
+    page: Page, seed: int, x: int
+) -> None:
+    # Greedy begins on one side of the map and delivers on the other, in column x.
+    over(page, seed, f"/?task=easy&seed={seed}&pilot=greedy")
+    at_speed(page, FASTEST)
+    page.locator("#step-counter").click()  # no button has the focus
+    expect_step(page, 0, 60)
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_enabled()
+    focused = page.evaluate("document.activeElement.id")
+    page.keyboard.press("Enter")
+    card, steps = ended(page), len(flown("easy", seed, "greedy").actions)
+    expect(card).to_have_class(re.compile("over"))
+    assert page.evaluate("document.activeElement.id") == focused, "the keys are still those of the flight"
+    placed, field = box(page, ".results"), box(page, "#boards .map-air")
+    assert field.left <= placed.left
+    assert placed.left + placed.width <= field.left + field.width
+    assert field.top <= placed.top
+    assert placed.top + placed.height <= field.top + field.height
+    # The city is a square in the middle of the field.
+    side = min(field.width, field.height)
+    cell = field.left + field.width / 2 + (x - 5) * side / 10
+    assert placed.left + placed.width <= cell + 10 if x >= 5 else placed.left >= cell + side / 10 - 10
+    # It hides only from a drone that would be under it.
+    page.keyboard.press("ArrowLeft")
+    expect_step(page, steps - 1, steps)
+    expect(card).to_be_visible()
+    page.keyboard.press("Home")
+    expect(card).to_be_hidden()
+    page.keyboard.press("End")
+    expect(card).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(card).not_to_have_class(re.compile("over"))
+    expect(card).to_be_visible()
+    # A link to the finished flight shows the same card beside the map.
+    page.reload()
+    expect(ended(page)).not_to_have_class(re.compile("over"))
+
+
 def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> None:
     forked = Provenance(pilot="human", person="Ada", undo_used=True, parent=Parent(pilot="greedy", step=2))
     flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal", label=forked)]
@@ -210,8 +258,8 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
     choice.select_option(index=5)
     expect(standings(page).and_(page.locator(".selected"))).to_contain_text("Greedy (6)")
     open_file(page, "flight.json", record_of(Episode("easy", "tiered", 5).fly([Action.UP]), "me").to_json(2))
-    expect(page.locator(".strip")).to_contain_text("me: In flight.")
-    expect(page.locator(".strip")).to_contain_text("This flight is not finished")
+    expect(page.locator(".results")).to_contain_text("me: In flight.")
+    expect(page.locator(".results")).to_contain_text("This flight is not finished")
     expect_step(page, 1, 60, "UP")
 
 
@@ -273,12 +321,12 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     expect(map_number(page)).to_have_value("7")
     choices(page)
     open_file(page, "flight.json", record.to_json(2))
-    expect(page.locator(".strip")).to_contain_text("me: ")
+    expect(page.locator(".results")).to_contain_text("me: ")
     expect(page.locator("#flight-file")).to_be_hidden()
     expect_step(page, len(record.actions), len(record.actions))
     expect(problem).to_be_hidden()
     pilot(page, "Greedy").click()
-    expect(page.locator(".strip")).to_be_hidden()
+    expect(page.locator(".results")).to_be_hidden()
     expect_task(page, "Easy")
     expect_step(page, 0, 60)
     expect(map_number(page)).to_have_value("21")

@@ -7,7 +7,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
 from tests.browser.shown import changed, expect_flying, expect_step, pictures
-from tests.browser.stage import FASTEST, at_its_end, at_speed, choices, ended, keys, press, show, standings
+from tests.browser.stage import FASTEST, at_its_end, at_speed, choices, ended, fly, keys, over, press, show, standings
 
 
 def findings(page: Page, part: str = "html") -> list[str]:
@@ -52,7 +52,9 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(beside: Callable[..
     expect(page.locator("#help")).to_be_visible()
     found += findings(page, "#help")
     page.keyboard.press("Escape")
-    at_its_end(page, 7, "/?task=easy&seed=7&pilot=pathqnet")
+    over(page, 7, "/?task=easy&seed=7&pilot=pathqnet")
+    fly(page)
+    expect(ended(page)).to_have_class(re.compile("over"))
     expect(page.get_by_role("button", name=re.compile("^Step 1, "))).to_be_visible()
     found += findings(page, "#view-fly")
     for query, part, sign in (

@@ -133,7 +133,7 @@ def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page
     expect_stored(0, 7)
     press(page, "Step")
     expect_stored(0, 8)
-    expect(page.locator(".strip")).to_contain_text("Random: ")
+    expect(page.locator(".results")).to_contain_text("Random: ")
     view(page, "Compare")
     show(page, f"/?episode={ids[1]}")
     # Beside its results stands its end, unless another step is named.

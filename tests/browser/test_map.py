@@ -149,7 +149,7 @@ def test_a_message_covers_no_button(beside: Callable[..., Page]) -> None:
     page = beside("/?view=learn")
     for path, sign in (
         ("task=skyline_easy&seed=7&pilot=human", "#boards .map-air"),
-        ("task=easy&seed=5&pilots=greedy,random&step=999", ".strip"),
+        ("task=easy&seed=5&pilots=greedy,random&step=999", ".results"),
         ("view=draw&task=skyline_easy&seed=7", "#drawing .map-air"),
         ("view=compare&task=easy&pilots=greedy,random", "dl.paired"),
     ):

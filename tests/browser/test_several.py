@@ -10,7 +10,7 @@ from drone_env.flights.record import record_of
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames, get, posted
-from tests.browser.shown import expect_step, painted, points
+from tests.browser.shown import expect_step, lost, painted, points
 from tests.browser.stage import ended, fly, keys, over, pilot, press, show, slider, standings, until
 
 SEED = 20
@@ -37,7 +37,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
         # The standings tell possible scores from final ones.
         flies = "up to " if at < len(values["Random"]) - 1 else ""
         expect(row.nth(2)).to_have_text(f"{flies}{points(now['Random'])}")
-        expect(row.last).to_have_text(points(best - now["Random"]))
+        expect(row.last).to_have_text(lost(best, now["Random"]))
 
     def expect_place(when: str = "") -> None:
         final = {name: value[-1] for name, value in values.items()}
@@ -45,7 +45,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
         told = ", ".join(f"{name} {points(final[name])}" for name in order)
         place = f"1st of 4, a tie: {told}. The higher score wins."
         expect(page.locator("#standings-note")).to_have_text(f"{when}{place}")
-        expect(page.locator(".strip")).to_contain_text(place)
+        expect(page.locator(".results")).to_contain_text(place)
 
     names = standings(page).get_by_role("rowheader")
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
@@ -96,8 +96,9 @@ def test_a_fork_has_its_values_and_link(page: Page, beside: Callable[..., Page],
     press(page, "Play WAIT")
     for at, action in enumerate(other, 21):
         expect_step(page, at, 160, action)
-        lost = points(values[0] - values[at])
-        expect(standing(page, "You from step 20")).to_have_text([str(at), "3/5", f"up to {points(values[at])}", lost])
+        expect(standing(page, "You from step 20")).to_have_text(
+            [str(at), "3/5", f"up to {points(values[at])}", lost(values[0], values[at])]
+        )
         # The flight that it left flies along.
         expect(standing(page, "PathQNet").first).to_have_text(str(at))
         if at < 23:

@@ -1,6 +1,7 @@
 """Flights move by move: what each gave away, by hand and to the last bit."""
 
 import math
+from collections.abc import Iterable
 from fractions import Fraction
 
 import pytest
@@ -15,6 +16,7 @@ from drone_env.results.analysis import (
     GivingUp,
     analyse_actions,
     analyse_flight,
+    find_loops,
     label_of,
     parcel_value,
 )
@@ -34,6 +36,10 @@ MAP = ["@.0", "..."]
 
 def letters(actions: str) -> list[int]:
     return ["UDLRW".index(letter) for letter in actions]
+
+
+def letters_of(actions: Iterable[Action]) -> str:
+    return "".join(action.name[0] for action in actions)
 
 
 def test_a_blunder_by_hand() -> None:
@@ -60,6 +66,43 @@ def test_the_only_move_by_hand() -> None:
     assert [move.position for move in analysis.moves] == [(0, 0), (0, 0), (1, 0), (2, 0)]
     assert analysis.moves[-1].event is Event.DELIVERY
     assert (analysis.score, analysis.accuracy) == (0.8, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("drawing", "actions", "loop"),
+    [
+        (MAP, "WWWWWWW", (1, 7, "W", "stayed on one cell for 7 steps", 6)),
+        (MAP, "DLLLLLL", (2, 7, "L", "flew against an edge or an obstacle for 6 steps", 5)),
+        (MAP, "RLRLRLRR", (1, 6, "RL", "flew back and forth for 6 steps", 5)),
+        (["0@.", "..1"], "LRDLURDLURDLUR", (2, 13, "RDLU", "flew in circles for 12 steps", 11)),
+        # The first wait on the pad fills the battery.
+        (["P@.", "..0"], "LWWRLWRLWRLW", (3, 11, "WRL", "circled a pad for 9 steps", 8)),
+        (["P@.", "..0"], "RRRLLWWWWWW", (6, 11, "W", "stayed on a pad for 6 steps", 1)),
+        (MAP, "WWWWW", None),  # too few
+        (MAP, "RLRL", None),
+        (["@.......", ".......0"], "RRRRRRR", None),  # the same action over other cells
+    ],
+)
+def test_loops_by_hand(drawing: list[str], actions: str, loop: tuple[int, int, str, str, int] | None) -> None:
+    flown = toy_episode(drawing, max_steps=20, charge_rate=1).fly(letters(actions))
+    found = [(one.first, one.last, letters_of(one.actions), one.words, one.idle) for one in find_loops(flown)]
+    assert found == ([] if loop is None else [loop])
+
+
+def test_a_loop_is_blamed_as_a_whole_not_its_last_step() -> None:
+    # After seven waits the two steps left no longer reach the parcel.
+    analysis = analyse_actions(toy_episode(MAP, max_steps=8), letters("WWWWWWWR"), "sleeper")
+    assert max(analysis.moves, key=lambda move: move.regret).step == 7
+    [worst] = analysis.loops
+    assert analysis.worst == worst
+    assert (worst.first, worst.last, worst.regret, worst.mark) == (1, 7, analysis.values[0] - 0.01, "??")
+    assert analysis.worst_why == "stayed on one cell for 7 steps"
+    assert analysis.why == "The drone stayed on one cell for 7 steps (1 to 7); then the battery was empty."
+
+
+def test_a_failed_flight_that_lost_nothing_is_not_blamed() -> None:
+    analysis = analyse_actions(toy_episode(["@...", "...0"], max_steps=3), letters("WWW"), "sleeper")
+    assert (analysis.regret, analysis.worst, analysis.why) == (0, None, "No flight over this map scores more.")
 
 
 @pytest.mark.parametrize(("task", "agent"), FLIGHTS)

@@ -115,6 +115,7 @@ def test_efficiency_is_75_parts_parcels_15_battery_and_10_steps() -> None:
     episode = toy_episode(["@0.1", "...."], max_steps=8, battery_capacity=10)
     fly(episode, "R")
     assert episode.efficiency == pytest.approx(75 / 2 + 15 * 9 / 10 + 10 * 7 / 8)
+    assert episode.score_parts == pytest.approx((0.8 / 2, 0.1 * 9 / 10, 0.1 * 7 / 8))
 
 
 @pytest.mark.feature("L2")

@@ -1,14 +1,16 @@
 """The route that analyses a flight move by move."""
 
+from typing import Any
+
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
-from drone_env.core.actions import Action, Outcome
-from drone_env.core.cells import CELL_KINDS
-from drone_env.core.episode import Episode, rollout
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
+from drone_env.errors import TooLargeError
 from drone_env.flights.record import EpisodeRecord, replay
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Position, Score, StrictModel
-from drone_env.results.analysis import FlightAnalysis, Label, Move, analyse_flight
+from drone_env.results.analysis import Label, analyse_flight, find_loops, plain, why_failed
 from drone_env.server.best_flights import best_flight, network_flight
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.jobs import job_context
@@ -34,17 +36,43 @@ class AnalysedMove(StrictModel):
     margin: float = Field(ge=0, description="Regret of the next best action.")
 
 
-class AnalysedFlight(StrictModel):
-    """A flight compared with the exact optimum of its map."""
+class FlownLoop(StrictModel):
+    """Steps that repeat the same actions over the same cells and deliver nothing."""
 
+    first: int = Field(ge=1, description="Its first step.")
+    last: int = Field(ge=1, description="Its last step, which ends a round.")
+    actions: list[Direction] = Field(description="The actions of one round.")
+    words: str = Field(description="What the drone did: `circled a pad for 63 steps`.")
+    idle: Count = Field(description="Steps after which the battery was no fuller than before in this loop.")
+    regret: float | None = Field(ge=0, description="Score that all its moves lost; null if the map is not solved.")
+    label: Label | None
+    mark: str
+
+
+class Worst(StrictModel):
+    """The move or the whole loop that lost most."""
+
+    first: int = Field(ge=1, description="Its first step.")
+    last: int = Field(ge=1, description="Its last step; the same for a move.")
+    regret: float | None = Field(ge=0, description="Score that it lost; null if the map is not solved.")
+    why: str = Field(description="`LEFT saves 2 steps` of a move, `circled a pad for 63 steps` of a loop.")
+
+
+class AnalysedFlight(StrictModel):
+    """A flight compared with the exact optimum of its map; without one, all that is known of the flight."""
+
+    unsolved: str | None = Field(description="Why there is no optimum; null if the map is solved.")
     score: Score
-    optimal_score: Score = Field(description="The highest possible score on this map.")
-    regret: float = Field(ge=0, description="optimal_score - score.")
+    optimal_score: Score | None = Field(description="The highest possible score on this map.")
+    regret: float | None = Field(ge=0, description="optimal_score - score.")
     accuracy: float | None = Field(description="Fraction of best moves among moves with a margin.")
     counts: dict[Label, int] = Field(description="Moves by label.")
-    moves: list[AnalysedMove]
-    worst_step: Count | None = Field(description="The move that lost most, the first of equals; null if none lost.")
-    worst_why: str = Field(description="What the best moves there gain: `which saves 2 steps`; empty if none lost.")
+    moves: list[AnalysedMove] = Field(description="Empty if the map is not solved.")
+    loops: list[FlownLoop]
+    worst: Worst | None = Field(
+        description="What lost most, the first of equals; null if nothing was lost. If the map is not solved, the loop "
+        "with the most idle steps."
+    )
     why: str = Field(description="Why it failed, in one sentence; empty if it delivered all parcels.")
     rescue_step: Count | None = Field(
         description="The last step after which all parcels could still be delivered; null if there is none, or if all "
@@ -52,8 +80,8 @@ class AnalysedFlight(StrictModel):
     )
     network: str | None = Field(description="Id of the pilot by whose network the map was flown; null without one.")
     network_score: Score | None = Field(description="Its score.")
-    optimal_steps: Count = Field(description="Steps of a best flight.")
-    optimal_battery: Count = Field(description="Battery units left at its end.")
+    optimal_steps: Count | None = Field(description="Steps of a best flight.")
+    optimal_battery: Count | None = Field(description="Battery units left at its end.")
     optimal_actions: list[Direction] = Field(description="Its actions.")
     optimal_path: list[Position] = Field(description="[x, y] of the drone from the start.")
 
@@ -69,68 +97,45 @@ async def annotate(request: Request, app_state: AppStateDep, record: Record) -> 
 
 
 def _annotated(record: EpisodeRecord) -> str:
+    known: dict[str, Any]
+    try:
+        known = _compared(record)
+    except TooLargeError as error:
+        flown = replay(record)
+        loops = find_loops(flown)
+        idlest = max(loops, key=lambda loop: loop.idle, default=None)
+        unknown = ("optimal_score", "regret", "accuracy", "rescue_step", "optimal_steps", "optimal_battery")
+        known = {
+            **dict.fromkeys(unknown),
+            "unsolved": str(error),
+            "score": flown.score,
+            "why": why_failed(flown),
+            "loops": loops,
+            "worst": idlest and Worst(first=idlest.first, last=idlest.last, regret=None, why=idlest.words),
+            "counts": {},
+            "moves": [],
+            "optimal_actions": [],
+            "optimal_path": [],
+        }
+    known["loops"] = [FlownLoop(**plain(vars(loop))) for loop in known["loops"]]
+    network, network_score = network_flight(get_task(record.task), record.seed)
+    return AnalysedFlight(network=network, network_score=network_score, **known).model_dump_json()
+
+
+def _compared(record: EpisodeRecord) -> dict[str, Any]:
+    """The fields that compare a flight with the optimum of its map."""
     analysis = analyse_flight(record, lambda start: job_context().solver_of(start.task, start.seed))
     best, path = best_flight(analysis.task, analysis.seed)
-    why = why_failed(replay(record))
-    worst = max(analysis.moves, key=lambda move: move.regret)
-    lost = worst.regret > 0
-    network, network_score = network_flight(analysis.task, analysis.seed)
-    answer = AnalysedFlight(
-        worst_step=worst.step if lost else None,
-        worst_why=gain_of_best(analysis, worst) if lost else "",
-        why=why,
-        network=network,
-        network_score=network_score,
-        rescue_step=analysis.rescue_step if why else None,
-        **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts")},
-        optimal_score=analysis.optimum,
-        moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
-        optimal_steps=best.steps,
-        optimal_actions=[DIRECTIONS[action] for action in best.actions],
-        optimal_battery=Episode(analysis.task, seed=analysis.seed).fly(best.actions).battery_units,
-        optimal_path=path,
-    )
-    return answer.model_dump_json()
-
-
-def gain_of_best(analysis: FlightAnalysis, move: Move) -> str:
-    """What the best actions gain over a move that lost something, if all further moves are best ones."""
-    task, solver = analysis.task, job_context().solver_of(analysis.task, analysis.seed)
-    before = [one.action for one in analysis.moves[: move.step - 1]]
-
-    def end(action: Action) -> Episode:
-        flight = Episode(task, seed=analysis.seed).fly([*before, action])
-        return rollout(flight, lambda _: solver.optimal_actions(flight)[0])
-
-    best, flown = end(move.best_actions[0]), end(move.action)
-    if best.deliveries_done > flown.deliveries_done:
-        reach = f"{best.deliveries_done} of {task.deliveries}"
-        return f"which keeps {reach} parcels in reach, not {flown.deliveries_done}"
-    steps, units = flown.steps - best.steps, best.battery_units - flown.battery_units
-    gains = (("saves", steps, "step"), ("leaves", units, "more battery unit"))
-    return f"which {' and '.join(f'{gain} {n} {what}' + 's' * (n > 1) for gain, n, what in gains if n > 0)}"
-
-
-def why_failed(flown: Episode) -> str:
-    """Why an ended flight failed, in one sentence; empty if it delivered all parcels: a job of a worker process."""
-    # Loads Numba, which the process that serves does without.
-    from drone_env.planning.cell_states import charging_pads
-
-    task, pads = flown.task, charging_pads(flown)
-    if flown.outcome is Outcome.OUT_OF_STEPS:
-        return f"The steps ran out: a flight has {task.max_steps}."
-    if flown.outcome is not Outcome.BATTERY_DEAD:
-        return ""
-    grid = Episode(task, seed=flown.seed).grid()
-    below = {int(grid[step.y, step.x]) for step in flown.path}
-    costly = {CELL_KINDS[kind].name: units for kind, units in task.drain if units > 1 and kind in below}
-    costs = " and ".join(f"{kind}s cost {units} units" for kind, units in costly.items()) or "each step costs a unit"
-    x, y = flown.position
-    away = min((abs(x - pad % task.width) + abs(y - pad // task.width) for pad in pads), default=None)
-    if away is None:
-        return f"{costs.capitalize()}."
-    distance = f"a pad was {away} {'cell' if away == 1 else 'cells'} away"
-    reached = [(step.x, step.y) for step in flown.path[-2:]].count((x, y)) == 1
-    here = "the drone reached a pad with an empty battery" if reached else "the drone was on a pad and did not wait"
-    end = distance if away else here
-    return f"{costs.capitalize()}; {end}."
+    worst, why = analysis.worst, analysis.why
+    return {
+        **{name: getattr(analysis, name) for name in ("score", "regret", "accuracy", "counts", "loops", "why")},
+        "unsolved": None,
+        "worst": worst and Worst(first=worst.first, last=worst.last, regret=worst.regret, why=analysis.worst_why),
+        "rescue_step": analysis.rescue_step if why else None,
+        "optimal_score": analysis.optimum,
+        "moves": [AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
+        "optimal_steps": best.steps,
+        "optimal_actions": [DIRECTIONS[action] for action in best.actions],
+        "optimal_battery": Episode(analysis.task, seed=analysis.seed).fly(best.actions).battery_units,
+        "optimal_path": path,
+    }

@@ -15,6 +15,20 @@ export const counted = (count, thing) => `${count} ${thing}${count === 1 ? "" : 
 /** A score of 0 to 1, times 100. */
 export const points = (score, digits = 1) => known(score, (value) => fixed(value * 100, digits));
 
+/** The points between neighbours of ascending scores, of the rounded scores: they add up. */
+export const pointsBetween = (...scores) => scores.slice(1).map((score, i) => rounded(score) - rounded(scores[i]));
+
+const rounded = (score) => Number((100 * score).toFixed(1));
+
+/** The best possible score of the map of a flight, null if it is unknown. @param {Track} track */
+export const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
+
+/** What a flight has lost at a frame, in points. @param {Track} track */
+export function lossOf(track, { done, score, value }) {
+  const best = optimumOf(track);
+  return best === null || value === null ? "–" : fixed(pointsBetween(done ? score : value, best)[0], 1);
+}
+
 export const percent = (share, digits = 0) => known(share, (value) => `${fixed(value * 100, digits)} %`);
 
 const DRAWN = /^drawn_[0-9a-f]{12}$/;

@@ -118,15 +118,20 @@ async function recordOf({ api }, track) {
 /** Annotates a finished flight: the loss of each move. @param {Context} context */
 export async function explain(context, track) {
   if (track.annotation || !track.done) return;
-  const annotation = await tried(async () => context.api.post("annotate", await recordOf(context, track)));
-  if (!annotation) return;
-  track.annotation = annotation;
+  try {
+    track.annotation = await context.api.post("annotate", await recordOf(context, track));
+  } catch (error) {
+    track.unexplained = error.message;
+    context.stage.changed(track);
+    return;
+  }
+  const { annotation } = track;
   annotation.moves.forEach(({ value }, i) => Object.assign(track.frames[i], lost(value, annotation)));
   Object.assign(track.last, lost(annotation.score, annotation));
   context.stage.changed(track);
 }
 
-const lost = (value, { optimal_score: optimum }) => ({ value, regret: Math.max(0, optimum - value) });
+const lost = (value, { optimal_score: best }) => ({ value, regret: best === null ? null : Math.max(0, best - value) });
 
 /** Where this tab keeps the flights of a file, and the map of one. */
 const FLIGHTS = "drone-env-flights";

@@ -1,6 +1,6 @@
 // The instruments of the selected flight.
 import { el, setText } from "./dom.js";
-import { cellName, fixed, isLost, percent, points, signed } from "./format.js";
+import { cellName, fixed, percent, signed } from "./format.js";
 
 /** What counts in flight, beside the choices above the map: battery, parcels and steps. @param {HTMLElement} root @param {Context} context */
 export function mountGauges(root, { stage }) {
@@ -18,52 +18,27 @@ export function mountGauges(root, { stage }) {
   });
 }
 
-/** @param {HTMLElement} root @param {Context} context */
-export function mountInstruments(root, context) {
-  const { stage } = context;
-  const name = el("span.eyebrow");
-  const score = el("strong.hero-number", { id: "score" });
-  const optimum = el("span.hero-of", { id: "optimum" });
-  const lost = row("Lost", "lost", "Optimum of this map minus the score still possible");
-  const head = el(
-    "div.score",
-    el("div.score-main", name, el("p.hero", score, " ", optimum)),
-    el("dl.score-side", ...lost.nodes),
-  );
-  const reward = row("Reward", "reward");
-  const total = row("Total", "reward-total", "Sum of the rewards");
-  const efficiency = row("Efficiency (not the score)", "efficiency");
-  const target = row("Target", "target");
-  const below = row("Cell below", "below");
-  const numbers = [reward, total, efficiency, target, below].map(({ nodes }) => el("div", ...nodes));
-  root.append(head, el("details", el("summary.note", { text: "More numbers" }), el("dl.numbers", ...numbers)));
+/** Name, id and text of what a frame says beside the gauges and the points. @type {[string, string, (frame: any) => string][]} */
+const NUMBERS = [
+  ["Reward", "reward", ({ step, reward }) => (step ? signed(reward, 3) : "–")],
+  ["Total", "reward-total", ({ reward_total }) => fixed(reward_total, 2)],
+  ["Efficiency (not the score)", "efficiency", ({ efficiency }) => fixed(efficiency, 1)],
+  ["Target", "target", ({ target, distance }) => (target ? `[${target.join(", ")}], distance ${distance}` : "–")],
+  ["Cell below", "below", ({ cell_below }) => cellName(cell_below)],
+];
 
-  function draw() {
-    const { frame, track, world } = stage;
+/** @param {HTMLElement} root @param {Context} context */
+export function mountInstruments(root, { stage }) {
+  const values = NUMBERS.map(([, id]) => el("dd", { id }));
+  const rows = NUMBERS.map(([name], i) => el("div", el("dt", { text: name }), values[i]));
+  root.append(el("details", el("summary.note", { text: "More numbers" }), el("dl.numbers", ...rows)));
+  stage.on("change", () => {
+    const { frame, world } = stage;
     root.hidden = !frame;
     if (!frame) return;
-    // Without values, the score of a flight that goes on would mislead.
-    head.hidden = track.secret;
-    setText(name, frame.done ? "Score" : "Still possible");
-    setText(score, points(frame.done ? frame.score : frame.value));
-    const best = track.annotation?.optimal_score ?? track.frames[0].value;
-    setText(optimum, best === null ? "" : `of ${points(best)}${frame.done ? " possible" : ""}`);
-    setText(lost.value, points(frame.regret));
-    lost.value.dataset.some = String(isLost(frame.regret));
-    setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
-    setText(total.value, fixed(frame.reward_total, 2));
-    setText(efficiency.value, fixed(frame.efficiency, 1));
-    setText(target.value, frame.target ? `[${frame.target.join(", ")}], distance ${frame.distance}` : "–");
-    setText(below.value, cellName(frame.cell_below));
-    below.value.parentElement.hidden = !world.task.pads;
-  }
-
-  stage.on("change", draw);
-}
-
-function row(name, id, hint = null) {
-  const value = el("dd", { id, text: "–" });
-  return { value, nodes: [el("dt", { text: name, title: hint }), value] };
+    NUMBERS.forEach(([, , write], i) => setText(values[i], write(frame)));
+    rows.at(-1).hidden = !world.task.pads;
+  });
 }
 
 const gauge = (name, props, figure) =>

@@ -15,7 +15,7 @@ const charges = ({ frames }) =>
 
 /** Whether the page shows the step before the worst move of this pilot, and does not play. */
 function beforeWorst({ track, clock }, pilot) {
-  return track?.pilot === pilot && !clock.playing && clock.cursor === track.worst?.step - 1;
+  return track?.pilot === pilot && !clock.playing && clock.cursor === track.worst?.first - 1;
 }
 
 /** @type {Lesson[]} */

@@ -1,6 +1,6 @@
-// The list of moves, with marks as in chess once the flight is annotated.
+// The list of moves, with marks as in chess once the flight is annotated; a loop is one entry.
 import { announce, el, setText } from "./dom.js";
-import { ARROWS, percent, points } from "./format.js";
+import { ARROWS, counted, percent, points } from "./format.js";
 
 /** From best to worst, with their plurals. */
 const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake: "mistakes", blunder: "blunders" };
@@ -17,27 +17,35 @@ export function mountMoves(root, context) {
   let annotation = null;
   let calls = null;
   let announced = 0;
+  /** The button of each step from 1 on; a loop has one for all its steps. @type {HTMLElement[]} */
+  let buttons = [];
 
   function draw() {
     const { track, clock } = stage;
     const news = track?.annotation !== annotation || track?.calls !== calls;
-    if (track !== shown || news || (track && list.childElementCount > track.steps)) {
+    if (track !== shown || news || (track && buttons.length > track.steps)) {
       shown = track;
       annotation = track?.annotation;
       calls = track?.calls;
+      buttons = [];
       list.replaceChildren();
       summary.replaceChildren(...(annotation ? counts(track) : []));
       announced = track?.steps ?? 0;
     }
     if (!track) return;
-    const fresh = track.frames.slice(list.childElementCount + 1);
-    list.append(...fresh.map((frame) => moveButton(frame, chosenMove(track, frame.step))));
-    // The strip announces the end of the flight.
+    while (buttons.length < track.steps) {
+      const frame = track.frames[buttons.length + 1];
+      const loop = loopAt(track, frame.step);
+      const button = loop ? loopButton(loop) : moveButton(frame, chosenMove(track, frame.step));
+      list.append(el(loop ? "li.loop" : "li", button));
+      for (let step = frame.step; step <= (loop?.last ?? frame.step); step++) buttons.push(button);
+    }
+    // The card announces the end of the flight.
     const isNew = track.live && !track.done && track.steps > announced;
     if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
     announced = track.steps;
     const step = Math.min(clock.cursor, track.steps);
-    mark(list.children[step - 1]?.firstElementChild ?? null);
+    mark(buttons[step - 1] ?? null);
     setText(detail, describe(track, step));
   }
 
@@ -51,24 +59,24 @@ export function mountMoves(root, context) {
     list.scrollTop = button.offsetTop - list.offsetTop - list.clientHeight / 2;
   }
 
-  function moveButton(frame, move) {
-    const label = `Step ${frame.step}, ${frame.action}${move ? `, ${move.label}` : ""}`;
-    return el(
-      "li",
-      el(
-        "button.move",
-        {
-          data: { label: move?.label ?? "", event: frame.event },
-          "aria-label": label,
-          title: frame.message,
-          press: () => stage.clock.goTo(frame.step),
-        },
-        el("span.move-step", { text: String(frame.step) }),
-        el("span.move-arrow", { text: ARROWS[frame.action] ?? frame.action }),
-        el("span.move-mark", { text: move?.mark ?? "" }),
-      ),
-    );
+  const moveButton = ({ step, action, event, message }, { label = "", mark = "" } = {}) =>
+    entry(step, { label, event }, `Step ${step}, ${action}${label && `, ${label}`}`, message, String(step), ARROWS[action] ?? action, mark);
+
+  function loopButton({ first, last, actions, label, mark, words }) {
+    const rounds = counted((last - first + 1) / actions.length, "time");
+    const arrows = `${actions.map((action) => ARROWS[action]).join(" ")} × ${(last - first + 1) / actions.length}`;
+    const name = `Steps ${first} to ${last}, ${actions.join(", ")}, ${rounds}: ${words}`;
+    return entry(first, { label: label ?? "" }, name, words, `${first} to ${last}`, arrows, mark);
   }
+
+  const entry = (step, data, name, title, steps, arrows, mark) =>
+    el(
+      "button.move",
+      { data, "aria-label": name, title, press: () => stage.clock.goTo(step) },
+      el("span.move-step", { text: steps }),
+      el("span.move-arrow", { text: arrows }),
+      el("span.move-mark", { text: mark }),
+    );
 
   stage.on("change", draw);
 }
@@ -79,7 +87,11 @@ function chosenMove({ annotation, calls }, step) {
   return !answers.length || answers.some(({ outcome }) => outcome === "ok") ? annotation?.moves[step - 1] : undefined;
 }
 
+/** The loop that contains a step. */
+const loopAt = ({ annotation }, step) => annotation?.loops.find(({ first, last }) => first <= step && step <= last);
+
 function counts(track) {
+  if (track.annotation.unsolved) return [el("p", { text: `No marks: ${track.annotation.unsolved}.` })];
   const moves = track.annotation.moves.filter(({ step }) => chosenMove(track, step));
   const chips = Object.keys(LABELS).flatMap((label) => {
     const count = moves.filter((move) => move.label === label).length;
@@ -96,10 +108,12 @@ function counts(track) {
   ];
 }
 
-/** A step in words: what happened, what the move lost, and what is still possible. */
+/** A step in words: what happened, what the move or its loop lost, and what is still possible. */
 export function describe(track, step) {
   const { message, value } = track.frameAt(step);
   const { label, regret, best_actions: best = [] } = track.annotation?.moves[step - 1] ?? {};
+  const loop = loopAt(track, step);
   const loss = label && (label === "best" ? "Best move." : `Lost ${points(regret, 2)}. Best move: ${best.join(" or ")}.`);
-  return [message, loss, value !== null && `${points(value)} still possible.`].filter(Boolean).join(" ");
+  const round = loop && `Steps ${loop.first} to ${loop.last}: ${loop.words}${loop.regret ? `, lost ${points(loop.regret)}` : ""}.`;
+  return [message, loss, round, value !== null && `${points(value)} still possible.`].filter(Boolean).join(" ");
 }

@@ -1,156 +1,242 @@
-// The mission results of a finished flight: outcome, why it failed, another try, worst move, efficiency, statistics and the next task.
+// Mission Results: a card over the map at the end of a flight of this page, else the first panel beside it.
 import { nextFrame, TOUCH } from "./base.js";
-import { announce, bring, el, leaveFocus, setText } from "./dom.js";
-import { counted, fixed, isLost, outcome, percent, points, scoring, signed, title } from "./format.js";
+import { announce, bring, el, fact, icon, keepFocus, leaveFocus } from "./dom.js";
+import { counted, fixed, optimumOf, outcome, percent, points, pointsBetween, signed, title } from "./format.js";
+import { pointsBar } from "./points_bar.js";
 import { placeOf } from "./standings.js";
 import { writeProvenance } from "./track.js";
 
 /** Milliseconds without taps after the end of a flight by hand. */
 const REST = 700;
+/** Windows in which the card can be beside the last cell. A smaller one has it below or beside the map. */
+const ROOMY = matchMedia("(min-width: 1000px) and (min-height: 600px)");
+/** Widths of the card over the map, and its distance from the edge and from the last cell. */
+const [NARROWEST, WIDEST, GAP] = [260, 380, 12];
+const MOST_BUTTONS = 3;
+const CROSS = "M6 6l12 12M18 6L6 18";
+const UNDOES = "Trying again counts as Undo: not listed, not kept as your best.";
 
 /** @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountResults(root, context, race, acts) {
   const { stage } = context;
-  const head = el("h2", { id: "results-title" });
-  const why = el("p.note");
-  const place = el("p.strip-reason");
-  const counts = el("p.note");
-  const before = () => stage.clock.goTo(stage.track.worst.step - 1);
-  const see = el("button.link", { id: "worst", title: "Show the step before this move", press: before });
-  const tryIt = el("button.button.small", {
-    id: "try-worst",
-    press: () => {
-      before();
-      acts.fork();
-    },
-  });
-  const worstLine = el("div.strip-worst", see, tryIt);
-  const again = el("button.button.primary", { id: "again", "aria-describedby": "undoes", press: () => tryAgain(context, race, acts) });
-  const afresh = el("button.button", { id: "start-over", text: "Start over", press: acts.reset });
-  const watch = el("button.button", {
-    id: "watch",
-    press: () => acts.start({ pilots: [stage.track.annotation.network] }, { play: true }),
-  });
-  const undoes = el("p.note", { id: "undoes", text: "Trying again counts as Undo: not listed, not kept as your best." });
-  const next = el("button.button.primary", { id: "next", press: () => goOn(context, race, acts) });
-  const efficiency = el("p.note.strip-efficiency", { id: "efficiency-parts" });
-  const analysis = el("p.note.strip-analysis");
-  const reason = el("p.strip-reason");
-  const more = el("details", el("summary.note", { text: "More about this flight" }), efficiency, analysis);
-  const first = el("div.strip-first", head, place, reason, el("div.strip-actions", again, next, afresh, watch), undoes);
-  root.append(first, why, counts, worstLine, more);
+  const first = el("div.results-first");
+  const rest = el("div.results-rest");
+  root.append(first, rest);
+  root.setAttribute("aria-labelledby", "results-name results-title");
   const view = document.getElementById("view-fly");
-  let announced = null;
-  race.on("ended", (track) => track === stage.track && nextFrame(() => bring(first)));
+  let figures = null;
+  let placed = { x: 0, y: 0, width: 0, height: 0 };
+  /** The flight whose card the visitor has closed. */
+  let closed = null;
+  const isOver = () => root.classList.contains("over");
+  race.on("ended", (track) => track === stage.track && nextFrame(() => isOver() || bring(first)));
+
+  /** Puts the card beside the map for good. */
+  function dock() {
+    closed = stage.track;
+    root.classList.remove("over");
+  }
+  document.addEventListener("keydown", ({ key }) => {
+    if (key === "Escape" && isOver() && !document.querySelector("dialog[open], .plan-details[open]")) dock();
+  });
+
+  /**
+   * Places the card over the map on the side of the last cell that has more room; without room it is beside the map.
+   * While the visitor looks back, it hides from a drone that is under it.
+   */
+  function put({ layout, size, track, clock }) {
+    const map = document.getElementById("boards").getBoundingClientRect();
+    const column = clock.following ? track.last.x : track.at(clock.position)[0];
+    const left = (layout.left + column * layout.cell) / size.scale;
+    const right = map.width - left - layout.cell / size.scale;
+    if (!clock.following && isOver()) {
+      const { x, width } = placed;
+      root.classList.toggle("away", x + width > map.left + left && x < map.right - right);
+      return;
+    }
+    const width = Math.min(WIDEST, Math.max(left, right) - 2 * GAP);
+    const over = !track.brought && stage.over && closed !== track && ROOMY.matches && width >= NARROWEST;
+    root.classList.toggle("over", over);
+    root.classList.remove("away");
+    const x = left > right ? map.left + GAP : map.right - GAP - width;
+    placed = { x, y: map.top + GAP, width, height: map.height - 2 * GAP };
+    for (const [name, value] of Object.entries(placed))
+      root.style.setProperty(`--card-${name}`, `${Math.round(value)}px`);
+  }
+  context.on("drawn", (drawn) => root.hidden || put(drawn));
 
   function draw() {
     const { track } = stage;
     const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
-    const { last, annotation, worst } = track;
-    root.dataset.outcome = last.outcome;
-    setText(head, `${track.name}: ${outcome(last)}.`);
-    setText(why, summary(stage, track));
-    setText(place, placeOf(stage));
-    setText(counts, scoring(stage.world.task));
-    if (annotation?.why && reason.textContent !== annotation.why) announce(annotation.why);
-    setText(reason, annotation?.why ?? "");
-    again.hidden = !annotation?.why;
-    if (!again.hidden) {
-      const step = annotation.rescue_step ? `step ${annotation.rescue_step}` : "the start";
-      setText(again, track.automatic ? `Try it yourself from ${step}` : `Try again from ${step}`);
-    }
-    const own = !track.automatic && track.forkedAt === null;
-    undoes.hidden = !own || !annotation?.rescue_step;
-    afresh.hidden = !own || (!again.hidden && undoes.hidden);
-    watch.hidden = !own || !annotation?.network;
-    if (!watch.hidden) setText(watch, `Watch ${context.pilot(annotation.network).name}`);
-    setText(efficiency, efficiencyOf(last));
-    worstLine.hidden = !worst || !isLost(worst.regret);
-    tryIt.hidden = !again.hidden;
-    if (worst) {
-      setText(tryIt, `Try from step ${worst.step - 1}`);
-      const best = `best: ${worst.best_actions.join(" or ")}, ${annotation.worst_why}`;
-      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}; ${best}`);
-    }
-    const after = nextTask(context.families, stage.world.task);
-    setText(next, `Next: ${title(after.short_name)}`);
-    next.hidden = last.outcome !== "delivered" || after === stage.world.task;
-    if (announced === track) return;
+    root.dataset.outcome = track.last.outcome;
+    const { annotation, unexplained, name, last } = track;
+    if (changed("reason", annotation) && annotation?.why) announce(annotation.why);
+    if (changed("head", track, annotation, unexplained, name, optimumOf(track), placeOf(stage)))
+      keepFocus(root, () => first.replaceChildren(...headOf(track), actionsOf(track), ...noteOf(track)));
+    const { task } = stage.world;
+    const told = figures?.task === task.id ? figures : null;
+    if (changed("rest", track, told))
+      rest.replaceChildren(efficiencyOf(last), ...(told ? [statistics(told, title(task.short_name))] : []));
+    if (changed("flight", track)) meet(track);
+  }
+
+  /** Whether a part of the card depends on something else than when it was drawn: a pressed button must stay. */
+  const seen = {};
+  function changed(part, ...now) {
+    const same = seen[part]?.every((one, i) => one === now[i]);
+    seen[part] = now;
+    return !same;
+  }
+
+  /** Announces the end of a flight, and asks for the statistics. */
+  function meet(track) {
+    const { last, live, episode, done, brought } = track;
     // The card takes the place of the pad: a tap that is on its way presses nothing.
-    if (TOUCH && own && !track.brought) {
+    if (TOUCH && isOwn(track) && !brought) {
       view.inert = true;
       setTimeout(() => (view.inert = false), REST);
     }
-    announced = track;
-    analysis.hidden = Boolean(track.past);
-    if (!track.past) analyse(stage.world.task);
-    if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
+    if (done && (live || episode)) announce(`Mission Results: ${outcome(last)}. Score ${points(last.score)}.`);
+    if (!live) analyse();
+  }
+  race.on("ended", analyse);
+
+  async function analyse() {
+    const { id } = stage.world.task;
+    const failed = ({ message }) => ({ task: id, failed: message });
+    figures = await context.api.get(`analyse/${encodeURIComponent(id)}`).catch(failed);
+    draw();
   }
 
-  async function analyse(task) {
-    setText(analysis, "Loading the statistics of this task …");
-    try {
-      const figures = await context.api.get(`analyse/${encodeURIComponent(task.id)}`);
-      if (stage.world.task === task) setText(analysis, inWords(figures, task));
-    } catch (error) {
-      setText(analysis, `The statistics of this task could not be loaded: ${error.message}`);
-    }
+  function headOf(track) {
+    const { last, annotation, worst } = track;
+    const best = optimumOf(track);
+    const look = () => {
+      dock();
+      stage.clock.goTo(worst.first - 1);
+    };
+    const close = { "aria-label": "Close (Esc)", title: "Close (Esc)", press: dock };
+    const see = { id: "worst", data: { key: "worst" }, title: "Show the step before it", press: look };
+    return [
+      el("div.panel-head", el("h2", { id: "results-name", text: "Mission Results" }), el("button.icon-button", close, icon(CROSS))),
+      el("h3", { id: "results-title", text: `${track.name}: ${outcome(last)}.` }),
+      el("p.hero", el("strong.hero-number", { text: points(last.score) }), best === null ? "" : el("span.hero-of", ` / ${points(best)} possible`)),
+      ...pointsBar(partsOf(last, best)),
+      el("p.note", { text: placeOf(stage) }),
+      el("p.results-reason", { text: whyOf(track) }),
+      worst && el("button.link", { ...see, text: worstOf(annotation, track.frames[worst.first].action) }),
+    ].filter(Boolean);
   }
+
+  /** At most three ways on, the first of which stands out. */
+  function actionsOf(track) {
+    const { annotation, worst, automatic, last, done } = track;
+    const button = (id, text, press) => [el("button.button", { id, data: { key: id }, text, press })];
+    const step = stepToTry(track);
+    const verb = annotation?.why ? (automatic ? "Try it yourself" : "Try again") : "Try";
+    const after = nextTask(context.families, stage.world.task);
+    const next = after === stage.world.task ? [] : button("next", `Next: ${title(after.short_name)}`, () => goOn(context, race, acts));
+    const again = () => button("again", `${verb} from ${step ? `step ${step}` : "the start"}`, () => tryAgain(context, race, acts));
+    const watch = () =>
+      button("watch", `Watch ${context.pilot(annotation.network).name}`, () => acts.start({ pilots: [annotation.network] }, { play: true }));
+    const delivered = last.outcome === "delivered";
+    const shown = [
+      ...(delivered ? next : []),
+      ...(worst || (annotation?.unsolved && !delivered) ? again() : []),
+      ...(isOwn(track) && annotation?.network ? watch() : []),
+      ...(isOwn(track) && (!annotation?.why || annotation.rescue_step) ? button("start-over", "Start over", acts.reset) : []),
+      ...(delivered || !done ? [] : next),
+    ].slice(0, MOST_BUTTONS);
+    shown[0]?.classList.add("primary");
+    return el("div.results-actions", ...shown);
+  }
+
+  const isOwn = ({ automatic, forkedAt }) => !automatic && forkedAt === null;
+  const noteOf = (track) => (isOwn(track) && track.annotation?.rescue_step ? [el("p.note", { id: "undoes", text: UNDOES })] : []);
 
   stage.on("change", draw);
 }
 
-/** The efficiency with its parts: `Efficiency 87.5 of 100: parcels 100 % (weight 75), ...`. */
-function efficiencyOf({ efficiency, efficiency_parts: parts }) {
-  const words = parts.map(({ name, weight, share }) => `${title(name).toLowerCase()} ${percent(share)} (weight ${weight})`);
-  return `Efficiency (not the score) ${fixed(efficiency, 1)} of 100: ${words.join(", ")}.`;
+/** The parts of the final score, and what is lost of the optimum. @returns {import("./points_bar.js").Part[]} */
+function partsOf({ score, deliveries_done: delivered, efficiency_parts }, optimum) {
+  const [parcels, battery, steps] = efficiency_parts;
+  const names = [delivered ? parcels.name : "lowest score", battery.name, steps.name, "lost"];
+  const values = pointsBetween(0, parcels.score, parcels.score + battery.score, score, optimum ?? score);
+  return ["parcels", "battery", "steps", "lost"].map((kind, i) => [kind, values[i], names[i]]);
 }
 
-function summary({ world }, { last, annotation, steps, done }) {
+/** Why the flight failed, or how it compares, in a sentence. */
+function whyOf({ done, annotation, unexplained }) {
   if (!done) return "This flight is not finished, so its moves have no marks.";
-  const optimum = annotation?.optimal_score ?? null;
-  const parts = [`Score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
-  if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
-  parts.push(`${last.deliveries_done} of ${counted(world.parcels.length, "parcel")}`);
-  parts.push(`${last.battery_units} battery units after ${steps} steps`);
-  if (annotation) parts.push(`a best flight ends with ${annotation.optimal_battery} after ${annotation.optimal_steps} steps`);
-  return `${parts.join(", ")}.`;
+  if (unexplained) return `This flight is not compared with a best one: ${unexplained}`;
+  if (!annotation) return "Comparing this flight with a best one …";
+  if (annotation.unsolved) return `${annotation.why} The best flight is not known: ${annotation.unsolved}.`;
+  return annotation.why || (annotation.worst ? "" : "No flight over this map scores more.");
 }
 
-function inWords(figures, task) {
-  const trend = figures.success_trend === null ? "" : ` (trend ${signed(figures.success_trend * 100, 0)} points)`;
-  const shares = Object.entries(figures.action_distribution).map(([action, share]) => `${action} ${percent(share)}`);
-  const means = [
-    `score ${points(figures.average_score)}`,
-    `lost ${points(figures.mean_regret)}`,
-    `reward ${fixed(figures.average_reward)}`,
-    `${fixed(figures.average_steps, 1)} steps`,
-    `success ${percent(figures.success_rate)}${trend}`,
-  ];
-  return `${counted(figures.episodes, "flight")} of ${title(task.short_name)} here, on average: ${[...means, ...shares].join(", ")}.`;
+/** The worst move, or the loop as a whole: `Steps 17 to 79, lost 4.2: circled a pad for 63 steps`. */
+function worstOf({ why: reason, worst: { first, last, regret, why } }, action) {
+  // The reason names the loop already.
+  if (reason.includes(why)) return `See step ${first}`;
+  const span = first === last ? `Step ${first}, ${action}` : `Steps ${first} to ${last}`;
+  return `${span}${regret === null ? "" : `, lost ${points(regret)}`}: ${why}`;
 }
 
+/** The step before the last one that could be saved; of a flight that delivered all parcels, before its worst move. */
+const stepToTry = ({ annotation, worst }) => (annotation?.why ? annotation.rescue_step : worst && worst.first - 1) ?? 0;
+
+function efficiencyOf({ efficiency, efficiency_parts: parts }) {
+  const meter = (share) => el("span.gauge-bar", { "aria-hidden": "true" }, el("i", { style: { "--share": String(share) } }));
+  return el(
+    "div",
+    { id: "efficiency-parts" },
+    el("h3", { text: `Efficiency ${fixed(efficiency, 1)} of 100 (not the score)` }),
+    ...parts.map(({ name, weight, share }) =>
+      el("div.part", el("span", { text: title(name) }), meter(share), el("span", { text: `${fixed(weight * share, 1)} of ${weight}` })),
+    ),
+  );
+}
+
+/** The answer of `GET /analyse`: means, the trend, and a bar for each action. */
+function statistics({ episodes, success_trend: trend, action_distribution: shares, failed, ...means }, task) {
+  if (failed) return el("p.note", { text: `The statistics of this task could not be loaded: ${failed}` });
+  const bar = ([action, share]) =>
+    el("div.action-share", { style: { "--share": String(share) } }, el("i", { "aria-hidden": "true" }), `${action}\n${percent(share)}`);
+  return el(
+    "div",
+    { id: "analysis" },
+    el("h3", { text: `${counted(episodes, "flight")} of ${task} on this server` }),
+    el(
+      "dl.results-facts",
+      fact("Average reward", fixed(means.average_reward)),
+      fact("Average score", points(means.average_score)),
+      fact("Success", percent(means.success_rate)),
+      fact("Success trend", trend === null ? "–" : `${signed(trend * 100, 0)} points`),
+    ),
+    el("div.action-shares", { role: "group", "aria-label": "Action distribution" }, ...Object.entries(shares).map(bar)),
+  );
+}
 /** The next task of the family, or the last one again. Only the standard ones begin again: Easy, Medium, Hard, Easy. */
 function nextTask(families, task) {
   const group = families.get(task.family);
   return group[group.indexOf(task) + 1] ?? (task.family === "standard" ? group[0] : task);
 }
 
-/** Continues a failed flight from the last step at which all parcels could still be delivered. @param {Context} context @param {Race} race */
+/** Continues a failed flight from the last step at which all parcels could still be delivered, another from its worst move. @param {Context} context @param {Race} race */
 function tryAgain({ stage }, race, acts) {
-  const { annotation, automatic, provenance, forkedAt } = stage.track;
-  const step = annotation.rescue_step ?? 0;
+  const { track } = stage;
+  const step = stepToTry(track);
   leaveFocus();
-  if (automatic || forkedAt !== null) {
+  if (track.automatic || track.forkedAt !== null || !track.annotation.why) {
     stage.clock.goTo(step);
     acts.fork();
   } else if (step === 0) acts.reset();
   else {
     // The record notes that moves were taken back.
-    const of = writeProvenance({ ...provenance, person: null, undo_used: true });
-    acts.start({ of, actions: stage.track.lettersTo(step) });
+    const of = writeProvenance({ ...track.provenance, person: null, undo_used: true });
+    acts.start({ of, actions: track.lettersTo(step) });
   }
 }
 

@@ -1,6 +1,6 @@
 // The ranking of the flights over the map.
 import { el, keepFocus, setText, table } from "./dom.js";
-import { points } from "./format.js";
+import { lossOf, points } from "./format.js";
 
 const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Lost", true]];
 
@@ -32,7 +32,7 @@ export function mountStandings(root, { stage }) {
         String(frame.step),
         `${frame.deliveries_done}/${stage.world.parcels.length}`,
         frame.done ? points(frame.score) : frame.value === null ? points(null) : `up to ${points(frame.value)}`,
-        points(frame.regret),
+        lossOf(track, frame),
       ];
       texts.forEach((text, i) => setText(cells[i], text));
       node.dataset.outcome = frame.outcome;

@@ -71,6 +71,8 @@ export class Track {
     this.live = live;
     /** The answer of `POST /annotate`, or null. @type {Answer<"AnalysedFlight">|null} */
     this.annotation = null;
+    /** Why there is none. @type {string|null} */
+    this.unexplained = null;
     this.record = null;
     /** The id of the stored flight, once it has ended here. @type {{id: string}|null} */
     this.episode = null;
@@ -113,9 +115,9 @@ export class Track {
     return this.frames.at(-1);
   }
 
-  /** The move that lost most, once the flight is annotated; or null. */
+  /** The move or the loop that lost most, once the flight is annotated; or null. */
   get worst() {
-    return this.annotation?.moves[this.annotation.worst_step - 1] ?? null;
+    return this.annotation?.worst ?? null;
   }
 
   get done() {
