@@ -1,18 +1,19 @@
 """Write the parts of the documentation that take minutes to compute.
 
-    tasks   docs/images/<task>.png, preview.png of the page, and the scores in docs/benchmark.md
+    tasks   docs/images/<task>.png, and preview.png of the page
+    results drone_env/results/shipped.tar.xz: every agent over 1,000 test maps of every task; flies what it lacks
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` and on `aligned`
 
-`python tools/docs_generate.py tasks curves` writes these alone; without a name, tasks and audits. Curves need PyTorch.
+`python tools/docs_generate.py tasks curves` writes these alone; without a name, all but curves. Curves need PyTorch.
 """
 
 import sys
-from collections.abc import Callable
+import tarfile
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
 from docs_tables import put, table
 
@@ -22,19 +23,19 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
-from drone_env.errors import UnsupportedTaskError
+from drone_env.errors import TooLargeError, UnsupportedTaskError
+from drone_env.files import replacing
 from drone_env.planning.audit import audit_maps, audited_profile, summarise_audits
-from drone_env.planning.optimal import solve
-from drone_env.results.evaluate import evaluate, summarise
-from drone_env.results.statistics import with_interval
-from drone_env.results.tables import number
+from drone_env.planning.optimal import require_solvable, solve
+from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine
+from drone_env.results.folder import SHIPPED, ResultsFolder, shipped_results
+from drone_env.results.result import EpisodesKey
 from drone_env.server.page_files import PAGE
 
 DOCS = Path(__file__).parents[1] / "docs"
-BENCHMARK, REWARD = DOCS / "benchmark.md", DOCS / "reward.md"
+REWARD = DOCS / "reward.md"
 MAPS = 1000
-"""Test maps of each task in docs/benchmark.md."""
-BEST = "optimal"
+"""Test maps of each task in the shipped results."""
 AUDITED = {"easy_delivery": 1000, "hard_delivery": 40, "skyline_easy": 200}
 """How many test maps the audits of a task run over."""
 CURVES, CURVES_EPISODES = "easy", 1_500
@@ -46,47 +47,37 @@ def picture(task: TaskConfig, seed: int, file: Path, pixels: int) -> None:
     save_picture(Episode(task, seed=seed).fly(solve(task, seed).actions), file, pixels)
 
 
-def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
-    """The figures of each agent that supports a task."""
-    figures: dict[str, dict[str, Any]] = {}
-    for agent in AGENTS:
-        with suppress(UnsupportedTaskError):
-            figures[agent] = summarise(evaluate(agent, task, "test", MAPS))
-            print(f"{task.id} {agent}: {figures[agent]['score_ratio']:.4f}", file=sys.stderr)
-    return figures
+def write_results() -> None:
+    """Fly every agent over the test maps of every task, unless the shipped results have them, and ship the results."""
+    keys: list[EpisodesKey] = []
+    for task in TASKS.values():
+        for agent in AGENTS:
+            with suppress(UnsupportedTaskError, TooLargeError):
+                if agent == "optimal":
+                    require_solvable(task)
+                keys.append(episodes_key(task, agent, split_seeds("test", MAPS), "test"))
+    with TemporaryDirectory() as temporary:
+        folder = ResultsFolder(Path(temporary, "results"), keys)
+        for key in keys:
+            if (shipped := shipped_results(key)) is not None:
+                folder.save(shipped)
+        evaluate_keys(keys, local_engine, folder, lambda flown: print(flown.key.task, flown.key.agent, file=sys.stderr))
+        with replacing(SHIPPED) as archive_file, tarfile.open(archive_file, "w:xz", preset=9) as archive:
+            archive.add(temporary, "", filter=_anonymous)
 
 
-def agents_tables(tasks: list[TaskConfig]) -> str:
-    """The tables of docs/benchmark.md: a row per agent, a column per task."""
-    figures = [figures_of(task) for task in tasks]
-    cells: dict[str, Callable[[dict[str, Any]], str]] = {
-        "Score (95 % interval)": lambda of: with_interval(of["mean_score"], of["score_ci95"]),
-        "Ratio to the optimum, and share of flights that delivered all parcels": lambda of: (
-            f"{number(of['score_ratio'])}, {of['success_rate']:.1%}"
-        ),
-    }
-    parts: list[str] = []
-    for title, cell in cells.items():
-        rows = [["agent", *(task.short_name for task in tasks)]]
-        for agent in (*(agent for agent in AGENTS if agent != BEST), BEST):
-            rows.append([agent, *(cell(of[agent]) if agent in of else "-" for of in figures)])
-        parts.append(f"**{title}**\n\n{table(rows)}")
-    return "\n\n".join(parts)
+def _anonymous(file: tarfile.TarInfo) -> tarfile.TarInfo:
+    """A file without owner and time: equal results give equal archives."""
+    file.mtime = file.uid = file.gid = 0
+    file.uname = file.gname = ""
+    return file
 
 
 def write_tasks() -> None:
-    """Draw a best flight of every task, and write the tables of docs/benchmark.md."""
+    """Draw a best flight of every task."""
     for task in TASKS.values():
         picture(task, split_seeds("test", 1)[0], DOCS / "images" / f"{task.id}.png", 480)
     picture(TASKS["skyline_medium"], 43, PAGE / "preview.png", 630)
-    write_agents("agents", "standard", "skyline")
-    write_agents("agents on rush", "rush")
-
-
-def write_agents(name: str, *families: str) -> None:
-    """Write the tables of these families in docs/benchmark.md."""
-    text = agents_tables([task for task in TASKS.values() if task.family in families])
-    BENCHMARK.write_text(put(BENCHMARK.read_text(encoding="utf-8"), name, text), encoding="utf-8")
 
 
 def audits(task: TaskConfig, maps: int) -> list[str]:
@@ -155,6 +146,6 @@ def write_curves() -> None:
 
 
 if __name__ == "__main__":
-    parts = {"tasks": write_tasks, "audits": write_audits, "curves": write_curves}
-    for name in sys.argv[1:] or ["tasks", "audits"]:
+    parts = {"results": write_results, "tasks": write_tasks, "audits": write_audits, "curves": write_curves}
+    for name in sys.argv[1:] or ["results", "tasks", "audits"]:
         parts[name]()

@@ -5,21 +5,27 @@ python tools/docs_tables.py --check    changes nothing, and names what is not up
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from pydantic_settings import BaseSettings
 
+from drone_env.agents import AGENTS
 from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS
 from drone_env.llm.config import InferenceSettings
+from drone_env.results.evaluate import summarise
+from drone_env.results.folder import SHIPPED, stored_results
+from drone_env.results.statistics import with_interval
+from drone_env.results.tables import number
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
 STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
+BEST = "optimal"
 SPECIAL = (Event.NONE, Event.DELIVERY)
 
 
@@ -102,9 +108,29 @@ def described(rule: Rule) -> str:
     return " ".join(f"{key}={value}" for key, value in rule)
 
 
+def agents(*families: str) -> str:
+    """The shipped results of these families: a row per agent, a column per task."""
+    tasks = [task for task in TASKS.values() if task.family in families]
+    figures = [{agent: summarise(*repeats) for agent, repeats in stored_results(SHIPPED, task.id)} for task in tasks]
+    cells: dict[str, Callable[[dict[str, Any]], str]] = {
+        "Score (95 % interval)": lambda of: with_interval(of["mean_score"], of["score_ci95"]),
+        "Ratio to the optimum, and share of flights that delivered all parcels": lambda of: (
+            f"{number(of['score_ratio'])}, {of['success_rate']:.1%}"
+        ),
+    }
+    parts: list[str] = []
+    for title, cell in cells.items():
+        rows = [["agent", *(task.short_name for task in tasks)]]
+        for agent in (*(agent for agent in AGENTS if agent != BEST), BEST):
+            rows.append([agent, *(cell(of[agent]) if agent in of else "-" for of in figures)])
+        parts.append(f"**{title}**\n\n{table(rows)}")
+    return "\n\n".join(parts)
+
+
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
     return {
+        ("benchmark.md", "agents"): agents("standard", "skyline"),
         ("rules.md", "kinds"): kinds(),
         ("tasks.md", "tasks"): tasks(),
         ("cities.md", "layers"): of_cities(),

@@ -1,8 +1,10 @@
 """The folder of an evaluation: its configuration, and one file per chunk of its results."""
 
 import os
+import tarfile
 import zlib
 from collections.abc import Sequence
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,6 +29,8 @@ CONFIG, CHUNKS = "evaluation.json", "pieces"
 MOST_BYTES = 1 << 20
 """Maximum bytes of a configuration and of a chunk; 1,000 episodes take 38,000."""
 MOST_CHUNKS = 1_000_000
+SHIPPED = Path(__file__).with_name("shipped.tar.xz")
+"""The evaluation of docs/benchmark.md: an archive of its folder, read like one. tools/docs_generate.py writes it."""
 Name = Annotated[str, Field(max_length=1000)]
 
 
@@ -61,7 +65,7 @@ class EvaluationConfig(StrictModel):
     def load(cls, folder: Path) -> Self:
         """Read the configuration in a folder."""
         path = folder / CONFIG
-        return cls.read(read_file(path, MOST_BYTES), f"{path} is not the configuration of an evaluation")
+        return cls.read(_read(path), f"{path} is not the configuration of an evaluation")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -166,16 +170,34 @@ def _whole(folder: Path, key: EpisodesKey, size: int) -> Results:
     return concatenate(found, key)
 
 
+def shipped_results(key: EpisodesKey) -> Results | None:
+    """Return the results of a key from the shipped evaluation; None if it has no chunk of exactly these maps."""
+    return _load(_file(SHIPPED / CHUNKS, key), key)
+
+
+@lru_cache(maxsize=1)
+def _shipped_files() -> dict[str, bytes]:
+    with tarfile.open(SHIPPED) as archive:
+        files = ((member.name, archive.extractfile(member)) for member in archive)
+        return {Path(name).name: file.read() for name, file in files if file is not None}
+
+
+def _read(path: Path) -> bytes:
+    if SHIPPED not in path.parents:
+        return read_file(path, MOST_BYTES)
+    if path.name not in _shipped_files():
+        raise FileNotFoundError(path)
+    return _shipped_files()[path.name]
+
+
 def _file(folder: Path, key: EpisodesKey) -> Path:
     again = f"-again{key.repeat}" if key.repeat else ""
     return folder / f"{key.task}-v{key.version}-{key.config_hash}-{key.seeds[0]}-{key.seeds[1]}{again}.npz"
 
 
 def _load(path: Path, key: EpisodesKey) -> Results | None:
-    if not path.exists():
-        return None
     try:
-        with NpzFile(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as archive:
+        with NpzFile(BytesIO(_read(path)), allow_pickle=False) as archive:
             zipped: Any = archive.zip
             if archive.files != list(COLUMNS):
                 raise ValueError(f"its columns are not {', '.join(COLUMNS)}")
@@ -198,6 +220,8 @@ def _load(path: Path, key: EpisodesKey) -> Results | None:
         )
         if not valid.all():
             raise ValueError("seeds, scores, steps, deliveries or success are out of range")
+    except FileNotFoundError:
+        return None
     except (ValueError, KeyError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
         reason = str(error).removeprefix(f"{path} ")
         raise InvalidValueError(f"{path} is damaged ({reason}): delete it, and its maps are flown again") from None

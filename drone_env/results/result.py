@@ -76,7 +76,7 @@ class Results:
         rewards: float64[n], total rewards; None if unknown.
         reward_profile: The profile of all rewards; None if it is unknown or they differ.
         flights: int64[n], flights behind each row; None if each row is one flight.
-        ids: The id of the newest stored flight behind each row; empty if none is stored.
+        ids: The id of the newest stored flight behind each row, or None; empty if none is stored.
     """
 
     key: EpisodesKey
@@ -90,11 +90,15 @@ class Results:
     rewards: npt.NDArray[np.float64] | None = None
     reward_profile: str | None = None
     flights: npt.NDArray[np.int64] | None = None
-    ids: Sequence[str] = ()
+    ids: Sequence[str | None] = ()
 
     @classmethod
     def of_rows(
-        cls, key: EpisodesKey, reward_profile: str | None = None, ids: Sequence[str] = (), **columns: Sequence[Any]
+        cls,
+        key: EpisodesKey,
+        reward_profile: str | None = None,
+        ids: Sequence[str | None] = (),
+        **columns: Sequence[Any],
     ) -> Self:
         """Create results from columns of Python values; deliveries and optimal steps are unknown."""
         arrays: dict[str, Any] = {
@@ -120,7 +124,7 @@ class Results:
         """Return some of the rows."""
         columns = {name: getattr(self, name)[rows] for name in COLUMNS}
         flights, rewards = (None if column is None else column[rows] for column in (self.flights, self.rewards))
-        ids = [self.ids[row] for row in rows] if self.ids else ()
+        ids: list[str | None] = [self.ids[row] for row in rows] if self.ids else []
         return replace(self, **columns, flights=flights, rewards=rewards, ids=ids)
 
     def rows(self) -> list[Result]:

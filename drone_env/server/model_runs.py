@@ -1,18 +1,21 @@
-"""The evaluations and the runs of language models in the data folder.
+"""The evaluations and the runs of language models in the data folder, and the shipped evaluation.
 
 Modules that fly a model again are imported lazily: most servers have no such run.
 """
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drone_env.errors import DroneEnvError
+from drone_env.agents import file_of, rebase_agent_path
+from drone_env.errors import DroneEnvError, UnknownNameError
 from drone_env.files import EVALUATIONS, RUNS, file_identity
-from drone_env.results.folder import CHUNKS, CONFIG
+from drone_env.results.folder import CHUNKS, CONFIG, SHIPPED, EvaluationConfig
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, evaluation_entries
+from drone_env.results.result import Results
 
 if TYPE_CHECKING:
     from drone_env.llm.config import RunConfig
@@ -54,9 +57,28 @@ class StoredRuns:
         return {config.model for config in self.configs().values() if config is not None}
 
     def folders(self, task: str) -> list[Path]:
-        """The folders that may have entries for a task: runs of models, then evaluations, by name."""
+        """The folders that may have entries for a task: the shipped one, runs of models, and evaluations, by name."""
         runs = [path for path, config in self.configs().items() if config is None or config.task == task]
-        return runs + [path for path in sorted(self._evaluations.glob("*")) if os.path.lexists(path / CONFIG)]
+        evaluations = [path for path in sorted(self._evaluations.glob("*")) if os.path.lexists(path / CONFIG)]
+        return [SHIPPED, *runs, *evaluations]
+
+    def results(self, task: str, run: str) -> dict[str, Results]:
+        """The results of a run or an evaluation by agent, one row per map, with the ids that its flights would have.
+
+        Raises:
+            UnknownNameError: if there is none of this name, or it is not ranked.
+        """
+        found: dict[str, Results] = {}
+        for path in (path for path in self.folders(task) if run_name(path) == run):
+            for entry in self.entries(path, task):
+                if isinstance(entry, LeaderboardEntry):
+                    results = entry.results.by_map()
+                    newest = {} if is_agent(entry) else {seed: id_ for id_, seed in self.flights(path)}
+                    ids = [newest.get(seed) for seed in results.seeds.tolist()]
+                    found[shown_agent(entry.agent)] = replace(results, ids=ids)
+        if not found:
+            raise UnknownNameError("run", run, [run_name(path) for path in self.folders(task)])
+        return found
 
     def entries(self, path: Path, task: str) -> Entries:
         """The leaderboard entries of a folder for a task, or why it is not ranked. Cached until a file changes."""
@@ -102,6 +124,8 @@ class StoredRuns:
 
     def _sources(self, path: Path, task: str) -> tuple[Sequence[Path], Callable[[], Entries]]:
         """The files that decide the entries of a folder, and the function that computes them."""
+        if path == SHIPPED:
+            return [SHIPPED], partial(evaluation_entries, SHIPPED, task)
         if path.parent == self._evaluations:
             files = [path / CONFIG, *sorted((path / CHUNKS).glob("*.npz"))]
             return files, partial(evaluation_entries, path, task, MOST_MAPS)
@@ -110,3 +134,19 @@ class StoredRuns:
         from drone_env.llm.run_folder import EPISODES, RESULTS, TRANSCRIPT
 
         return [path / name for name in (RUN_CONFIG, TRANSCRIPT, EPISODES, RESULTS)], lambda: [run_entry(path)]
+
+
+def run_name(path: Path) -> str:
+    """The name of a folder's run: that of the folder, or the version of this package that flew the shipped results."""
+    return f"drone-env {EvaluationConfig.load(SHIPPED).package}" if path == SHIPPED else path.name
+
+
+def is_agent(entry: LeaderboardEntry) -> bool:
+    """Whether an agent flew, not a language model."""
+    return "agent" in entry.report
+
+
+def shown_agent(agent: str) -> str:
+    """The name of an agent without the folder of its network's file, or of a language model."""
+    file = file_of(agent)
+    return agent if file is None or not file.is_absolute() else rebase_agent_path(agent, Path(file.name))

@@ -15,6 +15,8 @@ from drone_env.flights.store import Store
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
 from drone_env.planning.optimal import solve
+from drone_env.results.evaluate import evaluate
+from drone_env.results.folder import SHIPPED, EvaluationConfig
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown
@@ -117,12 +119,14 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     client: TestClient, data: Path, flights: dict[str, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer = get(client, "/leaderboard/easy/runs")
-    (board,) = answer["boards"]
+    board, shipped = answer["boards"]
     assert [(row["run"], row["kind"], row["agent"], row["flights"]) for row in board["rows"]] == [
         ("good", "model", "scripted", 4),
         ("bad", "model", "scripted/waits", 2),
     ]
-    assert [(of_map["seed"], of_map["flights"], of_map["id"]) for of_map in board["rows"][0]["maps"]] == [
+    assert all(row["shipped"] for row in shipped["rows"])
+    of_model = get(client, "/leaderboard/easy/maps", agent="scripted", run="good")["maps"]
+    assert [(of_map["seed"], of_map["flights"], of_map["id"]) for of_map in of_model] == [
         (seed, 2, flights["scripted"][seed][-1].id) for seed in (14, 15)
     ]
     (unranked,) = answer["unranked"]
@@ -132,6 +136,25 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     # What has been checked is not checked again.
     monkeypatch.setattr("drone_env.llm.report.verified_run", None)
     assert get(client, "/leaderboard/easy/runs") == answer
+
+
+def test_shipped_results_are_those_of_the_agents_map_by_map(client: TestClient) -> None:
+    run = f"drone-env {EvaluationConfig.load(SHIPPED).package}"
+    (board,) = get(client, "/leaderboard/skyline_easy/runs")["boards"]
+    assert {row["agent"] for row in board["rows"]} >= {"random", "greedy", "tournet", "optimal"}
+    assert {(row["run"], row["kind"], row["maps"], row["shipped"]) for row in board["rows"]} == {
+        (run, "agent", 1000, True)
+    }
+    maps = get(client, "/leaderboard/skyline_easy/maps", agent="tournet", run=run)["maps"]
+    flown_again = evaluate("tournet", "skyline_easy", "test", 20)
+    assert [(of_map["seed"], of_map["score"], of_map["optimum"], of_map["steps"]) for of_map in maps[:20]] == [
+        (row.seed, row.score, row.optimum, row.steps) for row in flown_again.rows()
+    ]
+    assert {of_map["id"] for of_map in maps} == {None}
+    pair = get(client, "/paired/skyline_easy", a="tournet", b="optimal", run_a=run, run_b=run)
+    assert (pair["maps"], pair["wins"]) == (1000, 0)
+    answer = client.get("/leaderboard/skyline_easy/maps", params={"agent": "tournet", "run": "nobody's"})
+    assert (answer.status_code, run in answer.json()["detail"]) == (404, True)
 
 
 def test_a_models_flight_has_its_prompts_and_answers_by_step(

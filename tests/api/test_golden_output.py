@@ -85,7 +85,11 @@ def outputs(data: Path) -> dict[str, list[str]]:
     write_report(report(run, Options(price_prompt=10, price_completion=50)))
     found["report.json"] = (model / "report.json").read_text()
     with TestClient(create_app(Settings(data=data))) as client:
-        found |= {path: json.dumps(client.get(f"/{path}").json(), indent=1) for path in REQUESTS}
+        answers = {path: client.get(f"/{path}").json() for path in REQUESTS}
+    # Shipped results change with the agents.
+    runs = answers["leaderboard/easy/runs"]
+    runs["boards"] = [board for board in runs["boards"] if not board["rows"][0]["shipped"]]
+    found |= {path: json.dumps(answer, indent=1) for path, answer in answers.items()}
     shown: dict[str, list[str]] = {}
     for name, text in found.items():
         for pattern, word in OF_THIS_RUN.items():

@@ -1,11 +1,11 @@
 """The page before any script: the picture of a link to it, and its greeting."""
 
 import re
+from statistics import fmean
 
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.planning.optimal import solve
 from drone_env.server import page_files
 from drone_env.server.daily import today
 from drone_env.server.page_files import PAGE
@@ -40,13 +40,22 @@ def test_an_unknown_address_is_a_page_for_a_browser_and_json_for_a_program(share
 
 
 class TestHello:
-    def test_its_sentence_is_true(self, shared_client: TestClient) -> None:
+    def test_its_sentence_and_its_failure_are_those_of_the_shipped_results(self, shared_client: TestClient) -> None:
         html = shared_client.get("/").text
-        ((task, seed),) = re.findall('id="hello".* data-task="(.*?)" data-seed="(.*?)"', html)
-        scores = re.findall(r"scored (\S+) of (\S+) possible", html)
-        assert scores == [
-            (f"{100 * flown(task, 'tournet', seed=int(seed)).score:.1f}", f"{100 * solve(task, int(seed)).score:.1f}")
-        ]
+        (run,) = {
+            row["run"] for row in shared_client.get("/leaderboard/skyline_medium/runs").json()["boards"][-1]["rows"]
+        }
+        query = {"agent": "tournet", "run": run}
+        maps = shared_client.get("/leaderboard/skyline_medium/maps", params=query).json()["maps"]
+        score, optimum, success = (
+            100 * fmean(of_map[name] for of_map in maps) for name in ("score", "optimum", "success")
+        )
+        figures = f"scores {score:.1f} of {optimum:.1f} possible and delivers everything on {success:.1f} %."
+        assert f"Over {len(maps):,} unseen maps, a trained network {figures}" in html
+        (seed,) = re.findall(r'seed=(\d+)&amp;pilot=tournet&amp;step=\d+">See it fail', html)
+        worst = max(maps, key=lambda of_map: of_map["optimum"] - of_map["score"])
+        assert (int(seed), worst["success"]) == (worst["seed"], 0)
+        assert flown("skyline_medium", "tournet", seed=worst["seed"]).score == worst["score"]
 
     def test_only_the_bare_address_shows_it(self, shared_client: TestClient) -> None:
         html = shared_client.get("/").text

@@ -59,6 +59,7 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(beside: Callable[..
     found += findings(page, "#view-fly")
     for query, part, sign in (
         ("compare&task=easy&pilots=greedy,random", "#view-compare", "dl.paired"),
+        ("compare&task=easy&pilot=random", "#view-compare", ".losses"),
         ("learn", "#view-learn", ".lesson"),
         ("api", "#view-api", "#log-requests li"),
         ("draw&task=easy&seed=7", "#view-draw", "#drawing"),

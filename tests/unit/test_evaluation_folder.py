@@ -5,8 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from drone_env.agents import SHIPPED_AGENTS
 from drone_env.cli import main
+from drone_env.core.tasks import TASKS
 from drone_env.results import folder as results_folder
+from drone_env.results.evaluate import episodes_key
+from drone_env.results.folder import SHIPPED, EvaluationConfig
 
 
 def test_an_evaluation_goes_on_where_it_was_stopped(
@@ -34,3 +38,10 @@ def test_an_evaluation_goes_on_where_it_was_stopped(
     monkeypatch.setattr(results_folder, "__version__", "99.0")
     assert main(command) == 2
     assert "is now '99.0'" in capsys.readouterr().err
+
+
+def test_the_shipped_results_are_of_the_present_agents_and_tasks() -> None:
+    keys = EvaluationConfig.load(SHIPPED).episodes_keys()
+    assert ({key.task for key in keys}, {key.agent for key in keys}) == (set(TASKS), set(SHIPPED_AGENTS))
+    stale = [key for key in keys if key != episodes_key(key.task, key.agent, range(*key.seeds), key.split)]
+    assert stale == [], "run tools/docs_generate.py results"

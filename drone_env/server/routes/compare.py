@@ -1,10 +1,12 @@
 """The routes that compare agents: a leaderboard, the maps of an agent, and two agents map by map."""
 
 import sqlite3
+from dataclasses import replace
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from pydantic import Field
+from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
 from drone_env.core.tasks import get_task
@@ -12,14 +14,18 @@ from drone_env.errors import UnknownNameError
 from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import Count, Seed, StrictModel
 from drone_env.results.flown import results_by_agent
+from drone_env.results.folder import SHIPPED
 from drone_env.results.result import Result, Results
 from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, ci95, mean_of, ranked
 from drone_env.server.exceptions import error_responses
+from drone_env.server.jobs import job_context
+from drone_env.server.model_runs import run_name
 from drone_env.server.pilots import all_pilots, display_name
 from drone_env.server.state import AppState, AppStateDep
 
 router = APIRouter(tags=["compare"])
 AgentQuery = Annotated[str, Query(max_length=200, description="The agent as in the records.")]
+RunQuery = Annotated[str | None, Query(max_length=200, description="A run; without it, the flights of this server.")]
 Kind = Literal["pilot", "person", "model", "other"]
 Optimum = Annotated[float | None, Field(description="The highest possible score.")]
 
@@ -130,16 +136,27 @@ def leaderboard(app_state: AppStateDep, task_name: str) -> Leaderboard:
 
 
 @router.get("/leaderboard/{task_name}/maps", responses=error_responses(404, 422, 503))
-def agent_maps(app_state: AppStateDep, task_name: str, agent: AgentQuery) -> AgentMaps:
+async def agent_maps(
+    request: Request, app_state: AppStateDep, task_name: str, agent: AgentQuery, run: RunQuery = None
+) -> AgentMaps:
     """The maps of a task that an agent flew, with its results."""
-    (flown,) = _flown_by(app_state, task_name, agent)
+    flown = await _flown(request, app_state, task_name, agent, run)
     return AgentMaps(task=get_task(task_name).id, agent=agent, maps=[AgentMap.of(row) for row in flown.rows()])
 
 
 @router.get("/paired/{task_name}", responses=error_responses(404, 422, 503))
-def pair(app_state: AppStateDep, task_name: str, a: AgentQuery, b: AgentQuery) -> Pairing:
+async def pair(
+    request: Request,
+    app_state: AppStateDep,
+    task_name: str,
+    a: AgentQuery,
+    b: AgentQuery,
+    run_a: RunQuery = None,
+    run_b: RunQuery = None,
+) -> Pairing:
     """Two agents over the maps of a task that both flew, map by map."""
-    paired = PairedComparison.of(*_flown_by(app_state, task_name, a, b))
+    both = [await _flown(request, app_state, task_name, *one) for one in ((a, run_a), (b, run_b))]
+    paired = PairedComparison.of(*both)
     wins, ties, losses = paired.outcomes
     rows = zip(paired.differences.tolist(), paired.a.rows(), paired.b.rows(), strict=True)
     return Pairing(
@@ -156,13 +173,27 @@ def pair(app_state: AppStateDep, task_name: str, a: AgentQuery, b: AgentQuery) -
     )
 
 
-def _flown_by(app_state: AppState, task_name: str, *agents: str) -> list[Results]:
-    """The results of agents over a task, one row per map."""
-    flown = results_by_agent(app_state.store.means_by_map(task_name))
-    for agent in agents:
-        if agent not in flown:
-            raise UnknownNameError("agent", agent, flown or ["none: nobody has flown this task"])
-    return [flown[agent] for agent in agents]
+async def _flown(request: Request, app_state: AppState, task_name: str, agent: str, run: str | None) -> Results:
+    """The results of an agent over a task, one row per map, of the store or of a run."""
+    if run is None:
+        flown = await run_in_threadpool(lambda: results_by_agent(app_state.store.means_by_map(task_name)))
+    else:
+        task = await run_in_threadpool(get_task, task_name)
+        if run == run_name(SHIPPED):
+            flown = await run_in_threadpool(app_state.runs.results, task.id, run)
+        else:
+            flown = await app_state.work(request, _of_run, task.id, run)
+    if agent not in flown:
+        raise UnknownNameError("agent", agent, flown or ["none: nobody has flown this task"])
+    if run is None:
+        return flown[agent]
+    ids = flown[agent].ids
+    stored = await run_in_threadpool(app_state.store.stored_ids, [id_ for id_ in ids if id_])
+    return replace(flown[agent], ids=[id_ if id_ in stored else None for id_ in ids])
+
+
+def _of_run(task: str, run: str) -> dict[str, Results]:
+    return job_context().runs.results(task, run)
 
 
 def _alone(row: sqlite3.Row) -> Provenance:

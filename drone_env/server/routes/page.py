@@ -3,6 +3,7 @@
 import re
 from contextlib import suppress
 from datetime import datetime, time, timedelta, timezone
+from functools import lru_cache
 from html import escape
 
 from fastapi import APIRouter, Request, Response
@@ -11,12 +12,15 @@ from fastapi.responses import FileResponse, HTMLResponse
 from drone_env.errors import StoreError
 from drone_env.flights.provenance import HUMAN
 from drone_env.flights.store import Store
+from drone_env.results.folder import SHIPPED, stored_results
 from drone_env.server import daily
 from drone_env.server.exceptions import answer_to
 from drone_env.server.page_files import PAGE, edition, is_bundled
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"], include_in_schema=False)
+SHOWN_TASK, SHOWN_NETWORK = "skyline_medium", "tournet"
+"""The greeting reports the shipped results of this network over this task."""
 SHEETS = re.compile('(<link rel="stylesheet" .*\n)+')
 
 
@@ -33,6 +37,8 @@ def page(request: Request, app_state: AppStateDep) -> Response:
         html = html.replace('id="hello"', 'id="hello" hidden')
     else:
         html = html.replace("<!-- yesterday -->", _yesterday(app_state.store))
+    sentence, link = _unseen()
+    html = html.replace("<!-- unseen -->", sentence).replace("<!-- failure -->", link)
     html = html.replace("<!-- today -->", _today())
     html = html.replace('="static/', f'="static/v-{edition()}/')
     return HTMLResponse(html)
@@ -72,3 +78,18 @@ async def not_found(request: Request, error: Exception) -> Response:
         return answer_to(error, request.scope)
     html = (PAGE / "not_found.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
     return HTMLResponse(html.replace("<!-- path -->", escape(request.url.path[:100])), 404)
+
+
+@lru_cache(maxsize=1)
+def _unseen() -> tuple[str, str]:
+    """What the network scores over the unseen maps, and the link to the one over which it loses most."""
+    ((results,),) = (repeats for agent, repeats in stored_results(SHIPPED, SHOWN_TASK) if agent == SHOWN_NETWORK)
+    columns = (results.scores, results.optimal_scores, results.success)
+    score, optimum, delivered = (f"{100 * column.mean():.1f}" for column in columns)
+    sentence = (
+        f"Over {len(results.seeds):,} unseen maps, a trained network scores {score} of {optimum} possible and delivers"
+        f" everything on {delivered} %."
+    )
+    worst = (results.optimal_scores - results.scores).argmax()
+    link = f"?task={SHOWN_TASK}&seed={results.seeds[worst]}&pilot={SHOWN_NETWORK}&step={results.steps[worst]}"
+    return sentence, f'<a class="button" href="{escape(link)}">See it fail</a>'

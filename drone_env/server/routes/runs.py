@@ -1,4 +1,4 @@
-"""The routes for evaluations and runs of language models in the data folder, and for the calls of a model."""
+"""The routes for evaluations and runs of language models, and for the calls of a model."""
 
 from pathlib import Path
 from statistics import fmean
@@ -8,22 +8,20 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from drone_env.agents import file_of, rebase_agent_path
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, StrictModel
+from drone_env.results.folder import SHIPPED
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, group_by_maps
 from drone_env.results.statistics import Bounds
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.jobs import job_context
-from drone_env.server.routes.compare import AgentMap
+from drone_env.server.model_runs import StoredRuns, is_agent, run_name, shown_agent
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["compare"])
-LISTED = 1000
-"""Maximum number of maps listed per run; the default of an evaluation."""
 
 
 class Run(StrictModel):
@@ -33,7 +31,8 @@ class Run(StrictModel):
     no score exceeds the optimum of its map.
     """
 
-    run: str = Field(description="Name of its folder.")
+    run: str = Field(description="Name of its folder; `drone-env VERSION` for the shipped results.")
+    shipped: bool = Field(description="Whether the results are shipped with the package.")
     kind: Literal["agent", "model"] = Field(description="From `drone-env evaluate`, or from `drone-env infer`.")
     agent: str = Field(description="The model, or the agent as in `drone-env evaluate`.")
     prompt: str | None = Field(description="Name of the prompt; this and the next six are null for an agent.")
@@ -50,7 +49,7 @@ class Run(StrictModel):
     regret: float | None
     normalised: float | None = Field(description="(score - random) / (optimum - random) over the same maps.")
     steps: float = Field(description="Mean length in steps, over the maps.")
-    maps: list[AgentMap] = Field(description=f"By number; the first {LISTED}.")
+    maps: Count = Field(description="Number of maps; `/leaderboard/{task_name}/maps` lists them.")
 
 
 class RunBoard(StrictModel):
@@ -101,70 +100,64 @@ class ModelCalls(StrictModel):
 async def run_boards(request: Request, app_state: AppStateDep, task_name: str) -> Response:
     """Evaluations and language models side by side, over the same maps of a task.
 
-    The data folder contains evaluations (`drone-env evaluate --out`) in `evaluations`, and runs of `drone-env infer` in
-    `llm`. The server replays a run from the model's responses before it ranks the run; the first request takes seconds.
+    The package contains an evaluation of its agents. The data folder contains evaluations (`drone-env evaluate --out`)
+    in `evaluations`, and runs of `drone-env infer` in `llm`. The server replays a run from the model's responses before
+    it ranks the run; the first request takes seconds.
     """
     task = await run_in_threadpool(get_task, task_name)
+    runs = app_state.runs
+    paths = await run_in_threadpool(runs.folders, task.id)
+    if paths == [SHIPPED]:
+        return Response(await run_in_threadpool(_boards, runs, task.id), media_type="application/json")
     # One job per folder: each has its own time limit, and its worker caches the result.
-    ids: list[str] = []
-    for path in await app_state.work(request, _folders, task.id):
-        ids += await app_state.work(request, _load, path, task.id)
-    stored = await run_in_threadpool(app_state.store.stored_ids, ids)
-    return Response(await app_state.work(request, _boards, task.id, stored), media_type="application/json")
+    for path in paths:
+        await app_state.work(request, _load, path, task.id)
+    return await app_state.json(request, _boards_of_worker, task.id)
 
 
-def _folders(task: str) -> list[Path]:
-    return job_context().runs.folders(task)
+def _load(path: Path, task: str) -> None:
+    job_context().runs.entries(path, task)
 
 
-def _load(path: Path, task: str) -> list[str]:
-    """Compute the entries of a folder; the ids that its flights may have in the store."""
-    entries = job_context().runs.entries(path, task)
-    has_flights = all(isinstance(entry, LeaderboardEntry) and not _is_agent(entry) for entry in entries)
-    return [id_ for id_, _ in job_context().runs.flights(path)] if entries and has_flights else []
+def _boards_of_worker(task: str) -> str:
+    return _boards(job_context().runs, task)
 
 
-def _is_agent(entry: LeaderboardEntry) -> bool:
-    return "agent" in entry.report
-
-
-def _boards(task: str, stored: set[str]) -> str:
-    entries = [entry for path in _folders(task) for entry in job_context().runs.entries(path, task)]
-    boards = RunBoards(
+def _boards(runs: StoredRuns, task: str) -> str:
+    entries = [entry for path in runs.folders(task) for entry in runs.entries(path, task)]
+    return RunBoards(
         task=task,
         boards=[
-            RunBoard(maps=board.maps, rows=[_row(entry, stored) for entry in board.rows])
+            RunBoard(maps=board.maps, rows=[_row(entry) for entry in board.rows])
             for board in group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
         ],
         unranked=[
-            UnrankedRun(run=entry.path.name, reason=_without_folder(entry.reason, entry.path))
+            UnrankedRun(run=run_name(entry.path), reason=_without_folder(entry.reason, entry.path))
             for entry in entries
             if isinstance(entry, NotRanked)
         ],
-    )
-    return boards.model_dump_json()
+    ).model_dump_json()
 
 
-def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
-    report, results, is_agent = entry.report, entry.results.by_map(), _is_agent(entry)
-    # The newest flight over each map that the store has.
-    ids = {} if is_agent else {seed: id_ for id_, seed in job_context().runs.flights(entry.path) if id_ in stored}
+def _row(entry: LeaderboardEntry) -> Run:
+    report, results, of_model = entry.report, entry.results.by_map(), not is_agent(entry)
     rows = results.rows()
     return Run(
         **{name: report[name] for name in ("score", "score_ci95", "regret", "normalised", "success_rate")},
-        run=entry.path.name,
-        kind="agent" if is_agent else "model",
-        agent=_without_place(entry.agent) if is_agent else entry.agent,
+        run=run_name(entry.path),
+        shipped=entry.path == SHIPPED,
+        kind="model" if of_model else "agent",
+        agent=shown_agent(entry.agent),
         prompt=report["config"].get("prompt"),
-        errored=None if is_agent else report["flights"]["errored"],
+        errored=report["flights"]["errored"] if of_model else None,
         waits=report.get("waits"),
-        unusable_share=None if is_agent else report["unusable"]["share"],
-        marked=not is_agent and report["unusable"]["marked"],
-        tokens=None if is_agent else report["tokens"]["total"],
-        without_usage=None if is_agent else report["calls"]["without_usage"],
+        unusable_share=report["unusable"]["share"] if of_model else None,
+        marked=of_model and report["unusable"]["marked"],
+        tokens=report["tokens"]["total"] if of_model else None,
+        without_usage=report["calls"]["without_usage"] if of_model else None,
         flights=sum(row.flights for row in rows),
         steps=fmean(results.steps),
-        maps=[AgentMap.of(row._replace(id=ids.get(row.seed))) for row in rows[:LISTED]],
+        maps=len(rows),
     )
 
 
@@ -206,10 +199,4 @@ def _calls(episode_id: str) -> str | None:
 
 def _without_folder(reason: str, path: Path) -> str:
     """Hide the path of the data folder."""
-    return " ".join(map(_without_place, reason.replace(str(path), path.name).split(" ")))
-
-
-def _without_place(agent: str) -> str:
-    """Hide the path of a network's file."""
-    file = file_of(agent)
-    return agent if file is None or not file.is_absolute() else rebase_agent_path(agent, Path(file.name))
+    return " ".join(map(shown_agent, reason.replace(str(path), path.name).split(" ")))

@@ -1,7 +1,7 @@
 // API: how programs connect to this server, and its live logs of requests and training.
 import { address } from "./api.js";
-import { copyText, el } from "./dom.js";
-import { fixed } from "./format.js";
+import { el, snippet } from "./dom.js";
+import { fixed, LOCALE } from "./format.js";
 
 const KEPT = 200;
 const TOKEN = "Authorization: Bearer TOKEN";
@@ -34,8 +34,8 @@ export function mount(root, context) {
   const { api, server } = context;
   const url = address(".").href.replace(/\/$/, "");
   const token = api.guarded() ? el("span", " Send ", el("code", { text: TOKEN }), " with each request.") : null;
-  const requests = new Log("Requests", "log-requests", "No request yet.");
-  const training = new Log("Training", "log-training", "No training log yet. To start a training, run: drone-env train");
+  const requests = log("Requests", "log-requests", "No request yet.");
+  const training = log("Training", "log-training", "No training log yet. To start a training, run: drone-env train");
   root.append(
     el(
       "div.view-head",
@@ -43,7 +43,7 @@ export function mount(root, context) {
       el("a.button.primary", { href: "docs", text: "All endpoints" }),
     ),
     el("p.about", "This server is ", el("code", { text: url }), ". Any HTTP client can fly here.", token),
-    el("div.snippets", ...snippets(url).map(snippet)),
+    el("div.snippets", ...snippets(url).map(([name, text]) => snippet(name, text))),
     el("div.logs", requests.root, training.root),
   );
 
@@ -58,52 +58,28 @@ export function mount(root, context) {
   context.on("view", (view) => view === "api" && server.watch(TOPICS));
 }
 
-function snippet([name, text]) {
-  const press = () => copyText(text, "Copied.");
-  const copy = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${name}`, press });
-  return el("section.snippet", el("h3", { text: name }), copy, el("pre", el("code", { text })));
-}
-
 function requestLine({ time, method, path, status, milliseconds }) {
   return el(
     "li",
     { data: { bad: status >= 400 ? "yes" : "no" } },
-    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString() }),
+    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString(LOCALE) }),
     ` ${method} ${path} ${status} `,
     el("span.dim", { text: `${fixed(milliseconds, 1)} ms` }),
   );
 }
 
 /** A list that stays scrolled to its newest line unless the visitor scrolls up. */
-class Log {
-  constructor(name, id, empty) {
-    this.list = el("ol", { id });
-    this.frame = el(
-      "div.log-frame",
-      { tabindex: "0", role: "log", "aria-live": "off", "aria-labelledby": `${id}-title`, hidden: true },
-      this.list,
-    );
-    this.none = el("p.note", { text: empty });
-    const heading = el("h3", { id: `${id}-title`, text: name });
-    this.root = el("section.log", { "aria-labelledby": `${id}-title` }, heading, this.none, this.frame);
+function log(name, id, empty) {
+  const title = `${id}-title`;
+  const list = el("ol", { id });
+  const frame = el("div.log-frame", { tabindex: "0", role: "log", "aria-live": "off", "aria-labelledby": title }, list);
+  const head = el("h3", { id: title, text: name });
+  const root = el("section.log", { "aria-labelledby": title }, head, el("p.note", { text: empty }), frame);
+  function add(lines) {
+    const atEnd = frame.scrollTop + frame.clientHeight >= frame.scrollHeight - 8;
+    list.append(...lines);
+    while (list.childElementCount > KEPT) list.firstElementChild.remove();
+    if (atEnd) frame.scrollTop = frame.scrollHeight;
   }
-
-  add(lines) {
-    if (!lines.length) return;
-    this.show(true);
-    const atEnd = this.frame.scrollTop + this.frame.clientHeight >= this.frame.scrollHeight - 8;
-    this.list.append(...lines);
-    while (this.list.childElementCount > KEPT) this.list.firstElementChild.remove();
-    if (atEnd) this.frame.scrollTop = this.frame.scrollHeight;
-  }
-
-  clear() {
-    this.list.replaceChildren();
-    this.show(false);
-  }
-
-  show(some) {
-    this.frame.hidden = !some;
-    this.none.hidden = some;
-  }
+  return { root, add, clear: () => list.replaceChildren() };
 }

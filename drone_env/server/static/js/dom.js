@@ -146,3 +146,10 @@ export async function copyText(text, message) {
     window.prompt("Copy this text:", text);
   }
 }
+
+/** A named text with a button that copies it. */
+export function snippet(name, text) {
+  const press = () => copyText(text, "Copied.");
+  const copy = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${name}`, press });
+  return el("section.snippet", el("h3", { text: name }), copy, el("pre", el("code", { text })));
+}

@@ -29,14 +29,12 @@ export class Flights {
     );
   }
 
-  /** Shows the newest flights of a task. @param {Answer<"TaskInfo">} task @param {Answer<"LeaderboardRow">[]} rows The pilots of its leaderboard. */
-  show(task, rows) {
-    if (this.task !== task) [this.task, this.pages, this.agent.value] = [task, [null], ""];
+  /** Offers the pilots of a leaderboard. @param {Answer<"LeaderboardRow">[]} rows */
+  offer(rows) {
     const chosen = this.agent.value;
     const known = rows.map(({ agent, name }) => el("option", { value: agent, text: shortened(name) }));
     this.agent.replaceChildren(el("option", { value: "", text: "All" }), ...known);
     this.agent.value = chosen;
-    return this.load();
   }
 
   turn(page) {
@@ -44,10 +42,11 @@ export class Flights {
     return this.load().catch((error) => (this.note.textContent = `The flights could not be loaded: ${error.message}`));
   }
 
-  async load() {
+  /** @param {Answer<"TaskInfo">} task Another one starts with the newest flights of all pilots. */
+  async load(task = this.task) {
+    if (this.task !== task) [this.task, this.pages, this.agent.value] = [task, [null], ""];
     const request = ++this.request;
-    const [task, agent] = [this.task.short_name, this.agent.value];
-    const query = { task, agent, limit: PAGE, before: this.pages.at(-1) };
+    const query = { task: task.short_name, agent: this.agent.value, limit: PAGE, before: this.pages.at(-1) };
     const { episodes, next } = await this.context.api.get("episodes", query);
     if (request !== this.request) return;
     this.next = next;
@@ -62,18 +61,18 @@ export class Flights {
     if (this.drawn === drawn) return;
     this.drawn = drawn;
     const open = (e) =>
-      el("button.button.small", {
+      el("a.button.small", {
         text: "Open",
         data: { key: e.id, episode: e.id },
         "aria-label": `Open ${flightName(this.context, e)}`,
-        press: () => this.context.router.go({ view: "fly", episode: e.id }),
+        href: `?episode=${e.id}`,
       });
     const columns = [
       ["Pilot", (e) => named(this.context, e)],
       ["Map", (e) => String(e.seed), true],
       ["Score", (e) => points(e.score), true],
       ["Lost", (e) => points(e.regret), true],
-      ["Outcome", (e) => outcome(e)],
+      ["Outcome", outcome],
       ["Parcels", (e) => `${e.deliveries} / ${e.deliveries_total}`, true],
       ["Steps", (e) => String(e.steps), true],
       ["Finished", (e) => el("time", { datetime: e.finished_at, text: moment(e.finished_at) })],

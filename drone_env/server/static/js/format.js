@@ -1,6 +1,8 @@
 // Formats numbers and names.
 
 const MINUS = "\u2212";
+/** That of the page, whose texts and decimal points are English. */
+export const LOCALE = "en-GB";
 
 /** @param {number|null|undefined} value @param {(value: number) => string} write */
 const known = (value, write) => (value === null || value === undefined ? "–" : write(value));
@@ -10,7 +12,9 @@ export const fixed = (number, digits = 2) => known(number, (value) => value.toFi
 
 export const signed = (number, digits = 2) => known(number, (value) => (value >= 0 ? "+" : "") + fixed(value, digits));
 
-export const counted = (count, thing) => `${count} ${thing}${count === 1 ? "" : "s"}`;
+export const thousands = (count) => (count === null ? "" : count.toLocaleString(LOCALE));
+
+export const counted = (count, thing) => `${thousands(count)} ${thing}${count === 1 ? "" : "s"}`;
 
 /** A score of 0 to 1, times 100. */
 export const points = (score, digits = 1) => known(score, (value) => fixed(value * 100, digits));
@@ -61,7 +65,7 @@ export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 export const isLost = (regret) => regret > 0.0005;
 
 export function moment(iso) {
-  return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
+  return new Date(iso).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "medium" });
 }
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };

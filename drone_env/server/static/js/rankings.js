@@ -1,6 +1,7 @@
-// Tables of Compare: the leaderboard, the maps of a pilot, runs over the same maps, and pairs.
-import { el, fact, scroller, table } from "./dom.js";
-import { fixed, percent, points, shortened, signed, title, who } from "./format.js";
+// Tables of Compare: boards of pilots, the maps of a pilot, and pairs.
+import { el, fact, keepFocus, scroller, table } from "./dom.js";
+import { counted, fixed, isLost, percent, points, shortened, signed, thousands, title, who } from "./format.js";
+import { linkOf } from "./router.js";
 
 /**
  * A table that scrolls if it is larger than its place.
@@ -17,6 +18,33 @@ export function grid(caption, columns, rows, below = () => false) {
   };
   const names = columns.map(([name, , number]) => [name, number]);
   return scroller(caption, table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))));
+}
+
+/** The rows of a long table that are shown at first. */
+const SHOWN = 100;
+
+/** A long table over maps, sorted by a column with a fourth part: the value of a row. @param {string} by */
+function sortable(caption, columns, rows, by) {
+  const place = el("div.sortable");
+  let [down, most] = [true, SHOWN];
+  const press = (name) => () => draw(name, by !== name || !down);
+  function draw(name, largestFirst, all = false) {
+    [by, down, most] = [name, largestFirst, all ? rows.length : most];
+    const value = columns.find(([one]) => one === by)[3];
+    const order = [...rows].sort((x, y) => (down ? 1 : -1) * (value(y) - value(x)) || x.seed - y.seed);
+    const shown = grid(caption, columns, order.slice(0, most));
+    shown.querySelectorAll("th").forEach((head) => {
+      const { textContent: text } = head;
+      if (!columns.some(([one, , , of]) => one === text && of)) return;
+      if (text === by) head.ariaSort = down ? "descending" : "ascending";
+      head.replaceChildren(el("button.sort", { text, data: { key: `sort ${text}` }, press: press(text) }));
+    });
+    const everything = { text: `Show all ${thousands(rows.length)}`, press: () => draw(by, down, true) };
+    const more = rows.length > most ? el("button.button.small", everything) : "";
+    keepFocus(place, () => place.replaceChildren(shown, more));
+  }
+  draw(by, true);
+  return place;
 }
 
 function scoreBar(score, ci, colour) {
@@ -39,9 +67,6 @@ const lost = (row) => {
 
 const colourOf = (context, { pilot }) => `var(--pilot-${context.pilot(pilot).colour})`;
 
-/** A pilot as in a row: its id and its name. */
-const known = (context, agent) => ({ agent, pilot: agent, name: who(context, agent) });
-
 /** Who flew the flights of a row: the colour of the pilot, the name, and a remark. */
 export const named = (context, row, remark = "") =>
   el(
@@ -50,37 +75,64 @@ export const named = (context, row, remark = "") =>
     el("span", row.name, el("span.margin", { text: remark })),
   );
 
+const open = (text, label, address) =>
+  el("a.button.small", { text, "aria-label": label, href: linkOf({ view: "fly", ...address }).search });
+
+/** Whether a pilot of this page flew a row: it flies each map again. */
+const flies = (context, task, { pilot, kind = "pilot" }) =>
+  !["person", "model"].includes(kind) && context.pilots.some(({ id, tasks }) => id === pilot && tasks.includes(task.id));
+
+/** The end of the flight of a row over a map, or the map for the visitor if the page cannot show it. */
+function flightOf(context, task, row, { id, seed, steps }, text = "Open") {
+  if (id) return open(text, `Open the flight of ${row.name} over map ${seed}`, { episode: id });
+  const map = { task: task.short_name, seed };
+  if (!flies(context, task, row)) return open("Fly it", `Fly map ${seed} yourself`, { ...map, pilots: ["human"] });
+  const end = { ...map, pilots: [row.pilot], step: Math.ceil(steps) };
+  return open(text, `Open the flight of ${row.name} over map ${seed}`, end);
+}
+
 /** Means over fewer maps are marked. */
 const ENOUGH = 30;
-const counted = ({ maps }) => el("span", String(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
+const enough = ({ maps }) => el("span", thousands(maps), el("span.margin", { text: maps < ENOUGH ? " (few)" : "" }));
 
 const opener = (open, key, press, content) =>
   el("button.opener", { "aria-expanded": String(open), data: { key }, press }, content);
 
+/** The share of unusable answers; `!` marks more than 5 %. */
+const unusable = ({ unusable_share: share, marked }) =>
+  share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
+
+/** Columns that are shown if they say something. */
+const FLIGHTS = ["Flights", (row) => thousands(row.flights), true];
+const NORMALISED = ["Random to optimum", (row) => percent(row.normalised), true];
+const RUN = ["Run", (row) => el("span.named", row.run)];
+const OF_MODELS = [
+  ["Errored", (row) => thousands(row.errored), true],
+  ["Unusable answers", unusable, true],
+  ["Tokens", (row) => (row.tokens !== null && row.without_usage ? "at least " : "") + thousands(row.tokens), true],
+];
+
 /** The number of people with few maps that are listed at first. */
 const PEOPLE = 3;
 
-/** @param {Answer<"Leaderboard">} board From `GET /leaderboard/{task_name}`. @param {any} compare What is open and ticked. */
-export function leaderboard(context, board, compare) {
-  if (!board.rows.length) return el("p.note", { text: "No flights of this task yet. Fly it to add one." });
-  const { opened, ticked, everyone, listed, maps } = compare;
-  const isOpen = ({ agent }) => agent === opened;
-  const pick = ({ agent, name }) =>
+/** A board of `boardsOf`. @param {any} compare What is open and ticked. */
+export function ranking(context, { name, caption, rows, note }, compare) {
+  const { task, opened, ticked, everyone, listed } = compare;
+  const pick = ({ key, name, run }) =>
     el("input", {
       type: "checkbox",
-      checked: ticked.includes(agent),
-      "aria-label": `Compare ${name}`,
-      data: { key: `pick ${agent}` },
-      on: { change: ({ target }) => compare.tick(agent, target.checked) },
+      checked: ticked.includes(key),
+      "aria-label": run ? `Compare ${name} of ${run}` : `Compare ${name}`,
+      data: { key: `pick ${key}` },
+      on: { change: ({ target }) => compare.tick(key, target.checked) },
     });
   const pilot = (row) => {
-    const remark = row.kind === "model" ? " language model" : "";
-    return opener(isOpen(row), `open ${row.agent}`, () => compare.open(row.agent), named(context, row, remark));
+    const isOpen = row.key === opened;
+    return opener(isOpen, `open ${row.key}`, () => compare.go(isOpen ? [] : [row.key]), named(context, row, row.remark));
   };
-  const below = (row) => isOpen(row) && maps?.agent === opened && mapsOf(context, row.name, maps.maps);
-  const people = board.rows.filter(({ kind, maps }) => kind === "person" && maps < ENOUGH);
-  const more = people.slice(PEOPLE).filter(({ agent }) => !listed.has(agent));
-  const rows = everyone ? board.rows : board.rows.filter((row) => !more.includes(row));
+  const below = (row) => row.key === opened && compare.detail(row);
+  const people = rows.filter(({ kind, maps }) => kind === "person" && maps < ENOUGH);
+  const more = people.slice(PEOPLE).filter(({ key }) => !listed.has(key));
   const columns = [
     ["Pair", pick],
     ["Pilot", pilot],
@@ -88,106 +140,84 @@ export function leaderboard(context, board, compare) {
     ["Lost", lost, true],
     ["Success", (row) => within(row.success_rate, row.success_ci95, percent), true],
     ["Steps", (row) => fixed(row.steps, 1), true],
-    ["Maps", counted, true],
-    ["Flights", (row) => String(row.flights), true],
+    ["Maps", enough, true],
+    ...(rows.some(({ flights, maps }) => flights !== maps) ? [FLIGHTS] : []),
+    ...(rows.some(({ run }) => run) ? [NORMALISED] : []),
+    ...(rows.some(({ run }) => run !== rows[0].run) ? [RUN] : []),
+    ...(rows.some(({ prompt }) => prompt) ? OF_MODELS : []),
   ];
-  const how = "Click a name to open its maps. Tick two pilots to compare them over their common maps.";
-  const forks = board.forks ? ` Flights that continue another flight do not count (${board.forks}).` : "";
+  const pair = ticked.length > 1 && rows.some(({ key }) => key === ticked.at(-1)) && compare.pairing;
   return el(
-    "div",
-    grid("Leaderboard, smallest loss first", columns, rows, below),
+    "section.compare-part",
+    el("h3", { text: name }),
+    rows.length ? grid(caption, columns, everyone ? rows : rows.filter((row) => !more.includes(row)), below) : "",
     more.length ? opener(everyone, "people", () => compare.draw(!everyone), `More people: ${more.length}`) : "",
-    el("p.note.below", {
-      text: `Each row gives means over the maps that the pilot flew, with its 95 % confidence interval, not corrected for the number of rows. The pilot that loses least against the optimum of each map is first. “Few” means under ${ENOUGH} maps. ${how}${forks}`,
-    }),
+    el("p.note", { text: note }),
+    ...(pair ? [el("p.note", { text: compare.full }), ...paired(context, task, pair)] : []),
   );
 }
 
-/** The maps of a pilot, largest loss first, with a button that opens the flight. @param {Answer<"AgentMap">[]} maps */
-function mapsOf(context, name, maps) {
-  const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
-  const sorted = [...maps].sort((x, y) => (regret(y) ?? -1) - (regret(x) ?? -1) || x.seed - y.seed);
-  const open = ({ id, seed }) =>
-    el("button.button.small", {
-      text: "Open",
-      "aria-label": `Open the flight of ${name} over map ${seed}`,
-      press: () => context.router.go({ view: "fly", episode: id }),
-    });
+const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
+/** Widths of the bars, in points of loss, and their largest number. */
+const WIDTHS = [0.5, 1, 2, 5, 10, 20];
+const BARS = 12;
+
+/** The maps of a row, below a histogram of losses whose bars select maps. @param {Answer<"AgentMap">[]} maps */
+export function mapsOf(context, task, row, maps) {
+  const losses = maps.map((map) => (isLost(regret(map)) ? 100 * regret(map) : 0));
+  const width = WIDTHS.find((one) => Math.max(...losses) / one < BARS - 1) ?? WIDTHS.at(-1);
+  const bars = Array.from({ length: Math.ceil(Math.max(...losses) / width) + 1 }, () => []);
+  maps.forEach((map, i) => bars[Math.ceil(losses[i] / width)].push(map));
+  const most = Math.max(...bars.map(({ length }) => length));
   const columns = [
-    ["Map", ({ seed }) => String(seed), true],
-    ["Lost", (map) => points(regret(map)), true],
-    ["Score", ({ score }) => points(score), true],
-    ["Optimum", ({ optimum }) => points(optimum), true],
-    ["Success", ({ success }) => percent(success), true],
-    ["Steps", ({ steps }) => fixed(steps, steps % 1 ? 1 : 0), true],
-    // A flight from another server is not in this store.
-    ["", (map) => (map.id ? open(map) : "")],
+    ["Map", ({ seed }) => String(seed), true, ({ seed }) => seed],
+    ["Lost", (map) => points(regret(map)), true, (map) => regret(map) ?? -1],
+    ["Score", ({ score }) => points(score), true, ({ score }) => score],
+    ["Optimum", ({ optimum }) => points(optimum), true, ({ optimum }) => optimum ?? -1],
+    ["Success", ({ success }) => percent(success), true, ({ success }) => success],
+    ["Steps", ({ steps }) => fixed(steps, steps % 1 ? 1 : 0), true, ({ steps }) => steps],
+    ["", (map) => flightOf(context, task, row, map)],
   ];
-  return grid(`Maps of ${name}, largest loss first`, columns, sorted);
-}
-
-const figure = (count) => (count === null ? "" : count.toLocaleString());
-
-/** The share of unusable answers; `!` marks more than 5 %. */
-const unusable = ({ unusable_share: share, marked }) =>
-  share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
-
-const OF_MODELS = [
-  ["Errored", (row) => figure(row.errored), true],
-  ["Unusable answers", unusable, true],
-  ["Tokens", (row) => (row.tokens !== null && row.without_usage ? "at least " : "") + figure(row.tokens), true],
-];
-
-/** Runs of agents and language models, one board per set of maps. @param {Context} context */
-export function runsOf(context, { boards, unranked }) {
-  const columns = [
-    ["Pilot", (row) => named(context, known(context, row.agent), row.prompt ? ` by ${row.prompt}` : "")],
-    ["Run", (row) => el("span.named", row.run)],
-    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, { pilot: row.agent }))],
-    ["Lost", (row) => points(row.regret), true],
-    ["Success", (row) => percent(row.success_rate), true],
-    ["Random to optimum", (row) => percent(row.normalised), true],
-    ["Steps", (row) => fixed(row.steps, 1), true],
-    ["Flights", (row) => figure(row.flights), true],
-  ];
-  const shown = (rows) => (rows.some(({ kind }) => kind === "model") ? [...columns, ...OF_MODELS] : columns);
-  const maps = (row) => [
-    el("summary", { text: `Maps of ${[...new Set([who(context, row.agent), row.run])].join(", ")}` }),
-    mapsOf(context, who(context, row.agent), row.maps),
-  ];
-  const draw = ({ maps: which, rows }) => [
-    el("h3", { text: which }),
-    grid(`Runs over ${which}, best first`, shown(rows), rows),
-    ...rows.map((row) => el("details", ...maps(row))),
-  ];
-  const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
-  const marked = boards.some(({ rows }) => rows.some((row) => row.marked));
-  return [
-    el("h2", { text: "Over the same maps" }),
-    ...boards.flatMap(draw),
-    marked ? el("p.note", { text: "! More than 5 % of the answers were unusable. The drone waited at these steps." }) : "",
-    unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
-  ];
+  const place = el("div");
+  const list = (chosen) => place.replaceChildren(sortable(`Maps of ${row.name}`, columns, chosen, "Lost"));
+  const bar = (of, i) => {
+    const range = i ? `${fixed(width * (i - 1), 1)} to ${fixed(width * i, 1)}` : "0";
+    const press = ({ currentTarget: button }) => {
+      const on = button.ariaPressed !== "true";
+      for (const other of button.parentNode.children) other.ariaPressed = String(on && other === button);
+      list(on ? of : maps);
+    };
+    const title = `Lost ${range}: ${counted(of.length, "map")}`;
+    const style = { "--share": of.length / most };
+    return el(
+      "button.loss",
+      { "aria-pressed": "false", "aria-label": title, title, disabled: !of.length, style, press },
+      el("span", { text: of.length ? thousands(of.length) : "" }),
+      el("i"),
+      el("span", { text: i ? fixed(width * i, width % 1 ? 1 : 0) : "0" }),
+    );
+  };
+  list(maps);
+  const known = maps.length > 1 && maps.some(({ optimum }) => optimum !== null);
+  const about = el("p.note", { text: "Maps by points lost. A bar selects its maps." });
+  const histogram = el("div.losses", { role: "group", "aria-label": "Maps by points lost" }, ...bars.map(bar));
+  return el("div.maps", ...(known ? [about, histogram] : []), place);
 }
 
 const gap = (difference) => signed(difference === null ? null : difference * 100, 1);
 
-/** Two pilots over their common maps. @param {Context} context @param {any} answer A `Pairing`, with its `pilots`. */
-export function paired(context, task, answer, rows) {
-  const { pilots } = answer;
-  const both = pilots.map((agent) => rows.find((row) => row.agent === agent) ?? known(context, agent));
+/** Two rows over their common maps. @param {Context} context @param {any} answer A `Pairing`, with its `both` rows. */
+function paired(context, task, answer) {
+  const { both } = answer;
   const [a, b] = both.map(({ name }) => name);
   const head = el("h2", named(context, both[0]), " against ", named(context, both[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
-  const ours = pilots.every((pilot) => rows.some(({ agent, kind }) => agent === pilot && kind === "pilot"));
-  const go = (address) => () => context.router.go({ view: "fly", ...address });
-  const button = (text, label, address) => el("button.button.small", { text, "aria-label": label, press: go(address) });
-  const flight = (who, { id }, seed) => button(shortened(who), `Open the flight of ${who} over map ${seed}`, { episode: id });
-  const open = ({ seed, ...pair }) =>
-    ours
-      ? [button("Fly both", `Fly both over map ${seed}`, { task: task.short_name, seed, pilots })]
-      : [flight(a, pair.a, seed), flight(b, pair.b, seed)];
+  const together = { task: task.short_name, pilots: both.map(({ pilot }) => pilot) };
+  const fly = ({ seed }) => open("Fly both", `Fly both over map ${seed}`, { ...together, seed });
+  const each = ({ seed, ...pair }) =>
+    both.map((row, i) => flightOf(context, task, row, { ...pair["ab"[i]], seed }, shortened(row.name)));
+  const ours = both.every((row) => flies(context, task, row));
   const most = Math.max(...answer.pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
   const bar = ({ difference }) => {
     const more = difference > 0;
@@ -195,36 +225,33 @@ export function paired(context, task, answer, rows) {
     return el("span.gap", { "aria-hidden": "true", data: { more: String(more) }, style }, el("i"));
   };
   const columns = [
-    ["Map", ({ seed }) => String(seed), true],
-    ["Difference", ({ difference }) => gap(difference), true],
+    ["Map", ({ seed }) => String(seed), true, ({ seed }) => seed],
+    ["Difference", ({ difference }) => gap(difference), true, ({ difference }) => Math.abs(difference)],
     ["", bar],
-    [shortened(a), (pair) => points(pair.a.score), true],
-    [shortened(b), (pair) => points(pair.b.score), true],
-    ["Optimum", ({ optimum }) => points(optimum), true],
-    ["", (pair) => el("span.buttons", ...open(pair))],
+    [shortened(a), (pair) => points(pair.a.score), true, (pair) => pair.a.score],
+    [shortened(b), (pair) => points(pair.b.score), true, (pair) => pair.b.score],
+    ["Optimum", ({ optimum }) => points(optimum), true, ({ optimum }) => optimum ?? -1],
+    ["", (pair) => el("span.buttons", ...(ours ? [fly(pair)] : each(pair)))],
   ];
-  const sorted = [...answer.pairs].sort((x, y) => Math.abs(y.difference) - Math.abs(x.difference) || x.seed - y.seed);
   return [
     head,
     el(
       "dl.paired",
       fact("Difference of scores", `${gap(answer.difference)} (${interval})`),
-      fact("Common maps", String(answer.maps)),
-      fact(`${a} scores higher`, String(answer.wins)),
-      fact("Equal", String(answer.ties)),
-      fact(`${b} scores higher`, String(answer.losses)),
+      fact("Common maps", thousands(answer.maps)),
+      fact(`${a} scores higher`, thousands(answer.wins)),
+      fact("Equal", thousands(answer.ties)),
+      fact(`${b} scores higher`, thousands(answer.losses)),
     ),
-    grid(`${a} against ${b}, largest difference first`, columns, sorted),
+    sortable(`${a} against ${b}`, columns, answer.pairs, "Difference"),
   ];
 }
 
-/** Pilots of the address that have not flown the task, with a button that lets all pilots of the address fly it. @param {Context} context */
+/** Pilots of the address that no row has, with a link that lets all pilots fly. @param {Context} context */
 export function unflown(context, task, missing, pilots) {
-  const able = pilots.filter((agent) => context.pilots.some(({ id, tasks }) => id === agent && tasks.includes(task.id)));
-  const fly = () => context.router.go({ view: "fly", task: task.short_name, pilots: able });
+  const able = pilots.filter((pilot) => flies(context, task, { pilot }));
   const names = missing.map((agent) => who(context, agent)).join(" or ");
-  return [
-    el("p", { role: "status", text: `No flights of ${title(task.short_name)} by ${names} yet.` }),
-    able.length ? el("button.button", { text: able.length > 1 ? "Fly both now" : "Fly now", press: fly }) : "",
-  ];
+  const address = { task: task.short_name, pilots: able };
+  const fly = able.length ? open("Fly now", `Fly ${able.join(" and ")} now`, address) : "";
+  return el("p", { role: "status" }, `No flights of ${title(task.short_name)} by ${names} yet. `, fly);
 }
