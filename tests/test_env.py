@@ -31,7 +31,7 @@ def test_a_mission_from_map_to_grade(task: str) -> None:
     assert (episode.position, [parcel[:2] for parcel in episode.parcels]) == (city.start, [*city.deliveries])
     while not episode.ended:
         episode.step(agent.act(episode.observation()))
-    assert episode.outcome is Outcome.DELIVERED
+    assert episode.outcome is Outcome.DELIVERED or TASKS[task].family == "rush"  # which has more parcels than steps
     assert GRADERS[task](DroneState.of(episode)) == episode.score == solve(task, 7).score
 
 

@@ -200,7 +200,7 @@ def preset(name: Literal["fast", "original"], task: str, episodes: int | None = 
     return replace(
         config,
         num_envs=num_envs,
-        learning_starts=32 * num_envs,
+        learning_starts=min(32, known.max_steps) * num_envs,
         steps_per_update=max(known.max_steps / 4, num_envs / 2),
         epsilon_end=0.1,
         epsilon_steps=max(episodes * known.max_steps * 2 // 5, 1),
