@@ -115,7 +115,7 @@ def test_shipped_results_open_down_to_the_worst_map_of_a_network(page: Page, ser
     expect(page).to_have_url(re.compile(f"task=skyline_medium&seed={worst[0]}&pilot=tournet"))
     score = next(one["score"] for one in maps if one["seed"] == worst[0])
     expect(page.locator("#results-title")).to_be_visible()
-    expect(page.locator("#view-fly")).to_contain_text(f"Score {points(score)} of ")
+    expect(page.locator("#view-fly")).to_contain_text(f"{points(score)} / ")
     # A link names pilots without a run.
     show(page, "/?view=compare&task=skyline_medium&pilots=tournet,optimal")
     expect(page.locator("dl.paired")).to_contain_text("Tournet scores higher")
