@@ -94,7 +94,7 @@ def test_the_tasks_are_above_the_map_one_click_away(page: Page) -> None:
     show(page, "/?task=easy&seed=7&pilot=greedy")
     expect_task(page, "Easy")
     bar = page.get_by_role("navigation", name="Tasks").get_by_role("button")
-    expect(bar).to_have_text(["Easy", "Medium", "Hard", "Skyline", "City", "Map of the day", "Specifications"])
+    expect(bar).to_have_text(["Easy", "Medium", "Hard", "Skyline", "Rush", "City", "Map of the day", "Specifications"])
     for name, first, steps in (("Skyline", "Skyline Easy", 60), ("City", "City Small", 160), ("Medium", "Medium", 100)):
         task(page, name).click()
         expect_task(page, first)
