@@ -83,7 +83,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     expect(page.locator("#toasts")).to_contain_text("Link copied.")
     assert page.evaluate("navigator.clipboard.readText()").endswith(f"/?task={file.stem}&seed=0&pilot=human")
     press(page, "Race")
-    expect_flying(page, "Tournet", "Greedy", "Optimal", "Random", "You")
+    expect_flying(page, "Tournet", "Greedy", "Nearest neighbour", "Beam search", "Optimal", "Random", "You")
     with page.expect_response("**/maps/worth"):
         choices(page).get_by_role("link", name="Edit this map").click()
     expect(score).to_have_text(shown)

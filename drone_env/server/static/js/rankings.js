@@ -22,14 +22,17 @@ export function grid(caption, columns, rows, below = () => false) {
 
 /** The rows of a long table that are shown at first. */
 const SHOWN = 100;
+/** How the visitor has sorted each long table, and how many rows it shows: flights that end meanwhile draw it again. */
+const SORTED = new Map();
 
 /** A long table over maps, sorted by a column with a fourth part: the value of a row. @param {string} by */
 function sortable(caption, columns, rows, by) {
   const place = el("div.sortable");
-  let [down, most] = [true, SHOWN];
+  let { down, most } = SORTED.get(caption) ?? { down: true, most: SHOWN };
   const press = (name) => () => draw(name, by !== name || !down);
   function draw(name, largestFirst, all = false) {
     [by, down, most] = [name, largestFirst, all ? rows.length : most];
+    SORTED.set(caption, { by, down, most });
     const value = columns.find(([one]) => one === by)[3];
     const order = [...rows].sort((x, y) => (down ? 1 : -1) * (value(y) - value(x)) || x.seed - y.seed);
     const shown = grid(caption, columns, order.slice(0, most));
@@ -43,7 +46,7 @@ function sortable(caption, columns, rows, by) {
     const more = rows.length > most ? el("button.button.small", everything) : "";
     keepFocus(place, () => place.replaceChildren(shown, more));
   }
-  draw(by, true);
+  draw(SORTED.get(caption)?.by ?? by, down);
   return place;
 }
 
