@@ -13,9 +13,10 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
 /** The elements of index.html. */
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
+  getElementById(id: "by-hand" | "draw" | "pad" | "plan" | "playback"): HTMLTemplateElement;
   getElementById(
-    id: "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button"
-      | "own-days" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
+    id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
+      | "own-days" | "scoring" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
   ): HTMLElement;
 }
 
@@ -139,13 +140,16 @@ interface Lesson {
   goals: { text: string; done(stage: Stage): boolean }[];
 }
 
-interface StartOptions {
-  /** Whether to play at once. */
-  play?: boolean;
+/** What a start flies. */
+interface Start {
+  setup: Partial<Address>;
   /** Finished flights to show beside them. */
-  beside?: Track[];
+  beside: Track[];
   /** The pilots of the setup that still fly. */
-  flown?: string[];
+  flown: string[];
   /** The visitor's first changes: moves, `UNDO` and `VALUES`. */
-  moves?: string[];
+  moves: string[];
 }
+
+/** `play`: whether to play at once. */
+type StartOptions = Partial<Omit<Start, "setup">> & { play?: boolean };

@@ -1,6 +1,6 @@
 // HTTP requests. URLs are relative to the page, which may have a path prefix.
 import { recall, remember } from "./base.js";
-import { el, toast } from "./dom.js";
+import { toast } from "./dom.js";
 import { sentence } from "./format.js";
 
 const TOKEN = "drone-env-token";
@@ -112,31 +112,14 @@ function search(query) {
 /** Asks the visitor for the token. @param {boolean} wrong Whether the server rejected a token. @returns {Promise<string>} */
 function askForToken(wrong) {
   const dialog = document.getElementById("token");
-  const input = el("input.input", {
-    type: "password",
-    id: "token-input",
-    autocomplete: "current-password",
-    required: true,
-  });
-  const form = el(
-    "form",
-    { method: "dialog" },
-    el("h2", { id: "token-title", text: "This server requires a token" }),
-    el("p.note", {
-      text: wrong
-        ? "The server rejected this token. Try another one."
-        : "The operator of the server has it. This tab remembers it.",
-    }),
-    el("label.eyebrow", { for: "token-input", text: "Token" }),
-    input,
-    el("button.button.primary", { type: "submit", text: "Continue" }),
-  );
-  dialog.replaceChildren(form);
-  if (!dialog.open) dialog.showModal();
+  const input = dialog.querySelector("input");
+  input.value = dialog.returnValue = "";
+  dialog.querySelector("p").textContent = wrong
+    ? "The server rejected this token. Try another one."
+    : "The operator of the server has it. This tab remembers it.";
+  dialog.showModal();
   return new Promise((resolve) => {
-    let given = null;
-    form.addEventListener("submit", () => (given = input.value.trim()));
     // The page needs a token, so the dialog opens again after Escape.
-    dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
+    dialog.onclose = () => (dialog.returnValue ? resolve(input.value.trim()) : dialog.showModal());
   });
 }

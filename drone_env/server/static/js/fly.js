@@ -10,6 +10,7 @@ import { help } from "./help.js";
 import { mountHint } from "./hint.js";
 import { mountGauges, mountInstruments } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
+import { mountLesson } from "./lessons.js";
 import { mountCellNote } from "./layer_costs.js";
 import { mountCredit } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
@@ -46,9 +47,7 @@ export function mountFly(root, context) {
   const choices = mountPlan(plan, context, race, acts);
   mountFiles(choices, history, (message) => problem(message));
   mounted(bar, "div.gauges", mountGauges);
-  const lesson = el("div.lesson-bar", { hidden: true });
-  let lessons = null;
-  side.append(lesson);
+  mounted(side, "div.lesson-bar", mountLesson);
   const problem = below("problems", mountProblem, race);
   below("boards-panel", mountBoards);
   mountCellNote(middle.querySelector(".map"), context);
@@ -135,14 +134,6 @@ export function mountFly(root, context) {
     // A stored flight that is still loading for an earlier address is dropped.
     history.request += 1;
     problem(null);
-    if (address.lesson)
-      lessons ??= import("./lessons.js").then(
-        ({ mountLesson }) => mountLesson(lesson, context),
-        ({ message }) => {
-          lessons = null;
-          problem(`The lesson could not be loaded: ${message}`);
-        },
-      );
     greeting.hidden = !greets();
     if (view !== "fly") stage.clock.stop();
     else if (address.file || (address.episode && address.fork === null)) {

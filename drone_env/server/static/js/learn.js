@@ -1,7 +1,6 @@
 // Learn: a short introduction, the tutorial, and the numbers of the tasks.
 import { el, scroller, table } from "./dom.js";
 import { cellName, fixed, title } from "./format.js";
-import { ABOUT } from "./help.js";
 import { drawSign } from "./legend.js";
 import { LESSONS, goalList, isComplete, lessonLink, reached } from "./lessons.js";
 
@@ -12,7 +11,7 @@ const MORE =
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const lessons = el("ol.lessons");
-  root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons);
+  root.append(el("h2", { text: "Learn" }), el("p.about", { text: document.getElementById("about").textContent + MORE }), lessons);
   root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
   for (const family of context.families.keys()) root.append(specifications(context, family));
   root.append(legend(context));

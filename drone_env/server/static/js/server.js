@@ -56,15 +56,15 @@ export class Server extends Emitter {
     if (this.state === "away") await new Promise((resolve) => this.waiting.push(resolve));
   }
 
-  /** The answer of a request, which is repeated when the server is back. @template T @param {() => Promise<T>} ask @returns {Promise<T>} */
-  async insist(ask) {
+  /** The answer of a POST, which is repeated when the server is back. @returns {Promise<any>} */
+  async post(path, data, given = {}) {
     try {
-      return await ask();
+      return await this.api.post(path, data, given);
     } catch (error) {
       if (!(error instanceof ApiError && error.code === "away")) throw error;
     }
     await this.back();
-    return this.insist(ask);
+    return this.post(path, data, given);
   }
 
   /** Asks for the news of these topics only, until the next call: "requests", "training", "episodes". */
