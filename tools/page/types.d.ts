@@ -13,7 +13,7 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
 /** The elements of index.html. */
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
-  getElementById(id: "by-hand" | "draw" | "pad" | "plan" | "playback"): HTMLTemplateElement;
+  getElementById(id: "by-hand" | "calls" | "draw" | "lessons" | "pad" | "plan" | "playback"): HTMLTemplateElement;
   getElementById(
     id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
       | "own-days" | "scoring" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
@@ -128,16 +128,6 @@ interface Layer {
   /** Whether it has something to show. */
   when?(stage: Stage): boolean;
   draw(ctx: CanvasRenderingContext2D, view: any): void;
-}
-
-/** The numbers in its text are exact. */
-interface Lesson {
-  title: string;
-  text: string;
-  /** Its map and pilot. */
-  address: Partial<Address>;
-  /** At most ten. */
-  goals: { text: string; done(stage: Stage): boolean }[];
 }
 
 /** What a start flies. */

@@ -2,7 +2,7 @@
 import { el, scroller, table } from "./dom.js";
 import { cellName, fixed, title } from "./format.js";
 import { drawSign } from "./legend.js";
-import { LESSONS, goalList, isComplete, lessonLink, reached } from "./lessons.js";
+import { LESSONS, isComplete, lessonCard, reached } from "./lessons.js";
 
 const MORE =
   " The score counts parcels first, then the battery and the steps left. The page compares every flight with the " +
@@ -17,25 +17,20 @@ export function mount(root, context) {
   root.append(legend(context));
   context.on("view", (view) => {
     if (view !== "learn") return;
-    const next = LESSONS.findIndex((_, i) => !isComplete(i + 1));
-    lessons.replaceChildren(...LESSONS.map((_, i) => card(i + 1, i === next)));
+    const next = LESSONS.find((number) => !isComplete(number));
+    lessons.replaceChildren(...LESSONS.map((number) => card(number, number === next)));
   });
 }
 
 function card(number, isNext) {
-  const { title, text } = LESSONS[number - 1];
-  const action = isComplete(number) ? "Fly again" : reached(number).size ? "Continue" : "Begin";
-  return el(
-    "li.lesson",
-    el("h3", { text: `${number}. ${title}` }),
-    el("p", { text }),
-    goalList(number),
-    el(isNext ? "a.button.primary" : "a.button", {
-      href: lessonLink(number),
-      text: action,
-      "aria-label": `${action}: ${title}`,
-    }),
-  );
+  const card = lessonCard(number);
+  const title = card.querySelector("h3");
+  const link = card.querySelector("a");
+  link.classList.toggle("primary", isNext);
+  link.textContent = isComplete(number) ? "Fly again" : reached(number).size ? "Continue" : "Begin";
+  link.ariaLabel = `${link.textContent}: ${title.textContent}`;
+  title.prepend(`${number}. `);
+  return card;
 }
 
 const NONE = "–";

@@ -127,7 +127,6 @@ export class Race extends Emitter {
     return this.tracks.some(({ goesOn }) => goesOn);
   }
 
-  /** The task of the setup. */
   get task() {
     return this.context.task(this.setup.task);
   }
@@ -182,7 +181,6 @@ export class Race extends Emitter {
     }
   }
 
-  /** The request of the newest start. */
   request() {
     const { task, seed, profile, fork, actions, of } = this.setup;
     const request = { task, seed, reward_profile: profile, pilots: this.newest.flown, name: nameOf() };
@@ -297,7 +295,6 @@ export class Race extends Emitter {
     this.start({ ...setup, ...this.linkParts }, { play: this.playing, beside, flown, moves });
   }
 
-  /** The tracks of the flights that a start has begun. */
   tracksOf(flights) {
     const { fork, of, step, ended, actions } = this.setup;
     const brought = fork === null && of === null ? 0 : (actions ?? "").length;

@@ -9,6 +9,19 @@ const EPISODES = 50;
 
 const sleep = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
+/** The questions for news; a hidden page does not ask. The requests are a stream: questions would be requests, too. */
+const NEWS = {
+  async requests(api, tell, signal) {
+    let fresh = true;
+    await api.events("terminal_logs", signal, (requests) => {
+      tell({ requests, fresh });
+      fresh = false;
+    });
+  },
+  training: async (api, tell) => document.hidden || tell(await api.get("logs")),
+  episodes: async (api, tell) => document.hidden || tell(await api.get("episodes", { limit: EPISODES })),
+};
+
 /**
  * Events: "state" ({state: "open" or "away", wait: ms until the next try}), and news: "requests" ({requests, fresh:
  * whether they are all}), "training" (`GET /logs`), "episodes" (`GET /episodes`).
@@ -51,7 +64,6 @@ export class Server extends Emitter {
     this.api.get("health").catch(() => {});
   }
 
-  /** Waits while the server is away. */
   async back() {
     if (this.state === "away") await new Promise((resolve) => this.waiting.push(resolve));
   }
@@ -71,40 +83,20 @@ export class Server extends Emitter {
   watch(topics) {
     this.watching.abort();
     this.watching = new AbortController();
-    const { signal } = this.watching;
-    const look = {
-      requests: () => this.follow(signal),
-      training: () => this.poll("training", () => this.api.get("logs"), signal),
-      episodes: () => this.poll("episodes", () => this.api.get("episodes", { limit: EPISODES }), signal),
-    };
-    for (const topic of topics) look[topic]();
+    for (const topic of topics) this.follow(topic, this.watching.signal);
   }
 
-  /** Tells what has changed; a hidden page does not ask. */
-  async poll(topic, ask, signal) {
+  /** Asks again and again, and tells what has changed. */
+  async follow(topic, signal) {
     let told = "";
-    while (!signal.aborted) {
-      const answer = document.hidden ? null : await ask().catch(() => null);
+    const tell = (answer) => {
       const text = JSON.stringify(answer);
-      if (answer && text !== told && !signal.aborted) {
-        told = text;
-        this.emit(topic, answer);
-      }
-      await sleep(PAUSE);
-      await this.back();
-    }
-  }
-
-  /** Follows the requests of the server as a stream, because questions would be requests, too. */
-  async follow(signal) {
+      if (text !== told && !signal.aborted) this.emit(topic, answer);
+      told = text;
+    };
     while (!signal.aborted) {
-      let fresh = true;
-      const tell = (requests) => {
-        if (!signal.aborted) this.emit("requests", { requests, fresh });
-        fresh = false;
-      };
-      await this.api.events("terminal_logs", signal, tell).catch(() => {});
-      if (!signal.aborted) await sleep(PAUSE);
+      await NEWS[topic](this.api, tell, signal).catch(() => {});
+      await sleep(PAUSE);
       await this.back();
     }
   }
