@@ -13,7 +13,9 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
 /** The elements of index.html. */
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
-  getElementById(id: "by-hand" | "calls" | "draw" | "lessons" | "pad" | "plan" | "playback"): HTMLTemplateElement;
+  getElementById(
+    id: "api" | "by-hand" | "calls" | "draw" | "lessons" | "pad" | "plan" | "playback" | "thinking",
+  ): HTMLTemplateElement;
   getElementById(
     id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
       | "own-days" | "scoring" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",

@@ -7,8 +7,6 @@ const TOKEN = "drone-env-token";
 /** Characters that a header may contain. */
 const SENDABLE = /^[\x21-\x7e]+$/;
 
-const AWAY = [502, 504];
-
 /** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
   constructor(status, code, detail) {
@@ -47,7 +45,7 @@ export function createApi() {
     const how = { ...options, method, headers, body, credentials: "same-origin" };
     const response = await fetch(address(path), /** @type {RequestInit} */ (how)).catch(() => null);
     // Proxies answer 502 and 504 for a server that is away.
-    if (!response || AWAY.includes(response.status)) {
+    if (!response || [502, 504].includes(response.status)) {
       if (options.signal?.aborted) throw new ApiError(0, "aborted", "This is no longer needed.");
       api.heard(false);
       throw new ApiError(0, "away", "The server cannot be reached.");

@@ -28,7 +28,7 @@ export function mountControls(root, context, race, acts) {
     if (toggle.textContent !== word) toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
     toggle.title = `${word} (${race.byHand ? "Enter" : "Space"})`;
     toggle.disabled = !track;
-    toggle.hidden = speed.hidden = race.byHand && !race.automatic;
+    toggle.hidden = speed.hidden = race.byHand && !stage.goesOn;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.following;
     forward.disabled = !track || playing || (!stage.goesOn && clock.cursor === clock.end());

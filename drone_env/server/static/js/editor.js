@@ -170,10 +170,10 @@ export function mount(root, context) {
     download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
   }
 
-  const isNumber = (target) => target instanceof HTMLInputElement && target.type === "number";
   document.addEventListener("keydown", (event) => {
+    const isNumber = event.target instanceof HTMLInputElement && event.target.type === "number";
     const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
-    if (!undoes || context.view !== "draw" || isNumber(event.target)) return;
+    if (!undoes || context.view !== "draw" || isNumber) return;
     event.preventDefault();
     drawing.undo();
   });

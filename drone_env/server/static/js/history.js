@@ -17,7 +17,11 @@ export class FlightHistory {
     this.request = 0;
     this.shown = NONE;
     const { stage } = context;
-    stage.on("load", () => stage.tracks === this.shown.tracks || this.leave());
+    stage.on("load", () => {
+      if (stage.tracks === this.shown.tracks) return;
+      this.request += 1;
+      this.shown = NONE;
+    });
   }
 
   /** The flight of a file that is selected, as the address says it; null for the first. @returns {Partial<Address>} */
@@ -71,11 +75,6 @@ export class FlightHistory {
     const named = (track) => tracks.filter(({ called }) => called === track.called).length > 1;
     tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
     this.show(tracks, { selected: at - first, step, file, records });
-  }
-
-  leave() {
-    this.request += 1;
-    this.shown = NONE;
   }
 
   async flown(record) {

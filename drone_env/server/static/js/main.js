@@ -131,8 +131,7 @@ function mountViews(context) {
     const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
     if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
     event.preventDefault();
-    if (link.dataset.view) router.open(link.dataset.view);
-    else router.follow(link.href);
+    router.follow(link);
   });
   router.on("address", show);
   show(router.address);

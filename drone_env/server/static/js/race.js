@@ -50,10 +50,6 @@ export class Race extends Emitter {
     return this.newest.setup;
   }
 
-  get playing() {
-    return this.shown && this.stage.clock.playing;
-  }
-
   /** Whether the stage shows these flights, not a stored one. */
   get shown() {
     return this.tracks.length > 0 && this.tracks.every((track) => this.stage.tracks.includes(track));
@@ -120,11 +116,6 @@ export class Race extends Emitter {
 
   get person() {
     return this.context.pilots.find(({ automatic }) => !automatic);
-  }
-
-  /** Whether a pilot has yet to fly. */
-  get automatic() {
-    return this.tracks.some(({ goesOn }) => goesOn);
   }
 
   get task() {
@@ -277,7 +268,7 @@ export class Race extends Emitter {
     this.weigh(track);
     if (!this.shown || change === "VALUES") return;
     clock.seek(clock.newest());
-    if (!this.automatic || change === "UNDO") return;
+    if (!this.stage.goesOn || change === "UNDO") return;
     // The race goes on without the visitor.
     if (track.done) clock.play();
     else if (!clock.playing) this.stage.flyOn();
@@ -292,7 +283,7 @@ export class Race extends Emitter {
     track.opening.session = null;
     toast("The server has ended this flight. It starts again.");
     const { setup, beside, flown } = this.newest;
-    this.start({ ...setup, ...this.linkParts }, { play: this.playing, beside, flown, moves });
+    this.start({ ...setup, ...this.linkParts }, { play: this.shown && this.stage.clock.playing, beside, flown, moves });
   }
 
   tracksOf(flights) {
