@@ -14,8 +14,11 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
   getElementById(
-    id: "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button"
-      | "own-days" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
+    id: "api" | "by-hand" | "calls" | "draw" | "lessons" | "pad" | "plan" | "playback" | "thinking",
+  ): HTMLTemplateElement;
+  getElementById(
+    id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
+      | "own-days" | "scoring" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
   ): HTMLElement;
 }
 
@@ -129,23 +132,16 @@ interface Layer {
   draw(ctx: CanvasRenderingContext2D, view: any): void;
 }
 
-/** The numbers in its text are exact. */
-interface Lesson {
-  title: string;
-  text: string;
-  /** Its map and pilot. */
-  address: Partial<Address>;
-  /** At most ten. */
-  goals: { text: string; done(stage: Stage): boolean }[];
+/** What a start flies. */
+interface Start {
+  setup: Partial<Address>;
+  /** Finished flights to show beside them. */
+  beside: Track[];
+  /** The pilots of the setup that still fly. */
+  flown: string[];
+  /** The visitor's first changes: moves, `UNDO` and `VALUES`. */
+  moves: string[];
 }
 
-interface StartOptions {
-  /** Whether to play at once. */
-  play?: boolean;
-  /** Finished flights to show beside them. */
-  beside?: Track[];
-  /** The pilots of the setup that still fly. */
-  flown?: string[];
-  /** The visitor's first changes: moves, `UNDO` and `VALUES`. */
-  moves?: string[];
-}
+/** `play`: whether to play at once. */
+type StartOptions = Partial<Omit<Start, "setup">> & { play?: boolean };

@@ -39,9 +39,9 @@ export function actionsOf(context, race) {
       clock.stop();
       clock.forward();
     },
-    undo: () => race.undo(),
+    undo: () => race.fly("UNDO"),
     /** Starts over, beside the same ghost if there is one. */
-    reset: () => start({ ghost: race.setup.ghost }, { beside: race.setup.ghost ? race.beside : [] }, "Start over"),
+    reset: () => start({ ghost: race.setup.ghost }, { beside: race.setup.ghost ? race.newest.beside : [] }, "Start over"),
     newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
     fork(options) {

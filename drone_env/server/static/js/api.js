@@ -1,13 +1,11 @@
 // HTTP requests. URLs are relative to the page, which may have a path prefix.
 import { recall, remember } from "./base.js";
-import { el, toast } from "./dom.js";
+import { toast } from "./dom.js";
 import { sentence } from "./format.js";
 
 const TOKEN = "drone-env-token";
 /** Characters that a header may contain. */
 const SENDABLE = /^[\x21-\x7e]+$/;
-
-const AWAY = [502, 504];
 
 /** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
@@ -47,7 +45,7 @@ export function createApi() {
     const how = { ...options, method, headers, body, credentials: "same-origin" };
     const response = await fetch(address(path), /** @type {RequestInit} */ (how)).catch(() => null);
     // Proxies answer 502 and 504 for a server that is away.
-    if (!response || AWAY.includes(response.status)) {
+    if (!response || [502, 504].includes(response.status)) {
       if (options.signal?.aborted) throw new ApiError(0, "aborted", "This is no longer needed.");
       api.heard(false);
       throw new ApiError(0, "away", "The server cannot be reached.");
@@ -112,31 +110,14 @@ function search(query) {
 /** Asks the visitor for the token. @param {boolean} wrong Whether the server rejected a token. @returns {Promise<string>} */
 function askForToken(wrong) {
   const dialog = document.getElementById("token");
-  const input = el("input.input", {
-    type: "password",
-    id: "token-input",
-    autocomplete: "current-password",
-    required: true,
-  });
-  const form = el(
-    "form",
-    { method: "dialog" },
-    el("h2", { id: "token-title", text: "This server requires a token" }),
-    el("p.note", {
-      text: wrong
-        ? "The server rejected this token. Try another one."
-        : "The operator of the server has it. This tab remembers it.",
-    }),
-    el("label.eyebrow", { for: "token-input", text: "Token" }),
-    input,
-    el("button.button.primary", { type: "submit", text: "Continue" }),
-  );
-  dialog.replaceChildren(form);
-  if (!dialog.open) dialog.showModal();
+  const input = dialog.querySelector("input");
+  input.value = dialog.returnValue = "";
+  dialog.querySelector("p").textContent = wrong
+    ? "The server rejected this token. Try another one."
+    : "The operator of the server has it. This tab remembers it.";
+  dialog.showModal();
   return new Promise((resolve) => {
-    let given = null;
-    form.addEventListener("submit", () => (given = input.value.trim()));
     // The page needs a token, so the dialog opens again after Escape.
-    dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
+    dialog.onclose = () => (dialog.returnValue ? resolve(input.value.trim()) : dialog.showModal());
   });
 }

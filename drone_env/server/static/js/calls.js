@@ -1,15 +1,14 @@
 // The prompt and the answer of a language model at the present step.
-import { el, setText } from "./dom.js";
+import { setText } from "./dom.js";
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountCalls(root, context) {
   const { stage } = context;
-  const model = el("h2.eyebrow");
-  const answer = el("pre.raw", { id: "llm-answer", tabindex: "0", "aria-label": "Answer" });
-  const prompt = el("pre.raw", { id: "llm-prompt", tabindex: "0", "aria-label": "Prompt" });
-  const note = el("p.note");
-  const details = el("details", el("summary", { text: "Prompt" }), prompt);
-  root.append(model, note, answer, details);
+  root.append(document.getElementById("calls").content);
+  const model = root.querySelector("h2");
+  const note = root.querySelector("p");
+  const [answer, prompt] = root.querySelectorAll("pre");
+  const details = root.querySelector("details");
 
   function draw() {
     const { track, clock } = stage;

@@ -31,6 +31,11 @@ export function el(tag, ...contents) {
   return node;
 }
 
+/** Adds the actions of buttons by their ids. @param {Element} root @param {Object<string, () => any>} acts */
+export function onPress(root, acts) {
+  for (const [id, act] of Object.entries(acts)) root.querySelector(`#${id}`).addEventListener("click", () => act());
+}
+
 export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
 
 /** A table with a caption for screen readers. @param {any[][]} columns Names, and whether a column contains numbers. */
@@ -87,13 +92,10 @@ export function fileField(id, accept, open) {
 /** Asks a question with two answers. @returns {Promise<boolean>} Whether the visitor chose the first one. */
 export function ask(question, yes, no) {
   const dialog = document.getElementById("ask");
-  const answer = (text, value, tag) => el(tag, { type: "submit", value, text });
-  const buttons = [answer(yes, "yes", "button.button"), answer(no, "no", "button.button.primary")];
-  const head = el("h2", { id: "ask-title", text: question });
-  dialog.replaceChildren(el("form", { method: "dialog" }, head, el("div.dialog-actions", ...buttons)));
+  const texts = [question, yes, no];
+  dialog.querySelectorAll("h2, button").forEach((node, i) => (node.textContent = texts[i]));
   dialog.returnValue = "no";
   dialog.showModal();
-  buttons[1].focus();
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
   });

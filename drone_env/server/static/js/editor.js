@@ -4,7 +4,7 @@ import { Emitter, recall, remember } from "./base.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
-import { download, el, icon, setText, toast } from "./dom.js";
+import { download, el, icon, onPress, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
 import { Worth } from "./editor_worth.js";
@@ -15,11 +15,9 @@ import { copyLink } from "./router.js";
 import { Stage } from "./stage.js";
 import { Track } from "./track.js";
 
-const SIDES = [2, 128];
 const EMPTY = 12;
 const SHOWN = new Set(["city", "signs", "best", "parcels", "drones"]);
 const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
-const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
 const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";
 
 /** Where this tab keeps the drawing of an address: Back and Reload restore it. @param {Partial<Address>} address */
@@ -38,45 +36,33 @@ export function mount(root, context) {
   context.on("theme", () => own.emit("theme"));
   const { stage } = own;
   const drawing = new Drawing(kinds);
-  const worth = new Worth(context, drawing);
   let key = null;
 
-  const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
-  const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
-  const clear = () => (isOpen() ? drawing.edit(() => (drawing.map = empty())) : become(keyOf(router.address), empty()));
-  const blank = el("button.button.small", { text: "Empty map", press: clear });
-  const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
-  const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
-  const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
-  const opening = el("div.field", ...openField(context, "map-file", toast));
-  const about = el("p.note", { text: "Drawn maps use the Skyline rules." });
-  const keys = el("p.note.keys-note", { text: "On the map, the arrow keys move a cursor and Space paints. 1 to 8 choose what." });
-  const credit = el("p.note");
-  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => tried(press) });
-  const acts = el(
-    "div.draw-acts",
-    act("fly-map", "Fly it", async () => router.go(await stored()), "button.button.primary"),
-    act("race-map", "Race", async () => router.go(await stored(true))),
-    act("link-map", "Copy link", async () => copyLink(await stored())),
-    act("save-map", "Save file", save),
-  );
-  const middle = el("div.middle");
-  root.append(
-    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, blank), keys),
-    middle,
-    el(
-      "aside.draw-side",
-      { "aria-label": "The map" },
-      worth.root,
-      worth.problem,
-      acts,
-      numbers,
-      opening,
-      about,
-      credit,
-    ),
-  );
+  root.append(document.getElementById("draw").content);
+  const tools = root.querySelector("fieldset");
+  tools.append(...PALETTE.map(choice));
+  const [undoing, , ...acts] = root.querySelectorAll("button");
+  onPress(root, {
+    "undo-drawing": () => drawing.undo(),
+    "empty-map": () => (isOpen() ? drawing.edit(() => (drawing.map = empty())) : become(keyOf(router.address), empty())),
+    "fly-map": () => tried(async () => router.go(await stored(false))),
+    "race-map": () => tried(async () => router.go(await stored(true))),
+    "link-map": () => tried(async () => copyLink(await stored(false))),
+    "save-map": () => tried(save),
+  });
+  const worth = new Worth(root, context, drawing);
+  root.querySelector(".field").append(...openField(context, "map-file", toast));
+  const numbers = root.querySelector(".draw-numbers");
+  const fields = [...numbers.querySelectorAll("input")];
+  const sides = fields.slice(0, 2);
+  for (const field of fields) {
+    const change = sides.includes(field) ? resize : setNumber;
+    field.addEventListener("change", () => field.reportValidity() && change(field));
+    field.addEventListener("blur", fill);
+  }
   root.classList.add("draw");
+  /** @type {HTMLElement} */
+  const middle = root.querySelector(".middle");
   const board = mountBoards(middle, own);
   /** @type {HTMLElement} */
   const grid = middle.querySelector(".boards");
@@ -95,11 +81,6 @@ export function mount(root, context) {
     return el("label.paint", { title: kind?.effect }, input, sign, el("span", { text: cellName(name) }));
   }
 
-  function field(id, text, min, max, change) {
-    const input = el("input.input", { id: `map-${id}`, type: "number", min, max, step: "1", on: { change, blur: fill } });
-    return { id, input, label: el("label", el("span", { text }), input) };
-  }
-
   drawing.on("stroke", changed);
   drawing.on("map", show);
   drawing.on("last", () => toast("A map needs a parcel. Move this one, or add another one first."));
@@ -112,14 +93,12 @@ export function mount(root, context) {
     undoing.disabled = !drawing.past.length;
   }
 
-  function setNumber(name) {
-    const { input } = fields.find(({ id }) => id === name);
-    if (input.reportValidity()) drawing.setNumber(name, input.value === "" ? null : Number(input.value));
+  function setNumber({ name, value }) {
+    drawing.setNumber(name, value === "" ? null : Number(value));
   }
 
   function resize() {
-    if (!sides.every(({ input }) => input.value && input.reportValidity())) return;
-    drawing.resize(...sides.map(({ input }) => Number(input.value)));
+    if (sides.every(({ value, validity }) => value && validity.valid)) drawing.resize(...sides.map(({ value }) => Number(value)));
   }
 
   function show() {
@@ -142,7 +121,7 @@ export function mount(root, context) {
     stage.world = { ...world, cells: map.cells, parcels: map.parcels };
     stage.tracks = [track];
     board.reload();
-    setText(credit, map.attribution);
+    setText(document.getElementById("map-credit"), map.attribution);
     drawBest();
   }
 
@@ -156,17 +135,17 @@ export function mount(root, context) {
     fill();
   }
   worth.on("answer", (wrong) => {
-    for (const button of acts.querySelectorAll("button")) button.disabled = wrong !== null;
+    for (const button of acts) button.disabled = wrong !== null;
     drawBest();
   });
 
   function fill() {
     const { map } = drawing;
-    const numbers = map && { columns: map.cells[0].length, rows: map.cells.length, ...map.numbers };
-    for (const { id, input } of [...sides, ...fields]) {
-      input.disabled = map === null;
-      if (document.activeElement !== input) input.value = numbers?.[id] ?? "";
-      input.placeholder = worth.answer?.numbers[id] ?? "";
+    const drawn = map && { columns: map.cells[0].length, rows: map.cells.length, ...map.numbers };
+    for (const field of fields) {
+      field.disabled = map === null;
+      if (document.activeElement !== field) field.value = drawn?.[field.name] ?? "";
+      field.placeholder = worth.answer?.numbers[field.name] ?? "";
     }
   }
 
@@ -178,7 +157,7 @@ export function mount(root, context) {
   }
 
   /** Stores the map; the address where the visitor flies it, in a race with all others who can. */
-  async function stored(race = false) {
+  async function stored(race) {
     const answer = await api.post("maps", drawing.map);
     add(context, answer);
     const { id } = answer.task;
@@ -191,10 +170,10 @@ export function mount(root, context) {
     download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
   }
 
-  const isNumber = (target) => target instanceof HTMLInputElement && target.type === "number";
   document.addEventListener("keydown", (event) => {
+    const isNumber = event.target instanceof HTMLInputElement && event.target.type === "number";
     const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
-    if (!undoes || context.view !== "draw" || isNumber(event.target)) return;
+    if (!undoes || context.view !== "draw" || isNumber) return;
     event.preventDefault();
     drawing.undo();
   });

@@ -1,7 +1,7 @@
 // The optimum of a drawn map, which the server computes after each change.
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
-import { el, setText } from "./dom.js";
+import { setText } from "./dom.js";
 import { counted, points } from "./format.js";
 
 /** Milliseconds until the next request to a busy server. */
@@ -11,8 +11,8 @@ const LATE = 400;
 
 /** Events: "answer" (wrong) another answer is shown, or none while the server computes; why the map is invalid, or null. */
 export class Worth extends Emitter {
-  /** @param {Context} context @param {Drawing} drawing */
-  constructor({ api }, drawing) {
+  /** @param {HTMLElement} root @param {Context} context @param {Drawing} drawing */
+  constructor(root, { api }, drawing) {
     super();
     this.api = api;
     this.drawing = drawing;
@@ -20,10 +20,10 @@ export class Worth extends Emitter {
     this.answer = null;
     this.asking = false;
     this.newest = null;
-    this.score = el("strong.hero-number", { id: "map-optimum", text: "–" });
-    this.note = el("span.hero-note", { id: "map-note" });
-    this.problem = el("p.problem", { role: "alert", hidden: true });
-    this.root = el("div.score-main", { role: "status" }, el("span.eyebrow", { text: "Optimum" }), this.score, this.note);
+    this.score = root.querySelector("#map-optimum");
+    this.note = root.querySelector("#map-note");
+    /** @type {HTMLElement} */
+    this.problem = root.querySelector(".problem");
   }
 
   /** Asks for the present map: one request at a time, then one for the newest map. */

@@ -10,6 +10,7 @@ import { help } from "./help.js";
 import { mountHint } from "./hint.js";
 import { mountGauges, mountInstruments } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
+import { mountLesson } from "./lessons.js";
 import { mountCellNote } from "./layer_costs.js";
 import { mountCredit } from "./legend.js";
 import { mountMapValues, mountSwitches } from "./map_values.js";
@@ -46,9 +47,7 @@ export function mountFly(root, context) {
   const choices = mountPlan(plan, context, race, acts);
   mountFiles(choices, history, (message) => problem(message));
   mounted(bar, "div.gauges", mountGauges);
-  const lesson = el("div.lesson-bar", { hidden: true });
-  let lessons = null;
-  side.append(lesson);
+  mounted(side, "div.lesson-bar", mountLesson);
   const problem = below("problems", mountProblem, race);
   below("boards-panel", mountBoards);
   mountCellNote(middle.querySelector(".map"), context);
@@ -104,7 +103,6 @@ export function mountFly(root, context) {
 
   // The bare address greets the visitor above a map, which waits to be flown.
   const greeting = document.getElementById("hello");
-  const greets = () => router.bare;
   function greeted() {
     const { task, seed } = greeting.dataset;
     return race.complete({ task, seed: Number(seed), pilots: race.able(context.task(task)).slice(0, 1) });
@@ -114,12 +112,12 @@ export function mountFly(root, context) {
 
   function writeAddress() {
     // Values of the flights that a start replaces may still arrive.
-    if (!race.shown || race.starting || context.view !== "fly" || (greets() && waits())) return;
-    router.flies(present(), greets());
+    if (!race.shown || race.starting || context.view !== "fly" || (router.bare && waits())) return;
+    router.flies(present(), router.bare);
     greeting.hidden = true;
   }
   race.on("begun", writeAddress);
-  stage.on("frames", () => greets() && writeAddress());
+  stage.on("frames", () => router.bare && writeAddress());
   stage.on("load", () => problem(null));
   root.classList.add("empty");
   race.on("ended", (track) => {
@@ -135,15 +133,7 @@ export function mountFly(root, context) {
     // A stored flight that is still loading for an earlier address is dropped.
     history.request += 1;
     problem(null);
-    if (address.lesson)
-      lessons ??= import("./lessons.js").then(
-        ({ mountLesson }) => mountLesson(lesson, context),
-        ({ message }) => {
-          lessons = null;
-          problem(`The lesson could not be loaded: ${message}`);
-        },
-      );
-    greeting.hidden = !greets();
+    greeting.hidden = !router.bare;
     if (view !== "fly") stage.clock.stop();
     else if (address.file || (address.episode && address.fork === null)) {
       if (history.shows(address) && history.linkParts.selected === address.selected) stage.clock.seek(address.step ?? stage.clock.end());
@@ -154,11 +144,11 @@ export function mountFly(root, context) {
   async function fly(address) {
     const unknown = address.task && !context.task(address.task);
     if (unknown && !((await open(() => context.meet(address.task))) && router.address === address)) return;
-    const wanted = greets() ? greeted() : race.complete(address);
+    const wanted = router.bare ? greeted() : race.complete(address);
     const beside = address.ghost ?? address.episode;
     const { actions } = race.linkParts;
     const goesOn = () => says(wanted, race.setup) && (address.actions ?? "") === (actions ?? "");
-    const flown = race.tracks.length > 0 && (greets() ? waits() : goesOn());
+    const flown = race.tracks.length > 0 && (router.bare ? waits() : goesOn());
     if (flown && race.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) race.show(address.step, address.selected - 1);
     else if (!beside) race.start(wanted);
@@ -177,7 +167,7 @@ export function mountFly(root, context) {
   /** Whether the stage shows the flight of the address. */
   function isShown() {
     const { address } = router;
-    if (context.view !== "fly" || greets()) return false;
+    if (context.view !== "fly" || router.bare) return false;
     if (race.shown) return !race.starting && says(race.complete(address), race.setup);
     return history.shows(address);
   }

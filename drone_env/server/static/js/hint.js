@@ -14,7 +14,7 @@ export function mountHint(root, context, race) {
   const what = root.appendChild(el("span"));
   const how = root.appendChild(el("strong"));
   function draw() {
-    const waiting = race.mine?.steps === 0 && race.automatic && !race.playing;
+    const waiting = race.mine?.steps === 0 && stage.goesOn && !stage.clock.playing;
     setText(what, (waiting ? RACE : "") + (TOUCH && camera.zoom > 1 && race.mine ? FINGERS : ""));
     setText(how, race.shown && race.human >= 0 ? FLY : "");
     // It keeps its place: the map does not move at the first step.

@@ -7,32 +7,33 @@ import { FLOWN } from "./race.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
+/** What is shown: the id of a stored flight, or a file as addresses name it; all its records, and the flights on the stage. */
+const NONE = { episode: null, file: null, records: [], tracks: null };
+
 export class FlightHistory {
   /** @param {Context} context */
   constructor(context) {
     this.context = context;
-    /** Id of the stored flight that is shown, or null. */
-    this.episode = null;
-    /** The opened file as addresses name it, or null, and its records, some of which are shown. */
-    this.file = null;
-    this.records = [];
     this.request = 0;
-    /** The flights that are shown, as the stage has them. @type {Track[]|null} */
-    this.tracks = null;
+    this.shown = NONE;
     const { stage } = context;
-    stage.on("load", () => stage.tracks === this.tracks || this.leave());
+    stage.on("load", () => {
+      if (stage.tracks === this.shown.tracks) return;
+      this.request += 1;
+      this.shown = NONE;
+    });
   }
 
   /** The flight of a file that is selected, as the address says it; null for the first. @returns {Partial<Address>} */
   get linkParts() {
-    const at = this.records.indexOf(this.context.stage.track?.record);
+    const at = this.shown.records.indexOf(this.context.stage.track?.record);
     return { selected: at > 0 ? at + 1 : null };
   }
 
   /** Whether the flights of an address are shown. @param {Address} address */
   shows({ episode, file, fork }) {
-    if (file) return file === this.file;
-    return episode !== null && fork === null && episode === this.episode;
+    if (file) return file === this.shown.file;
+    return episode !== null && fork === null && episode === this.shown.episode;
   }
 
   /** Shows the flight of an address. @param {Address} address @throws {ApiError} */
@@ -76,12 +77,6 @@ export class FlightHistory {
     this.show(tracks, { selected: at - first, step, file, records });
   }
 
-  leave() {
-    this.request += 1;
-    this.episode = this.file = this.tracks = null;
-    this.records = [];
-  }
-
   async flown(record) {
     await this.context.meet(record?.task);
     const flown = await this.context.api.post("replay", record);
@@ -93,7 +88,7 @@ export class FlightHistory {
   /** Shows the end unless a step is named: the results are beside it. */
   show(tracks, { step = null, selected = 0, episode = null, file = null, records = [] }) {
     const { stage, tasks } = this.context;
-    Object.assign(this, { tracks, episode, file, records });
+    this.shown = { episode, file, records, tracks };
     stage.show(worldOf(tracks[0].opening, tasks), tracks, { step: step ?? Infinity, selected });
     for (const track of tracks) explain(this.context, track);
   }
@@ -199,17 +194,17 @@ async function saveRecord(context) {
 /** The file field, and the choice of a flight if the file contains several. */
 export function mountFiles(root, history, problem) {
   const { router, stage } = history.context;
-  const change = () => router.go({ file: history.file, selected: flights.selectedIndex + 1 });
+  const change = () => router.go({ file: history.shown.file, selected: flights.selectedIndex + 1 });
   const flights = el("select", { id: "flight-of-file", "aria-label": "Flight of the file", hidden: true, on: { change } });
   const [field, button] = openField(history.context, "flight-file", problem);
   // The open choices would cover the flights and the error.
   field.addEventListener("change", () => (root.closest("details").open = false));
   root.append(el("div.field", field, button, flights));
 
-  let offered = history.records;
+  let offered = history.shown.records;
   stage.on("change", () => {
-    if (history.records !== offered) {
-      offered = history.records;
+    if (history.shown.records !== offered) {
+      offered = history.shown.records;
       flights.hidden = offered.length < 2;
       flights.replaceChildren(...offered.map((record, i) => el("option", { text: `${i + 1}. ${flightName(history.context, record)}` })));
     }

@@ -1,6 +1,5 @@
 // Keyboard shortcuts, the pad of buttons, and swipes on the map.
-import { el, icon, leaveFocus } from "./dom.js";
-import { title } from "./format.js";
+import { leaveFocus } from "./dom.js";
 import { STEP } from "./layer_flights.js";
 import { LAYERS } from "./layers.js";
 
@@ -30,7 +29,7 @@ export function mountKeys(context, race, acts, help) {
     ".": acts.forward,
     n: acts.newMap,
     r: acts.reset,
-    f: () => acts.fork(),
+    f: acts.fork,
     u: acts.undo,
     Backspace: acts.undo,
     ">": () => acts.faster(1),
@@ -100,25 +99,14 @@ function taken(event) {
   return isPressed(event) && (key === " " || key === "Enter");
 }
 
-const ARROW = {
-  UP: "M12 19V6M6 11l6-6 6 6",
-  DOWN: "M12 5v13M6 13l6 6 6-6",
-  LEFT: "M19 12H6M11 6l-6 6 6 6",
-  RIGHT: "M5 12h13M13 6l6 6-6 6",
-};
 const SWIPE = 24;
 
 /** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountHuman(root, context, race) {
-  const buttons = [...Object.keys(ARROW), "WAIT"].map((direction) => {
-    const drawing = ARROW[direction];
-    const word = title(direction.toLowerCase());
-    const press = () => race.fly(direction);
-    const face = drawing ? icon(drawing) : word;
-    return el("button.pad-button", { data: { direction }, "aria-label": word, press }, face);
-  });
-  const pad = el("div.pad", { role: "group", "aria-label": "Fly" }, ...buttons);
-  root.append(pad);
+  root.append(document.getElementById("pad").content);
+  for (const button of root.querySelectorAll("button")) {
+    button.addEventListener("click", () => race.fly(button.dataset.direction));
+  }
 
   function update() {
     root.hidden = !race.mine;

@@ -1,9 +1,8 @@
 // Learn: a short introduction, the tutorial, and the numbers of the tasks.
 import { el, scroller, table } from "./dom.js";
 import { cellName, fixed, title } from "./format.js";
-import { ABOUT } from "./help.js";
 import { drawSign } from "./legend.js";
-import { LESSONS, goalList, isComplete, lessonLink, reached } from "./lessons.js";
+import { LESSONS, isComplete, lessonCard, reached } from "./lessons.js";
 
 const MORE =
   " The score counts parcels first, then the battery and the steps left. The page compares every flight with the " +
@@ -12,31 +11,26 @@ const MORE =
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   const lessons = el("ol.lessons");
-  root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons);
+  root.append(el("h2", { text: "Learn" }), el("p.about", { text: document.getElementById("about").textContent + MORE }), lessons);
   root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
   for (const family of context.families.keys()) root.append(specifications(context, family));
   root.append(legend(context));
   context.on("view", (view) => {
     if (view !== "learn") return;
-    const next = LESSONS.findIndex((_, i) => !isComplete(i + 1));
-    lessons.replaceChildren(...LESSONS.map((_, i) => card(i + 1, i === next)));
+    const next = LESSONS.find((number) => !isComplete(number));
+    lessons.replaceChildren(...LESSONS.map((number) => card(number, number === next)));
   });
 }
 
 function card(number, isNext) {
-  const { title, text } = LESSONS[number - 1];
-  const action = isComplete(number) ? "Fly again" : reached(number).size ? "Continue" : "Begin";
-  return el(
-    "li.lesson",
-    el("h3", { text: `${number}. ${title}` }),
-    el("p", { text }),
-    goalList(number),
-    el(isNext ? "a.button.primary" : "a.button", {
-      href: lessonLink(number),
-      text: action,
-      "aria-label": `${action}: ${title}`,
-    }),
-  );
+  const card = lessonCard(number);
+  const title = card.querySelector("h3");
+  const link = card.querySelector("a");
+  link.classList.toggle("primary", isNext);
+  link.textContent = isComplete(number) ? "Fly again" : reached(number).size ? "Continue" : "Begin";
+  link.ariaLabel = `${link.textContent}: ${title.textContent}`;
+  title.prepend(`${number}. `);
+  return card;
 }
 
 const NONE = "–";

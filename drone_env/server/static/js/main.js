@@ -98,8 +98,6 @@ function mountConnection({ server, stage }) {
   show({ state: server.state, wait: 0 });
 }
 
-const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs", draw: "Draw a map" };
-
 /** Shows the view of the address. @param {Context} context */
 function mountViews(context) {
   const { router, server } = context;
@@ -115,6 +113,7 @@ function mountViews(context) {
     context.view = view;
     document.body.dataset.view = view;
     for (const section of sections) section.hidden = section.id !== `view-${view}`;
+    const title = document.getElementById(`view-${view}`).getAttribute("aria-label");
     if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     for (const link of links) {
       if (link.dataset.view === view) {
@@ -122,8 +121,8 @@ function mountViews(context) {
         if (!first) link.scrollIntoView({ block: "nearest", inline: "nearest" });
       } else link.removeAttribute("aria-current");
     }
-    document.getElementById("view-title").textContent = TITLES[view];
-    document.title = `${TITLES[view]} · Drone Delivery`;
+    document.getElementById("view-title").textContent = title;
+    document.title = `${title} · Drone Delivery`;
     context.emit("view", view);
   }
 
@@ -132,8 +131,7 @@ function mountViews(context) {
     const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
     if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
     event.preventDefault();
-    if (link.dataset.view) router.open(link.dataset.view);
-    else router.follow(link.href);
+    router.follow(link);
   });
   router.on("address", show);
   show(router.address);

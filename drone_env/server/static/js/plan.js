@@ -1,17 +1,21 @@
 // The flight plan: the tasks above the map, and the line that opens the choice of pilots and map.
-import { el, keepFocus, leaveFocus, setText } from "./dom.js";
+import { el, keepFocus, leaveFocus, onPress, setText } from "./dom.js";
 import { counted, title, variants } from "./format.js";
 import { copyLink } from "./router.js";
 
-/** The tasks, and the line above the map, which opens the choices. @returns {HTMLElement} The choices. */
+/** The tasks, and the line above the map, which opens the choices. @param {HTMLElement} root @returns {Element} The choices. */
 export function mountPlan(root, context, race, acts) {
-  const { stage } = context;
-  const heading = el("summary.plan-head");
-  const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, label, seed, fresh, edit, copy } = mapForm(context, acts, () => update());
-  const choices = el("div.plan-choices", pilots, form);
-  const details = el("details.plan-details", heading, choices);
-  root.append(details, el("div.plan-ways", fresh, copy));
+  const { router, stage } = context;
+  root.append(document.getElementById("plan").content);
+  const details = root.querySelector("details");
+  const heading = root.querySelector("summary");
+  const pilots = root.querySelector("fieldset");
+  const form = root.querySelector("form");
+  const label = form.querySelector("label");
+  const seed = form.querySelector("input");
+  const edit = form.querySelector("a");
+  const [fresh, copy] = root.querySelectorAll("button");
+  pilots.querySelector("legend").textContent = `Pilots, up to ${context.most}`;
   const tasks = el("nav.tasks", { "aria-label": "Tasks" });
   const drawTasks = mountTasks(tasks, context, acts);
   root.before(tasks);
@@ -24,6 +28,11 @@ export function mountPlan(root, context, race, acts) {
     if (inside(target)) heading.focus();
     close();
   });
+  onPress(root, { "new-map": acts.newMap, "copy-link": () => copyLink(router.address) });
+  seed.addEventListener("blur", update);
+  seed.addEventListener("change", openMap);
+  // Enter triggers the change event of the number, which opens the map.
+  form.addEventListener("submit", (event) => event.preventDefault());
   const rows = context.pilots.map(pilotRow);
   pilots.append(...rows.map(({ row }) => row));
 
@@ -60,6 +69,14 @@ export function mountPlan(root, context, race, acts) {
 
   const choosePilots = (pilots) => acts.start({ pilots }).finally(update);
 
+  function openMap() {
+    if (!seed.reportValidity()) return;
+    const { value } = seed;
+    // From now on the field shows the map that is flown.
+    seed.blur();
+    if (value) acts.start({ seed: Number(value) }).finally(update);
+  }
+
   function update() {
     const { setup } = race;
     const history = isHistory();
@@ -92,7 +109,7 @@ export function mountPlan(root, context, race, acts) {
   stage.on("load", update);
   context.on("view", update);
   update();
-  return choices;
+  return root.querySelector(".plan-choices");
 }
 
 /**
@@ -141,38 +158,4 @@ function mountTasks(root, context, acts) {
 function taskNote(task) {
   const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
   return `Deliver ${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
-}
-
-function mapForm({ router }, acts, update) {
-  const seed = el("input.input", {
-    id: "seed",
-    type: "number",
-    min: "0",
-    max: String(Number.MAX_SAFE_INTEGER),
-    step: "1",
-    inputmode: "numeric",
-    autocomplete: "off",
-    on: { blur: update, change: open },
-  });
-  function open() {
-    if (!seed.reportValidity()) return;
-    const { value } = seed;
-    // From now on the field shows the map that is flown.
-    seed.blur();
-    if (value) acts.start({ seed: Number(value) }).finally(update);
-  }
-  const fresh = el("button.button.small", { id: "new-map", press: acts.newMap, title: "Another map (N)", text: "New map" });
-  const copy = el("button.button.small", {
-    id: "copy-link",
-    "aria-label": "Copy link to this moment",
-    title: "Copy link to this moment",
-    text: "Copy link",
-    press: () => copyLink(router.address),
-  });
-  const edit = el("a.button.small", { id: "edit-map", text: "Edit this map" });
-  // Enter triggers the change event of the number, which opens the map.
-  const submit = (event) => event.preventDefault();
-  const label = el("label.eyebrow", { for: "seed", text: "Map" });
-  const form = el("form.map-form", { on: { submit } }, label, seed, edit);
-  return { form, label, seed, fresh, edit, copy };
 }

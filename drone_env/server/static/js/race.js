@@ -29,27 +29,25 @@ export class Race extends Emitter {
     super();
     this.context = context;
     this.stage = context.stage;
-    /** @type {Partial<Address>} */
-    this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
+    const setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
+    /** The last start that was answered. @type {Start} */
+    this.started = { setup, beside: [], flown: [], moves: [] };
+    /** The start that waits for its answer, or null. @type {Start|null} */
+    this.starting = null;
     /** The flights that this page has started. @type {Track[]} */
     this.tracks = [];
-    /** The start that waits for its answer, or null. */
-    this.starting = null;
-    /** Finished flights that are shown beside them. @type {Track[]} */
-    this.beside = [];
-    /** Ids of the pilots of the newest start. @type {string[]} */
-    this.flown = [];
-    /** What a start replaces until it is answered. */
-    this.left = {};
-    /** The visitor's changes until it is answered. @type {string[]} */
-    this.moves = [];
     this.stage.on("frames", () => this.noteEnds());
     // A closed page releases its sessions for other visitors.
     window.addEventListener("pagehide", ({ persisted }) => persisted || this.leave(this.tracks));
   }
 
-  get playing() {
-    return this.shown && this.stage.clock.playing;
+  /** The newest start. */
+  get newest() {
+    return this.starting ?? this.started;
+  }
+
+  get setup() {
+    return this.newest.setup;
   }
 
   /** Whether the stage shows these flights, not a stored one. */
@@ -88,12 +86,12 @@ export class Race extends Emitter {
 
   /** Whether keys fly: in the flight that is shown, or in one that is starting. */
   get byHand() {
-    return this.starting ? this.flown.includes(this.person.id) : this.mine !== null;
+    return this.starting ? this.starting.flown.includes(this.person.id) : this.mine !== null;
   }
 
   /** The flight that is selected unless the address says otherwise. */
   get front() {
-    return this.forked ?? this.tracks[this.human] ?? this.beside[0] ?? this.tracks[0];
+    return this.forked ?? this.tracks[this.human] ?? this.started.beside[0] ?? this.tracks[0];
   }
 
   /** The part of the address from which a fork or the visitor's flight continues, and the choice among the flights. */
@@ -120,12 +118,6 @@ export class Race extends Emitter {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
 
-  /** Whether a pilot has yet to fly. */
-  get automatic() {
-    return this.tracks.some(({ goesOn }) => goesOn);
-  }
-
-  /** The task of the setup. */
   get task() {
     return this.context.task(this.setup.task);
   }
@@ -156,24 +148,18 @@ export class Race extends Emitter {
    * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
    * @param {Partial<Address>} change @param {StartOptions} how
    */
-  async start(change = {}, how = {}) {
-    const { play = false, beside = [], flown = null, moves = [] } = how;
+  async start(change = {}, { play = false, beside = [], flown = null, moves = [] } = {}) {
     const { task, seed, profile, pilots } = this.setup;
-    const { api, server } = this.context;
     // If the server rejects the start, the present flights stay, paused.
     this.stage.clock.stop();
-    if (!this.starting) this.left = { setup: this.setup, beside: this.beside, flown: this.flown };
-    this.setup = this.complete({ task, seed, profile, pilots, ...change });
-    this.beside = beside;
-    this.flown = flown ?? this.setup.pilots;
-    this.moves = [...moves];
-    const start = (this.starting = {});
+    const setup = this.complete({ task, seed, profile, pilots, ...change });
+    const start = (this.starting = { setup, beside, flown: flown ?? setup.pilots, moves: [...moves] });
     this.emit("setup");
-    const ask = () => api.post("flights", this.request());
+    const { api, server } = this.context;
     /** @type {Track[]} */
     let tracks = [];
     try {
-      const { flights } = await (this.tracks.length ? ask() : server.insist(ask));
+      const { flights } = await (this.tracks.length ? api : server).post("flights", this.request());
       tracks = this.tracksOf(flights);
       // A link to a later moment shows that moment first.
       if (tracks.some(({ until }) => until)) await Promise.all(tracks.map((track) => this.load(track)));
@@ -186,10 +172,9 @@ export class Race extends Emitter {
     }
   }
 
-  /** The request of the newest start. */
   request() {
     const { task, seed, profile, fork, actions, of } = this.setup;
-    const request = { task, seed, reward_profile: profile, pilots: this.flown, name: nameOf() };
+    const request = { task, seed, reward_profile: profile, pilots: this.newest.flown, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork === null && of === null) return request;
     const flown = [...(actions ?? "")].map((one) => LETTERS[one] ?? one);
@@ -199,7 +184,7 @@ export class Race extends Emitter {
   /** Gives up a start that waits for its answer, and pauses. */
   rest() {
     this.stage.clock.stop();
-    if (this.starting) Object.assign(this, this.left, { starting: null });
+    this.starting = null;
   }
 
   /** Ends the sessions of flights, and the requests for them. @param {Track[]} tracks */
@@ -239,15 +224,11 @@ export class Race extends Emitter {
   /** Flies one move of the visitor, or takes one back; paused pilots take one step each. */
   fly(move) {
     if (!this.byHand) return;
-    if (this.starting) this.moves.push(move);
+    if (this.starting) this.starting.moves.push(move);
     else {
       this.stage.clock.seek(this.stage.clock.newest());
       this.change(move);
     }
-  }
-
-  undo() {
-    this.fly("UNDO");
   }
 
   /** Shows values to a visitor who flies; the record notes it. */
@@ -268,12 +249,11 @@ export class Race extends Emitter {
   }
 
   async send(track, change) {
-    const { api, server } = this.context;
     const { clock } = this.stage;
     try {
       const { session } = track.opening;
-      const ask = () => api.post("flights/change", { version: track.version, change }, { session });
-      const { frame, version, values_used, undo_used, episode } = await server.insist(ask);
+      const answer = await this.context.server.post("flights/change", { version: track.version, change }, { session });
+      const { frame, version, values_used, undo_used, episode } = answer;
       if (!this.tracks.includes(track)) return;
       if (change === "UNDO" && track.plain) toast(UNLISTED);
       Object.assign(track, { version, stored: episode });
@@ -288,7 +268,7 @@ export class Race extends Emitter {
     this.weigh(track);
     if (!this.shown || change === "VALUES") return;
     clock.seek(clock.newest());
-    if (!this.automatic || change === "UNDO") return;
+    if (!this.stage.goesOn || change === "UNDO") return;
     // The race goes on without the visitor.
     if (track.done) clock.play();
     else if (!clock.playing) this.stage.flyOn();
@@ -302,11 +282,10 @@ export class Race extends Emitter {
     }
     track.opening.session = null;
     toast("The server has ended this flight. It starts again.");
-    const { setup, linkParts, playing: play, beside, flown } = this;
-    this.start({ ...setup, ...linkParts }, { play, beside, flown, moves });
+    const { setup, beside, flown } = this.newest;
+    this.start({ ...setup, ...this.linkParts }, { play: this.shown && this.stage.clock.playing, beside, flown, moves });
   }
 
-  /** The tracks of the flights that a start has begun. */
   tracksOf(flights) {
     const { fork, of, step, ended, actions } = this.setup;
     const brought = fork === null && of === null ? 0 : (actions ?? "").length;
@@ -322,8 +301,7 @@ export class Race extends Emitter {
     if (!track.coming) return;
     const { task, seed, reward_profile } = track.opening;
     const request = { task, seed, reward_profile, by: track.provenance, actions: track.actionsTo(track.steps) };
-    const { api, server } = this.context;
-    const answer = await server.insist(() => api.post("flights/agent", request, { signal: track.loading.signal }));
+    const answer = await this.context.server.post("flights/agent", request, { signal: track.loading.signal });
     const { following } = this.stage.clock;
     track.fill(answer);
     if (!this.tracks.includes(track)) return;
@@ -340,15 +318,16 @@ export class Race extends Emitter {
   }
 
   begin(tracks, play) {
-    const { fork, step, selected: chosen } = this.setup;
+    const { setup, beside, flown, moves } = this.starting;
+    const { fork, step, selected: chosen } = setup;
+    this.started = this.starting;
     this.starting = null;
     this.leave(this.tracks);
     this.tracks = tracks;
-    for (const track of this.beside) track.live = false;
+    for (const track of beside) track.live = false;
     const { seed, short_name } = tracks[0].opening;
-    const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.flown.length);
-    const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
-    this.setup = { ...this.setup, seed, task: short_name, pilots };
+    const rest = setup.pilots.slice(0, setup.pilots.length - flown.length);
+    Object.assign(setup, { seed, task: short_name, pilots: [...rest, ...tracks.map(({ pilot }) => pilot)] });
     this.show(step, chosen - 1);
     this.emit("setup");
     this.emit("begun");
@@ -360,13 +339,12 @@ export class Race extends Emitter {
     // A fork always shows values.
     if (fork !== null) this.help();
     if (play) this.stage.clock.play();
-    const moves = this.moves.splice(0);
     for (const change of moves) this.change(change);
   }
 
   /** Puts these flights on the stage, at their newest step by default. */
   show(step = null, selected = null) {
-    const tracks = [...this.beside, ...this.tracks];
+    const tracks = [...this.started.beside, ...this.tracks];
     this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
       step: step ?? Math.max(...this.tracks.map((track) => track.steps)),
       selected: tracks[selected] ? selected : tracks.indexOf(this.front),
@@ -384,8 +362,7 @@ export class Race extends Emitter {
       const { all: frames, opening } = track;
       const actions = frames.slice(1).map(({ action }) => action);
       const flight = { task: opening.task, seed: opening.seed, actions, only: "along" };
-      const { api, server } = this.context;
-      const answer = await tried(() => server.insist(() => api.post("values", flight)));
+      const answer = await tried(() => this.context.server.post("values", flight));
       if (!answer?.along) return;
       const [optimum] = answer.along;
       answer.along.forEach((value, i) => Object.assign(frames[i], { value, regret: optimum - value }));
@@ -410,10 +387,9 @@ export class Race extends Emitter {
   }
 
   refused(error) {
-    this.starting = null;
     // Without flights that stay, the next start is one that every visitor can fly.
-    const known = { ...NOTHING, task: (this.task ?? this.context.tasks[0]).short_name };
-    Object.assign(this, this.tracks.length ? this.left : { setup: known });
+    if (!this.tracks.length) this.started.setup = { ...NOTHING, task: (this.task ?? this.context.tasks[0]).short_name };
+    this.starting = null;
     this.emit("setup");
     if (error.status) this.emit("refused", worded(error));
     else toast("The server is away. Your flight is kept; start another one when the server is back.");

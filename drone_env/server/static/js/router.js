@@ -31,12 +31,9 @@ export class Router extends Emitter {
     this.show(next);
   }
 
-  open(view) {
-    this.go(view === "fly" ? this.flight : { view });
-  }
-
-  follow(href) {
-    this.go(read(new URL(href)));
+  /** Follows a link of the page; that of Fly leads back to the last flight. @param {HTMLAnchorElement} link */
+  follow({ dataset, href }) {
+    this.go(dataset.view === "fly" ? this.flight : read(new URL(href)));
   }
 
   get bare() {

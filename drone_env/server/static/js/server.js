@@ -9,6 +9,19 @@ const EPISODES = 50;
 
 const sleep = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
+/** The questions for news; a hidden page does not ask. The requests are a stream: questions would be requests, too. */
+const NEWS = {
+  async requests(api, tell, signal) {
+    let fresh = true;
+    await api.events("terminal_logs", signal, (requests) => {
+      tell({ requests, fresh });
+      fresh = false;
+    });
+  },
+  training: async (api, tell) => document.hidden || tell(await api.get("logs")),
+  episodes: async (api, tell) => document.hidden || tell(await api.get("episodes", { limit: EPISODES })),
+};
+
 /**
  * Events: "state" ({state: "open" or "away", wait: ms until the next try}), and news: "requests" ({requests, fresh:
  * whether they are all}), "training" (`GET /logs`), "episodes" (`GET /episodes`).
@@ -51,60 +64,39 @@ export class Server extends Emitter {
     this.api.get("health").catch(() => {});
   }
 
-  /** Waits while the server is away. */
   async back() {
     if (this.state === "away") await new Promise((resolve) => this.waiting.push(resolve));
   }
 
-  /** The answer of a request, which is repeated when the server is back. @template T @param {() => Promise<T>} ask @returns {Promise<T>} */
-  async insist(ask) {
+  /** The answer of a POST, which is repeated when the server is back. @returns {Promise<any>} */
+  async post(path, data, given = {}) {
     try {
-      return await ask();
+      return await this.api.post(path, data, given);
     } catch (error) {
       if (!(error instanceof ApiError && error.code === "away")) throw error;
     }
     await this.back();
-    return this.insist(ask);
+    return this.post(path, data, given);
   }
 
   /** Asks for the news of these topics only, until the next call: "requests", "training", "episodes". */
   watch(topics) {
     this.watching.abort();
     this.watching = new AbortController();
-    const { signal } = this.watching;
-    const look = {
-      requests: () => this.follow(signal),
-      training: () => this.poll("training", () => this.api.get("logs"), signal),
-      episodes: () => this.poll("episodes", () => this.api.get("episodes", { limit: EPISODES }), signal),
-    };
-    for (const topic of topics) look[topic]();
+    for (const topic of topics) this.follow(topic, this.watching.signal);
   }
 
-  /** Tells what has changed; a hidden page does not ask. */
-  async poll(topic, ask, signal) {
+  /** Asks again and again, and tells what has changed. */
+  async follow(topic, signal) {
     let told = "";
-    while (!signal.aborted) {
-      const answer = document.hidden ? null : await ask().catch(() => null);
+    const tell = (answer) => {
       const text = JSON.stringify(answer);
-      if (answer && text !== told && !signal.aborted) {
-        told = text;
-        this.emit(topic, answer);
-      }
-      await sleep(PAUSE);
-      await this.back();
-    }
-  }
-
-  /** Follows the requests of the server as a stream, because questions would be requests, too. */
-  async follow(signal) {
+      if (text !== told && !signal.aborted) this.emit(topic, answer);
+      told = text;
+    };
     while (!signal.aborted) {
-      let fresh = true;
-      const tell = (requests) => {
-        if (!signal.aborted) this.emit("requests", { requests, fresh });
-        fresh = false;
-      };
-      await this.api.events("terminal_logs", signal, tell).catch(() => {});
-      if (!signal.aborted) await sleep(PAUSE);
+      await NEWS[topic](this.api, tell, signal).catch(() => {});
+      await sleep(PAUSE);
       await this.back();
     }
   }

@@ -14,13 +14,9 @@ export function mountThinking(root, { stage }, race, acts) {
   });
   const body = el("tbody", ...rows.map(({ node }) => node));
   const shown = table("table.table.thoughts", { id: "q-values" }, "Each move from here", COLUMNS, body);
-  const ask = el("button.button.small", {
-    id: "ask-values",
-    text: "Show values",
-    title: "The record then notes that you flew with values",
-    press: () => race.help(),
-  });
-  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown);
+  root.append(document.getElementById("thinking").content, shown);
+  const ask = root.querySelector("button");
+  ask.addEventListener("click", () => race.help());
 
   /** Plays a move: continues the visitor's own flight, or forks another one. */
   function play(action) {

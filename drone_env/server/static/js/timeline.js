@@ -1,6 +1,5 @@
 // The graph of the possible score by step, one line per flight, under a slider.
 import { colourOf, fit, font, labelColour, nextFrame } from "./base.js";
-import { el } from "./dom.js";
 import { points } from "./format.js";
 import { describe } from "./moves.js";
 
@@ -14,19 +13,9 @@ const SHORTEST = 10;
 /** @param {HTMLElement} root @param {Context} context */
 export function mountTimeline(root, context) {
   const { stage } = context;
-  const canvas = el("canvas.timeline-graph", { "aria-hidden": "true" });
-  const slider = el("input.timeline-slider", {
-    type: "range",
-    id: "timeline",
-    min: "0",
-    max: "0",
-    step: "1",
-    value: "0",
-    "aria-label": "Step of the flight",
-    on: { input: () => stage.clock.goTo(Number(slider.value)) },
-  });
-  root.classList.add("timeline");
-  root.append(canvas, slider);
+  const canvas = root.querySelector("canvas");
+  const slider = root.querySelector("input");
+  slider.addEventListener("input", () => stage.clock.goTo(Number(slider.value)));
 
   function draw() {
     const { width, height, scale } = size;

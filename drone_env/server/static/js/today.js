@@ -61,24 +61,20 @@ function ownDays() {
   ];
 }
 
+/** @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountByHand(root, context, race, acts) {
   const { api, stage } = context;
   let [today, best, drawn] = [null, null, ""];
-  const head = el("h2.eyebrow");
-  const figures = el("dl.by-hand");
-  const list = el("ol.best-today");
-  const field = el("input.input", {
-    id: "name",
-    pattern: "[\\p{L}\\p{N}_\\-]{0,20}",
-    "aria-describedby": "about-name",
-    autocomplete: "nickname",
-    value: nameOf() ?? "",
-    on: { change: rename },
-  });
-  const unlisted = el("p.note", { id: "unlisted", text: UNLISTED });
-  const about = el("p.note", { id: "about-name", text: ABOUT });
-  const record = el("p.own-days");
-  root.append(head, figures, record, unlisted, list, el("label.name-field.eyebrow", "Your name", field), about);
+  root.append(document.getElementById("by-hand").content);
+  const head = root.querySelector("h2");
+  const figures = root.querySelector("dl");
+  const [record, unlisted, about] = root.querySelectorAll("p");
+  const list = root.querySelector("ol");
+  const field = root.querySelector("input");
+  field.value = nameOf() ?? "";
+  field.addEventListener("change", rename);
+  unlisted.textContent = UNLISTED;
+  about.textContent = ABOUT;
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
 
