@@ -220,6 +220,7 @@ def test_the_card_is_over_the_map_but_not_over_the_drone_until_the_visitor_close
     expect(card).not_to_have_class(re.compile("over"))
     expect(card).to_be_visible()
     # A link to the finished flight shows the same card beside the map.
+    expect(page).to_have_url(re.compile(f"step={steps}$"))
     page.reload()
     expect(ended(page)).not_to_have_class(re.compile("over"))
 
