@@ -18,16 +18,16 @@ from .test_prompts_suffice import ODD, texts_of
 SHOWN = [*TASKS.values(), *ODD]
 """The tasks of the package, and some with rules that none of those has."""
 GOLDEN = {
-    "compass-1": "aad7c8962fcd174a",
-    "coordinates-2": "e03d1ff8b5b3423e",
-    "grid-2": "46fbcc000b4c481e",
-    "minimal-2": "fd02f1aa5e0697e6",
+    "compass-1": "10cec909ac85829d",
+    "coordinates-2": "49a7eea102f85558",
+    "grid-2": "7d1e1e615ff25b2c",
+    "minimal-2": "3587f3cddd66dce6",
     "original-1": "dae768b6ecd6d669",
-    "plan-2": "251da78a5ad8dc11",
-    "think-1": "21d05c6a3eaaa573",
-    "think-plan-1": "944e110057c67e16",
-    "fly-3": "da5108711fe78e6c",
-    "route-1": "2ab7bc14f0c0d907",
+    "plan-2": "458cb8ee7f1beb94",
+    "think-1": "7d787407cec46442",
+    "think-plan-1": "d7e663d4b716d17a",
+    "fly-3": "36e2d107c9cf6c0f",
+    "route-1": "d27d1cfba351e9bf",
 }
 
 
@@ -105,7 +105,7 @@ def test_a_template_may_name_every_value(tmp_path: Path) -> None:
 @pytest.mark.feature("I3")
 def test_the_prompt_asks_for_one_word_and_tells_the_state() -> None:
     system, user = (message["content"] for message in get_prompt("minimal").messages(Episode("easy", seed=14)))
-    for told in ("delivery drone", "Goal: deliver every parcel", "exactly one", "in uppercase"):
+    for told in ("delivery drone", "Goal: deliver as many parcels as you can", "exactly one", "in uppercase"):
         assert told in system
     assert re.findall(r"\b[A-Z]{2,}\b", system) == ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
     assert user.startswith("Position: (6, 3)\nBattery: 100% (60 units)\nTarget: (5, 1)\n")

@@ -157,5 +157,5 @@ function mountTasks(root, context, acts) {
 
 function taskNote(task) {
   const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
-  return `Deliver ${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
+  return `${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
