@@ -61,7 +61,7 @@ def alone(tabs: Tabs) -> None:
     )
     for name, options in views:
         page = tabs.open(f"{HARD}&step=22", **options)
-        expect(page.locator("#optimum")).to_contain_text("of ")
+        expect(page.locator(".live-points")).to_contain_text("still possible")
         save(page, name)
 
 
