@@ -131,6 +131,8 @@ def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
     return {
         ("benchmark.md", "agents"): agents("standard", "skyline"),
+        ("benchmark.md", "agents on rush"): agents("rush"),
+        ("cities.md", "agents"): agents("city"),
         ("rules.md", "kinds"): kinds(),
         ("tasks.md", "tasks"): tasks(),
         ("cities.md", "layers"): of_cities(),

@@ -16,10 +16,13 @@ from drone_env.planning.from_observation import episode_of, read_observations
 from drone_env.planning.optimal import best_actions
 
 MAX_WIDTH = 10_000
+"""A wider beam would compare each partial flight with more than this many others."""
 
 
 class PlannedAgent(StatelessAgent):
     """Follows a planned flight, and plans again from each state that it did not plan. Not thread-safe.
+
+    Plans are found by state, not by row. So the rows of a batch may be fewer at each step, as for a stateless agent.
 
     Args:
         task: The task.
@@ -115,4 +118,5 @@ class BeamAgent(NearestAgent):
 
 
 def _state(ground: npt.NDArray[np.uint8], drone: npt.NDArray[np.int64]) -> int:
+    """A key of a state. The bytes of thousands of flights over a large map would take gigabytes."""
     return hash(ground.tobytes() + drone.tobytes())

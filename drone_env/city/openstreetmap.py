@@ -347,7 +347,7 @@ class Collection:
         return tuple(name for name in named if name.text.isprintable() and len(name.text) <= MAX_TEXT)[:MAX_NAMES]
 
     def _street(self, text: str, lines: Sequence[Points]) -> tuple[float, Name] | None:
-        """The length of a street in the grid, and its name at the part that is nearest to its middle."""
+        """Measure a street in the grid, and place its name at the part nearest to its middle."""
         start, end = np.concatenate([line[:-1] for line in lines]), np.concatenate([line[1:] for line in lines])
         middle, along = (start + end) / 2, end - start
         inside = ((middle >= 0) & (middle < (self.grid.columns, self.grid.rows))).all(axis=1)

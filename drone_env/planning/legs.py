@@ -25,7 +25,7 @@ from drone_env.core.rules import step, units_left
 from drone_env.core.tables import BATTERY, CELL, OUTCOME
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError, UnsupportedTaskError
-from drone_env.planning.paths import PathSearch, find_paths, make_search
+from drone_env.planning.paths import PathSearch, find_paths, least_units, make_search
 from drone_env.planning.solver import Solver, ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, require_memory, state_arrays
 
@@ -90,11 +90,8 @@ def mark_delivered(legs: Legs, delivered: int) -> int:
 
 @jitable
 def arrives(legs: Legs, stop: int, units: int) -> bool:
-    """Whether a drone can reach a stop with these units left.
-
-    The last step to a parcel may drain more than the battery has: the drone still delivers, and `units` is negative.
-    """
-    return units > (-legs.search.tables.drain[DELIVERY_CELL * N_ACTIONS] if stop < legs.parcels else 0)
+    """Whether a drone can reach a stop with these units left."""
+    return units >= least_units(legs.search.tables, stop < legs.parcels)
 
 
 @jitable

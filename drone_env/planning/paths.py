@@ -88,6 +88,15 @@ def most_paths(task: TaskConfig) -> int:
 
 
 @jitable
+def least_units(tables: Tables, at_parcel: Any) -> int:
+    """The fewest units that a drone has left after a path to a parcel, or to another stop.
+
+    The last step to a parcel may drain more than the battery has: the drone still delivers, and the number is negative.
+    """
+    return 1 - tables.drain[DELIVERY_CELL * N_ACTIONS] if at_parcel else 1
+
+
+@jitable
 def find_paths(search: PathSearch, start: int, most: int, base: int) -> None:
     """Find all Pareto-optimal paths from a cell to each stop. A path ends at a waiting parcel, which it delivers.
 

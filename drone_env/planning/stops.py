@@ -16,7 +16,7 @@ from drone_env.core.rules import score_of, units_left
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs
+from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, least_units, move_costs
 from drone_env.planning.states import require_memory
 
 WAIT = int(Action.WAIT)
@@ -84,7 +84,7 @@ def find_chains(stops: StopMap) -> None:
         home = FAR if end > n else 0
         for pad in range(n, end):
             home = min(home, stops.units[parcel, pad])
-        stops.reserves[0, parcel] = 1 - stops.tables.drain[DELIVERY_CELL * N_ACTIONS]
+        stops.reserves[0, parcel] = least_units(stops.tables, True)
         stops.reserves[1, parcel] = home + 1
         for kind in range(2):
             chains, changed = stops.chains[kind], True
@@ -156,7 +156,7 @@ def fly_to(stops: StopMap, flight: Flight, stop: int) -> Flight:
         left -= stops.steps[place, stop]
         delivered |= stops.passed[place, stop]
     if stop < stops.parcels:
-        possible = left >= 0 and units > -stops.tables.drain[DELIVERY_CELL * N_ACTIONS]
+        possible = left >= 0 and units >= least_units(stops.tables, True)
         return Flight(delivered, stop, max(units, 0), left) if possible else flight
     charge = -stops.tables.drain[PAD_CELL * N_ACTIONS + WAIT]
     waits = (stops.tables.capacity - units + charge - 1) // charge

@@ -102,12 +102,12 @@ class Move:
 
     @property
     def first(self) -> int:
-        """Its number, as of a loop."""
+        """Its number: a move is a span of one step, beside loops of several."""
         return self.step
 
     @property
     def last(self) -> int:
-        """Its number, as of a loop."""
+        """The same number."""
         return self.step
 
 

@@ -120,7 +120,7 @@ class EpisodeView(StrictModel):
 
 
 def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
-    """The frame of an episode in its current state, with the values of a network unless that is None."""
+    """The frame of an episode in its current state. With a network, it has the network's value of each action."""
     x, y = episode.position
     last = episode.last_step
     q_values = None if network is None or episode.ended else network.q_values(episode.observation()).tolist()

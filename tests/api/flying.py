@@ -23,7 +23,7 @@ def start(client: TestClient, *pilots: str, task: str = "easy", seed: int | None
 
 
 def agent_start(shown: Message) -> Message:
-    """What asks for an agent's flight that has begun."""
+    """The request for an agent's flight that has begun."""
     opening = shown["opening"]
     fields = {name: opening[name] for name in ("task", "seed", "reward_profile")}
     by = {name: opening[name] for name in Provenance.model_fields}

@@ -162,7 +162,7 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     # A long name is broken into lines within its column.
     inside = "one.getBoundingClientRect().right <= one.closest('td').getBoundingClientRect().right"
     assert all(measured(page, "#view-compare td .named", inside))
-    # The third pilot takes the place of the first, and the page says so.
+    # The third pilot replaces the first, and a note names both.
     box(page, "Greedy").check()
     expect(box(page, MARKUP)).not_to_be_checked()
     expect(page.locator("#view-compare")).to_contain_text("Two pilots at most: Greedy takes the place of ")

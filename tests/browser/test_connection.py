@@ -27,7 +27,7 @@ def test_sessions_end_with_their_page(beside: Beside, shared: Tabs, server: Serv
             sessions.extend(flight["opening"]["session"] for flight in flights if flight["version"])
 
     def expect_open(*expected: bool) -> None:
-        """Which of the sessions that the server has named are open."""
+        """The open sessions among those that the server has named."""
 
         def state() -> list[bool]:
             answers = (server.client.get("/state", headers={"X-Session-Id": session}) for session in sessions)

@@ -31,7 +31,7 @@ from tests.browser.tabs import Tabs
 PAGE_BYTES = 300_000
 MOST_FILES = 20
 MOST_SHIFT = 0.02
-"""Google's threshold of a good page is 0.1."""
+"""Google rates a page as good up to 0.1."""
 
 
 def test_a_link_opens_exactly_its_flight(page: Page, beside: Callable[..., Page], server: Server) -> None:

@@ -245,7 +245,7 @@ def test_a_screen_reader_hears_each_move_and_reads_where_everything_is(page: Pag
     page.keyboard.press("ArrowUp")
     expect(heard).to_have_text(re.compile(r"^Column 7, row 3\. Battery 10 of 11\. Up: .*Right: edge of the map\.$"))
     page.keyboard.press("ArrowRight")
-    # What a move meets is heard before the place.
+    # The event of a move is announced before the place.
     expect(heard).to_have_text(re.compile(r"^.*\. Column 7, row 3\. Battery 9 of 11\."))
     page.get_by_text("The map in words").click()
     words = page.locator(".text-map")

@@ -35,7 +35,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     over(page, seed, f"/?task={task}&seed={seed}&pilot=human")
     expect_step(page, 0, get_task(task).max_steps)
     refused = page.get_by_role("alert").filter(has_text="without spaces")
-    # What always stands there is no alert.
+    # A note that is always there must not be an alert.
     expect(page.get_by_text("Shown to all in the list")).to_be_visible()
     expect(page.locator("#view-fly").get_by_role("alert")).to_have_count(0)
     for name, shown in (("Ada", 0), ("not a name", 1), (" undo ", 0)):

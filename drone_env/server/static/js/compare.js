@@ -134,7 +134,7 @@ class Compare {
     return this.boards.flatMap(({ rows }) => rows);
   }
 
-  /** The row of a key; a mere agent is that of this server, or else of the first run. */
+  /** The row of a key. An agent without a run means the flights on this server, or else the first run. */
   row(key) {
     return this.rows.find((row) => row.key === key) ?? this.rows.find(({ agent }) => agent === key);
   }

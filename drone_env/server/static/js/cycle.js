@@ -2,6 +2,7 @@
 import { nextFrame, recall, remember } from "./base.js";
 import { announce, el, leaveFocus, setText } from "./dom.js";
 import { title } from "./format.js";
+import { nextTask } from "./results.js";
 
 /** Keys of the visitor's choices: "on" or "off" after flights of pilots, and after flights by hand. */
 const PILOTS = "drone-env-cycle-pilots";
@@ -20,7 +21,7 @@ export function mountCycle(root, context, race) {
 
   const byHand = () => race.human >= 0;
   const isOn = () => (byHand() ? recall(PEOPLE) === "on" : recall(PILOTS) !== "off");
-  const next = () => tasks[(tasks.indexOf(stage.world.task) + 1) % tasks.length];
+  const next = () => nextTask(context.families, stage.world.task);
   /** Whether the flights on the stage have just been flown here, and the visitor looks at their end. */
   function isOver() {
     const { clock, over, world } = stage;

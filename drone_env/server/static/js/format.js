@@ -24,7 +24,7 @@ export const pointsBetween = (...scores) => scores.slice(1).map((score, i) => ro
 
 const rounded = (score) => Number((100 * score).toFixed(1));
 
-/** The best possible score of the map of a flight, null if it is unknown. @param {Track} track */
+/** The optimum of a flight's map, or null while it is unknown. @param {Track} track */
 export const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
 
 /** What a flight has lost at a frame, in points. @param {Track} track */

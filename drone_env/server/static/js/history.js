@@ -24,7 +24,7 @@ export class FlightHistory {
     });
   }
 
-  /** The flight of a file that is selected, as the address says it; null for the first. @returns {Partial<Address>} */
+  /** The selected flight of a file, as addresses write it; null for the first. @returns {Partial<Address>} */
   get linkParts() {
     const at = this.shown.records.indexOf(this.context.stage.track?.record);
     return { selected: at > 0 ? at + 1 : null };
@@ -144,7 +144,7 @@ export const openField = ({ api, router }, id, wrong) =>
       const text = await file.text();
       const isMap = file.name.toLowerCase().endsWith(".toml");
       const content = isMap ? await api.post("maps/file", { toml: text }) : readFlights(file.name, text);
-      // Each opening has an address of its own, which this tab can show again.
+      // Every time a file is opened, it gets its own address. This tab can show it again.
       const name = `${file.name}~${Date.now().toString(36)}`;
       remember(`${isMap ? MAP : FLIGHTS} ${name}`, JSON.stringify(content), "sessionStorage");
       router.go({ view: isMap ? "draw" : "fly", file: name });

@@ -6,7 +6,7 @@ import { download, el, setText } from "./dom.js";
 import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 
-/** The side of a map in pixels, and how many of them are one CSS pixel. */
+/** Side of a map in pixels, and pixels per CSS pixel. */
 const IMAGE = { side: 1200, scale: 2 };
 const FILM = { side: 480, scale: 1 };
 const LINE = 20;

@@ -20,7 +20,7 @@ export function grid(caption, columns, rows, below = () => false) {
   return scroller(caption, table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))));
 }
 
-/** The rows of a long table that are shown at first. */
+/** Number of rows that a long table shows at first. */
 const SHOWN = 100;
 /** How the visitor has sorted each long table, and how many rows it shows: flights that end meanwhile draw it again. */
 const SORTED = new Map();

@@ -219,7 +219,7 @@ function statistics({ episodes, success_trend: trend, action_distribution: share
   );
 }
 /** The next task of the family, or the last one again. Only the standard ones begin again: Easy, Medium, Hard, Easy. */
-function nextTask(families, task) {
+export function nextTask(families, task) {
   const group = families.get(task.family);
   return group[group.indexOf(task) + 1] ?? (task.family === "standard" ? group[0] : task);
 }

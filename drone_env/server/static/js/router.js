@@ -119,7 +119,7 @@ function read({ search }) {
   const text = (name) => link.get(name) || null;
   const number = (name) => {
     const value = text(name);
-    // Numbers that JavaScript cannot count stay too large, and the server says so.
+    // Numbers beyond JavaScript's integers stay too large; the server rejects them with a message.
     return /^-?\d+$/.test(value ?? "") ? Math.min(Number(value), 2 ** 53) : value;
   };
   const unread = [];

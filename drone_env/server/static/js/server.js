@@ -68,7 +68,7 @@ export class Server extends Emitter {
     if (this.state === "away") await new Promise((resolve) => this.waiting.push(resolve));
   }
 
-  /** The answer of a POST, which is repeated when the server is back. @returns {Promise<any>} */
+  /** Posts, again when the server is back, and returns the answer. @returns {Promise<any>} */
   async post(path, data, given = {}) {
     try {
       return await this.api.post(path, data, given);
@@ -86,7 +86,7 @@ export class Server extends Emitter {
     for (const topic of topics) this.follow(topic, this.watching.signal);
   }
 
-  /** Asks again and again, and tells what has changed. */
+  /** Asks until the next `watch`, and emits answers that differ from the last. */
   async follow(topic, signal) {
     let told = "";
     const tell = (answer) => {
