@@ -18,7 +18,7 @@ DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
 )
 COMMANDS = (
-    *("fly", "evaluate", "compare", "leaderboard", "solve", "audit", "analyse-flight"),
+    *("fly", "evaluate", "leaderboard", "solve", "audit", "analyse-flight"),
     *("train", "infer", "replay", "dataset", "city", "serve", "doctor"),
 )
 
@@ -68,9 +68,6 @@ def _run(arguments: list[str]) -> int:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)
         print_error(error)
-        return 2
-    except MemoryError as error:
-        print_error(f"out of memory: {error}")
         return 2
     except KeyboardInterrupt:
         return 130

@@ -61,5 +61,5 @@ with tempfile.TemporaryDirectory() as folder:
     data = ["--data", folder, "--results", str(Path(folder, "results"))]
     amount = ["--episodes", str(args.episodes), "--validation-maps", str(args.maps)]
     main(["train", "--task", "courier", "--reward-profile", "parcels", *amount, *data])
-    judged = ["--agents", "random", "greedy", "pathqnet", "optimal", "--episodes", str(args.maps)]
-    main(["evaluate", "--task", "courier", *judged, "--checkpoint", str(Path(folder, "courier.safetensors"))])
+    network = f"pathqnet:{Path(folder, 'courier.safetensors')}"
+    main(["evaluate", "--task", "courier", "--agents", "random", "greedy", network, "--episodes", str(args.maps)])

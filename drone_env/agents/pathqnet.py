@@ -138,7 +138,7 @@ class PathQNetAgent(StatelessAgent):
         path = shipped_network(task) if network is None else network
         if network is None and not path.is_file():
             raise UnsupportedTaskError(
-                f"no network is shipped for {task.id!r}: name the file of one with --checkpoint, "
+                f"no network is shipped for {task.id!r}: name the file of one, as in pathqnet:FILE, "
                 f"or train one first (drone-env train --task {task.short_name})"
             )
         self._network = load_network(path)

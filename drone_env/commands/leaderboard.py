@@ -10,7 +10,7 @@ import tyro
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
 from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
-from drone_env.results.statistics import with_interval
+from drone_env.results.statistics import DIFFERENCES, PairedComparison, ci95, mean_of, with_interval
 from drone_env.results.tables import Table, known_sum, number, percent, print_table
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
@@ -23,22 +23,18 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
 
     The answers of a language model are flown again first. A run that does not match its flights is refused, and so are
     invalid and incomplete folders. Evaluations store no actions: their scores are checked against the optima of the
-    maps. Exit status: 0, or 1 if a folder is damaged.
+    maps. "- first" is the mean score minus that of the first row, map by map. Exit status: 0, or 1 if a folder is
+    damaged.
 
     Example: drone-env leaderboard data/llm/* data/evaluations/*
 
     Args:
-        folders: The folders, or folders that contain several of them.
+        folders: The folders.
         json: Print JSON instead of tables.
     """
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or evaluation, or more")
-    found: dict[Path, list[LeaderboardEntry | NotRanked]] = {}
-    for folder in folders:
-        for path in _folders_in(folder):
-            if path.resolve() not in found:
-                found[path.resolve()] = _entries(path)
-    entries = [entry for of_folder in found.values() for entry in of_folder]
+    entries = [entry for folder in folders for entry in _entries(folder)]
     boards = group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
     refused = [entry for entry in entries if isinstance(entry, NotRanked)]
     if json:
@@ -57,13 +53,6 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
     return int(any(run.damaged for run in refused))
 
 
-def _folders_in(path: Path) -> list[Path]:
-    """Return the folder itself if it contains results, else the folders with results in it."""
-    if (path / EVALUATION).exists() or (path / RUN).exists():
-        return [path]
-    return sorted(file.parent for name in (EVALUATION, RUN) for file in path.glob(f"*/{name}")) or [path]
-
-
 def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
     """Return the entries of an evaluation or of a run of a language model."""
     if (path / EVALUATION).exists():
@@ -76,18 +65,8 @@ def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
     return [NotRanked(path, f"{reason}; give a folder of evaluate --out or infer --out", damaged=True)]
 
 
-def required_entries(path: Path) -> list[LeaderboardEntry]:
-    """Return the entries of a folder of results."""
-    entries: list[LeaderboardEntry] = []
-    for entry in (entry for folder in _folders_in(path) for entry in _entries(folder)):
-        if isinstance(entry, NotRanked):
-            raise InvalidValueError(f"{path}: {entry.reason}")
-        entries.append(entry)
-    return entries
-
-
 def _table(board: Leaderboard) -> Table:
-    figures = ("score (95 %)", "normalised", "regret", "success", "errored", "unusable", "tokens")
+    figures = ("score (95 %)", "- first (95 %)", "normalised", "regret", "success", "errored", "unusable", "tokens")
     prompts = [entry.report["config"].get("prompt", "-") for entry in board.rows]
     same = Counter(zip((entry.agent for entry in board.rows), prompts, strict=True))
     rows = [
@@ -96,6 +75,7 @@ def _table(board: Leaderboard) -> Table:
             f"{entry.agent} ({entry.path.name})" if same[entry.agent, prompt] > 1 else entry.agent,
             prompt,
             with_interval(entry.report["score"], entry.report["score_ci95"]),
+            _difference(entry, board.rows[0]),
             number(entry.report["normalised"]),
             number(entry.report["regret"]),
             percent(entry.report["success_rate"]),
@@ -104,6 +84,12 @@ def _table(board: Leaderboard) -> Table:
         for rank, (entry, prompt) in enumerate(zip(board.rows, prompts, strict=True), 1)
     ]
     return Table(f"{board.task}, {board.maps}", ("", "agent or model", "prompt", *figures), rows)
+
+
+def _difference(entry: LeaderboardEntry, first: LeaderboardEntry) -> str:
+    """Return the difference of the scores, map by map."""
+    differences = PairedComparison.of(entry.results, first.results).differences
+    return "" if entry is first else with_interval(mean_of(differences), ci95(differences, DIFFERENCES))
 
 
 def _model_columns(report: dict[str, Any]) -> tuple[str, str, str]:

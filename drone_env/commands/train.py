@@ -70,7 +70,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
 
         The command continues from `data/TASK.pth` if that exists, with its settings; Ctrl-C saves and ends. The best
         network by validation is `data/TASK.safetensors`. `drone-env serve` in the same folder uses it; so does
-        `drone-env evaluate --agents pathqnet --checkpoint data/TASK.safetensors`.
+        `drone-env evaluate --agents pathqnet:data/TASK.safetensors`.
 
         The defaults below are those of the preset for the task and the number of episodes. `original` has the
         hyperparameters of the first version of this project, `fast` learns fastest. `--network tournet` has other
@@ -110,8 +110,8 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
 
         It learns from the exact value of each option (`drone_env.planning.legs`), on maps of the train split. The
         command continues from `data/tournet.pth` if that exists, with its settings; Ctrl-C saves and ends. The network
-        is `data/tournet.safetensors`; to fly it, type `drone-env evaluate --agents tournet --checkpoint
-        data/tournet.safetensors`. A network for one task is `tournet_TASK` instead of `tournet`.
+        is `data/tournet.safetensors`; to fly it, type `drone-env evaluate --agents
+        tournet:data/tournet.safetensors`. A network for one task is `tournet_TASK` instead of `tournet`.
 
         Example: drone-env train --network tournet --task all
 
@@ -184,5 +184,5 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
     log(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
     task, agent = run.trainer.config.task, "pathqnet" if unit == "episodes" else "tournet"
     task = task if task == "all" else get_task(task).short_name
-    log(f"next: drone-env evaluate --task {task} --agents greedy {agent} --checkpoint {run.network}")
+    log(f"next: drone-env evaluate --task {task} --agents greedy {agent}:{run.network}")
     return 0

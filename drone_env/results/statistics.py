@@ -2,9 +2,8 @@
 
 Flights over one map are averaged first, then the maps. `interval` is for means, `proportion` for success. Both allow
 for rare failures that the maps do not show; `benchmarks/intervals.py` measures how often they cover the truth.
-Interquartile mean and probability of improvement follow rliable (Agarwal et al., "Deep Reinforcement Learning at the
-Edge of the Statistical Precipice", 2021). rliable samples runs of given tasks; we sample maps, and two agents fly the
-same ones.
+The share of maps on which one agent is better follows rliable (Agarwal et al., "Deep Reinforcement Learning at the Edge
+of the Statistical Precipice", 2021), with maps instead of runs.
 """
 
 import math
@@ -97,19 +96,6 @@ def crossed(scores: Floats, within: Range) -> Interval | None:
     mean = over_maps.mean
     half = student(seeds - 1) * float(scores.mean(axis=1).std(ddof=1)) / math.sqrt(seeds)
     return _combined(over_maps, Interval(mean, mean - half, mean + half), within)
-
-
-def interquartile_mean(scores: Floats) -> Interval:
-    """Return the mean of the middle half of float64[n], without n // 4 scores at each end.
-
-    The interval ends at the means of as many scores that are z sqrt(n) / 2 ranks lower and higher. The rank of a
-    quantile varies no more, whatever the distribution is.
-    """
-    n = len(scores)
-    cut, shift = n // 4, math.ceil(_deviate() * math.sqrt(n) / 2)
-    ordered = np.concatenate([np.full(shift, LOWEST), np.sort(scores), np.full(shift, HIGHEST)])
-    low, mean, high = (fmean(ordered[first : first + n - 2 * cut]) for first in cut + np.arange(3) * shift)
-    return Interval(mean, low, high)
 
 
 def _combined(first: Interval, second: Interval, within: Range) -> Interval:
@@ -278,44 +264,14 @@ class PairedComparison:
     def figures(self, comparisons: int = 1) -> dict[str, Any]:
         """Return the statistics of the comparison as JSON values.
 
-        `difference` has the interval of pairs, `unpaired` the interval over different maps. `improvement` is the share
-        of maps on which `a` is better; ties count half. `comparisons` intervals hold together with 95 %.
+        `better` is the share of maps on which `a` is better; ties count half. `comparisons` intervals hold together
+        with 95 %.
 
         Raises:
             InvalidValueError: if both flew fewer than two maps.
         """
-        difference = interval(self.differences, DIFFERENCES, comparisons)
-        a, b = (interval(side.scores, SCORES, comparisons) for side in (self.a, self.b))
-        apart = Interval(difference.mean, difference.mean - a.mean + a.low, difference.mean - a.mean + a.high)
         better = np.where(np.abs(self.differences) < SAME, 0.5, self.differences > 0)
         return {
-            "maps": len(self.differences),
-            "difference": difference._asdict(),
-            "unpaired": _combined(apart, Interval(-b.mean, -b.high, -b.low), DIFFERENCES)._asdict(),
-            "improvement": interval(better, SHARES, comparisons)._asdict(),
+            "difference": interval(self.differences, DIFFERENCES, comparisons)._asdict(),
+            "better": interval(better, SHARES, comparisons)._asdict(),
         }
-
-
-def compared(agents: Mapping[str, Results]) -> dict[str, Any]:
-    """Return the statistics of each agent, and of the comparison of all others with the first, as JSON values.
-
-    The intervals of all comparisons hold together with 95 %; those of each agent hold alone.
-
-    Raises:
-        InvalidValueError: if the first and another agent have fewer than two maps in common.
-    """
-    first = next(iter(agents), None)
-    alone: dict[str, Any] = {}
-    for agent, results in agents.items():
-        rows = results.by_map()
-        alone[agent] = {
-            "score": interval(rows.scores, SCORES)._asdict(),
-            "iqm": interquartile_mean(rows.scores)._asdict(),
-            "success_rate": mean_of(rows.success),
-        }
-    others = {
-        agent: PairedComparison.of(results, agents[f"{first}"]).figures(len(agents) - 1)
-        for agent, results in agents.items()
-        if agent != first
-    }
-    return {"first": first, "agents": alone, "others": others}

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.cluster.connect import connect
+from drone_env.cluster.ray_engine import connect
 from tests.adapters.conftest import run_example
 
 

@@ -61,21 +61,16 @@ def outputs(data: Path) -> dict[str, list[str]]:
     with Store(data) as store:
         store.listed(99, patience=100)
     tasks = ("--task", "easy", "skyline_easy", "--seeds", "14:18")
-    evaluate = ("evaluate", *tasks, "--agents", "random", "pathqnet", "optimal", "--repeats", "2")
-    compare = ("compare", "random", "greedy", "pathqnet", *tasks, "--repeats", "2")
-    folders = ("compare", "greedy", str(model), str(agents[0]))
+    flyers = ("--agents", "random", "pathqnet", "optimal", "--repeats", "2", "--against", "random")
+    evaluate = ("evaluate", *tasks, *flyers)
     board = ("leaderboard", *map(str, (model, waiting, *agents)))
     kept = str(data / "kept")
     found = {
-        "evaluate --json": printed(*evaluate, "--json", "-"),
+        "evaluate --json": printed(*evaluate, "--json"),
         "evaluate": printed(*evaluate),
         "evaluate --out": printed("evaluate", "--task", "easy", "--agents", "random", "--seeds", "0:3", "--out", kept),
         "evaluation.json": (data / "kept" / "evaluation.json").read_text(),
         "pieces": "\n".join(sorted(path.name for path in (data / "kept" / "pieces").iterdir())),
-        "compare --json": printed(*compare, "--json", "-"),
-        "compare": printed(*compare),
-        "compare folders --json": printed(*folders, "--json", "-"),
-        "compare folders": printed(*folders),
         "leaderboard --json": printed(*board, "--json"),
         "leaderboard": printed(*board),
         "analyse-flight": printed("analyse-flight", "--task", "medium", "--agent", "random", "--seed", "7"),

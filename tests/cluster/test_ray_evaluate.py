@@ -29,8 +29,8 @@ def contents(folder: Path) -> dict[str, dict[str, np.ndarray]]:
 
 
 def arguments(folder: Path, *more: str) -> list[str]:
-    maps = ("--task", "easy", "--seeds", "0:2500", "--agents", "pathqnet")
-    return ["evaluate", *maps, "--out", str(folder / "results"), "--json", str(folder / "figures.json"), *more]
+    maps = ("--task", "easy", "--seeds", "0:2500")
+    return ["evaluate", *maps, "--out", str(folder / "results"), *more]
 
 
 def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Path) -> None:
@@ -40,7 +40,8 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
     shutil.copy(shipped_network(get_task("easy")), network)
     for folder in (local, on_ray):
         folder.mkdir()
-    assert main(arguments(local, "--checkpoint", str(network))) == 0
+    agent = f"pathqnet:{network}"
+    assert main(arguments(local, "--agents", agent)) == 0
     expected = contents(local / "results")
 
     def kill_a_node() -> int:
@@ -50,11 +51,9 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
 
     with ThreadPoolExecutor() as threads:
         there = threads.submit(kill_a_node)
-        options = ["--checkpoint", str(network), "--engine", "ray", "--address", cluster.address]
-        assert main(arguments(on_ray, *options)) == 0
+        assert main(arguments(on_ray, "--agents", agent, "--ray", cluster.address)) == 0
     cluster.add_node(num_cpus=1, object_store_memory=MEMORY)
     assert there.result() < len(expected), "all was done before the node was killed"
-    assert (on_ray / "figures.json").read_bytes() == (local / "figures.json").read_bytes()
     assert_same(contents(on_ray / "results"), expected)
 
 
@@ -63,7 +62,7 @@ def drone_env(*words: str, cwd: Path = ROOT, **variables: str) -> "subprocess.Co
 
 
 def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
-    words = ["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray", "--address", cluster.address]
+    words = ["evaluate", "--task", "easy", "--episodes", "1", "--ray", cluster.address]
     for token in ("", "0" * 64):
         done = drone_env(*words, HOME="/nonexistent", RAY_AUTH_TOKEN=token)
         assert (done.returncode, done.stdout) == (2, "")
@@ -72,8 +71,8 @@ def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
 
 def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Path, cluster: Any) -> None:
     (tmp_path / "cluster_hops.py").write_text(PLUGIN_OF_HOPS)
-    words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json", "-"]
-    on_ray = [*words, "--engine", "ray", "--address", cluster.address]
+    words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json"]
+    on_ray = [*words, "--ray", cluster.address]
     plugged = {"DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     # The nodes look into the folder that the driver was started in, and were themselves started without this path.
     refused = drone_env(*on_ray, **plugged)

@@ -95,7 +95,7 @@ class Installed:
         assert self.run("drone-env", "--version").split() == ["drone-env", __version__]
         origin = self.run("python", "-c", "import drone_env; print(drone_env.__file__)").strip()
         assert Path(origin).is_relative_to(self.packages), origin
-        options = ["--task", "easy", "--agents", "greedy", "optimal", "--episodes", "5", "--json", "-"]
+        options = ["--task", "easy", "--agents", "greedy", "optimal", "--episodes", "5", "--json"]
         evaluated = json.loads(self.run("drone-env", "evaluate", *options))
         assert evaluated["tasks"]["easy_delivery"]["agents"]["optimal"]["score_ratio"] == 1
         doctor = json.loads(self.run("drone-env", "doctor", "--json"))

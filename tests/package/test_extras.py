@@ -130,7 +130,7 @@ PROGRAMS: Mapping[str, str] = {
     "drone_env.cli train": "train",
     "drone_env.cli dataset --task easy --maps 1 --out x": "data",
     "drone_env.cli city x.osm --out y.toml": "city",
-    "drone_env.cli evaluate --engine ray --task easy": "cluster",
+    "drone_env.cli evaluate --ray local --task easy": "cluster",
     "drone_env.client": "server",
     "inference.py": "llm",
     "train.py": "train",
