@@ -4,8 +4,8 @@
 
 V* is the highest score that is still attainable (`planning.solver`); after the end it is the score. V*(after a) and
 Q*(before, a) are the same float, since values are compared and never summed. So every regret is the difference of two
-neighbours in `FlightAnalysis.values`, and the exact regrets add up to optimum - score. Each float regret is rounded
-once, so their sum may differ in the last digits; `FlightAnalysis.regret` is optimum - score, rounded once.
+neighbours in `FlightAnalysis.values`, and the exact regrets of an ended flight add up to optimum - score. Each float is
+rounded once, so their sum may differ in the last digits; `FlightAnalysis.regret` is optimum - score, rounded once.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -137,23 +137,6 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class GivingUp:
-    """The last state of an unfinished flight, which counts as if it had waited to the end (`Episode.counted_score`).
-
-    Attributes:
-        value: V* of the state, the highest attainable score.
-        regret: `value` minus the score after waiting to the end.
-        label: The label of the regret.
-        best_actions: All actions without regret, by number.
-    """
-
-    value: float
-    regret: float
-    label: Label
-    best_actions: tuple[Action, ...]
-
-
-@dataclass(frozen=True)
 class FlightAnalysis:
     """A flight with the exact value of each state.
 
@@ -161,10 +144,10 @@ class FlightAnalysis:
         task: The task.
         seed: The map.
         agent: Name of the pilot.
-        outcome: The outcome after the last move.
         score: The graded score; for an unfinished flight, the score after waiting to the end.
         moves: One entry per move, in order.
-        giving_up: The last state of an unfinished flight; None if the flight has ended.
+        values: V* before each move and after the last one, where it is the score if the flight has ended. They never
+            rise, and the regrets are the differences of neighbours.
         flown: The flight after its last move.
         solver: The exact values of its map.
     """
@@ -172,21 +155,11 @@ class FlightAnalysis:
     task: TaskConfig
     seed: int
     agent: str
-    outcome: Outcome
     score: float
     moves: tuple[Move, ...]
-    giving_up: GivingUp | None
+    values: tuple[float, ...]
     flown: Episode = field(repr=False, compare=False)
     solver: "Solver" = field(repr=False, compare=False)
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """V* before each move, V* of the last state of an unfinished flight, and the score; they never rise.
-
-        The regrets are the differences of neighbours.
-        """
-        stopped = () if self.giving_up is None else (self.giving_up.value,)
-        return (*(move.value for move in self.moves), *stopped, self.score)
 
     @property
     def optimum(self) -> float:
@@ -195,7 +168,7 @@ class FlightAnalysis:
 
     @property
     def regret(self) -> float:
-        """Optimum - score: the exact sum of all regrets, rounded once."""
+        """Optimum - score."""
         return self.optimum - self.score
 
     @property
@@ -278,28 +251,6 @@ class FlightAnalysis:
         """
         return self.decisive_best / self.decisive if self.decisive else None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the analysis as JSON values; positions are [x, y]; actions and events are names."""
-        return {
-            "task": self.task.id,
-            "task_version": self.task.version,
-            "seed": self.seed,
-            "agent": self.agent,
-            "ended": self.giving_up is None,
-            "outcome": self.outcome.name.lower(),
-            "score": self.score,
-            "optimum": self.optimum,
-            "regret": self.regret,
-            "accuracy": self.accuracy,
-            "decisive": self.decisive,
-            "counts": self.counts,
-            "values": list(self.values),
-            "moves": [plain(vars(move)) for move in self.moves],
-            "loops": [plain(vars(loop)) for loop in self.loops],
-            "why": self.why,
-            "giving_up": self.giving_up and plain(vars(self.giving_up)),
-        }
-
 
 def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solver] | None" = None) -> FlightAnalysis:
     """Verify a recorded flight and return the regret of every move.
@@ -352,13 +303,10 @@ def analyse_actions(
         values, path = solver.q_values_of(grids, states).tolist(), flight.path[-len(before) :]
         number = flight.steps - len(before)
         moves += [_move(start.task, number + i, *of) for i, of in enumerate(zip(path, values, strict=True), 1)]
-    giving_up = None
     score = flight.counted_score()
-    if not flight.ended:
-        value = solver.value(flight)
-        regret = value - score
-        giving_up = GivingUp(value, regret, label_of(regret, start.task), solver.optimal_actions(flight))
-    return FlightAnalysis(start.task, start.seed, agent, flight.outcome, score, tuple(moves), giving_up, flight, solver)
+    last = score if flight.ended else solver.value(flight)
+    found = (*(move.value for move in moves), last)
+    return FlightAnalysis(start.task, start.seed, agent, score, tuple(moves), found, flight, solver)
 
 
 def find_loops(flown: Episode, after: int = 0) -> tuple[Loop, ...]:

@@ -6,14 +6,13 @@ from fractions import Fraction
 
 import pytest
 
-from drone_env.core.actions import Action, Event, Outcome
+from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.flights.record import record_of
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import (
-    GivingUp,
     analyse_actions,
     analyse_flight,
     find_loops,
@@ -52,7 +51,6 @@ def test_a_blunder_by_hand() -> None:
     assert [move.mark for move in analysis.moves] == ["?", "?", "??", ""]
     assert [move.best_actions for move in analysis.moves] == [(Action.RIGHT,)] * 3 + [tuple(Action)]
     assert analysis.moves[-1].event is Event.BATTERY_DEAD
-    assert analysis.outcome is Outcome.BATTERY_DEAD
     assert (analysis.optimum, analysis.score, analysis.regret) == (0.9, 0.01, 0.9 - 0.01)
     assert analysis.counts == {"best": 1, "good": 0, "inaccuracy": 0, "mistake": 2, "blunder": 1}
     assert (analysis.decisive, analysis.accuracy) == (3, 0)
@@ -121,18 +119,15 @@ def test_regrets_add_up_to_optimum_minus_score_exactly(task: str, agent: str) ->
         assert solver.value(flight) == values[action]
     optimum = solve(task, SEED).score
     assert exact == Fraction(optimum) - Fraction(episode.score)
-    assert (analysis.optimum, analysis.score, analysis.giving_up) == (optimum, episode.score, None)
+    assert (analysis.optimum, analysis.score, analysis.values[-1]) == (optimum, episode.score, episode.score)
     assert analysis.regret == float(exact) == math.fsum(terms)
 
 
 def test_an_unfinished_flight_counts_as_waiting_to_the_end() -> None:
     flight = Episode("easy", seed=SEED).fly(letters("WW"))
     analysis = analyse_flight(record_of(flight, "someone"))
-    reachable = solve_episode(flight).score
-    best = ExactSolver(flight).optimal_actions(flight)
-    assert analysis.giving_up == GivingUp(reachable, reachable - 0.01, "blunder", best)
-    assert (analysis.score, analysis.outcome) == (0.01, Outcome.FLYING)
-    assert analysis.values == (solve("easy", SEED).score, analysis.moves[1].value, reachable, 0.01)
+    assert (analysis.score, analysis.flown.ended) == (0.01, False)
+    assert analysis.values == (solve("easy", SEED).score, analysis.moves[1].value, solve_episode(flight).score)
 
 
 @pytest.mark.parametrize("task", ["easy_delivery", "medium_delivery", "hard_delivery"])

@@ -106,7 +106,6 @@ def test_the_maps_of_a_command() -> None:
         (["train", "--gamma", "high"], "--gamma: could not convert string to float: 'high'; see drone-env train"),
         (["dataset"], "Missing from drone-env dataset: --out"),
         (["trian"], "unknown command 'trian'; did you mean 'train'?"),
-        (["analyse-flight"], "takes the file of a record alone, or --task"),
         (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
         (["fly", "--film", "flight.mp4"], "--film takes a file that ends in .gif, got flight.mp4"),

@@ -133,7 +133,7 @@ def _compared(record: EpisodeRecord) -> dict[str, Any]:
         "worst": worst and Worst(first=worst.first, last=worst.last, regret=worst.regret, why=analysis.worst_why),
         "rescue_step": analysis.rescue_step if why else None,
         "optimal_score": analysis.optimum,
-        "moves": [AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
+        "moves": [AnalysedMove(**plain(vars(move))) for move in analysis.moves],
         "optimal_steps": best.steps,
         "optimal_actions": [DIRECTIONS[action] for action in best.actions],
         "optimal_battery": Episode(analysis.task, seed=analysis.seed).fly(best.actions).battery_units,
