@@ -43,9 +43,7 @@ def print_table(
     sections: bool = False,
     alarming: Collection[int] = (),
 ) -> None:
-    """Print a table on standard output.
-
-    Nothing is cut: on a narrow terminal, neighbouring cells stand one below the other.
+    """Print a table on standard output. On a narrow terminal, long cells continue on the next line.
 
     Args:
         table: The table.
@@ -54,25 +52,12 @@ def print_table(
         sections: Whether a new value in the first column starts a section.
         alarming: Indices of rows to show in red.
     """
-    console = Console(width=None if sys.stdout.isatty() else UNLIMITED, highlight=False)
-    heights = range(1, len(table.head) + 1)
-    for height in heights:
-        shown = RichTable(
-            title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
-        )
-        for i, heading in enumerate(_stacked(table.head, names, height)):
-            shown.add_column(heading, justify="left" if i * height < names else "right", overflow="fold")
-        for i, (row, following) in enumerate(zip(table.rows, [*table.rows[1:], ("",)], strict=True)):
-            end = (sections and row[0] != following[0]) or height > 1
-            cells = _stacked(list(map(escape, row)), names, height)
-            shown.add_row(*cells, end_section=end, style="red" if i in alarming else None)
-        natural = console.measure(shown, options=console.options.update(width=UNLIMITED)).maximum
-        if natural <= console.width or height == heights[-1]:
-            console.print(shown)
-            break
-
-
-def _stacked(cells: Sequence[str], names: int, height: int) -> list[str]:
-    """Join the cells of `height` neighbouring columns, names and numbers apart."""
-    parts = (cells[:names], cells[names:])
-    return ["\n".join(part[start : start + height]) for part in parts for start in range(0, len(part), height)]
+    shown = RichTable(
+        title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
+    for i, heading in enumerate(table.head):
+        shown.add_column(heading, justify="left" if i < names else "right", overflow="fold", no_wrap=i == 0)
+    for i, (row, following) in enumerate(zip(table.rows, [*table.rows[1:], ("",)], strict=True)):
+        end = sections and row[0] != following[0]
+        shown.add_row(*map(escape, row), end_section=end, style="red" if i in alarming else None)
+    Console(width=None if sys.stdout.isatty() else UNLIMITED, highlight=False).print(shown)
