@@ -1,14 +1,15 @@
 """`drone-env`: the command line. A new command is a module of `drone_env.commands` and a name in `COMMANDS`."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
+import tyro
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
-from drone_env.commands.arguments import parsed, register_files
+from drone_env.commands.arguments import register_files
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
@@ -27,8 +28,8 @@ def _module(name: str) -> Any:
     return import_module(f"drone_env.commands.{name.replace('-', '_')}")
 
 
-def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
-    """Parse the arguments to a call of a command."""
+def _run_command(arguments: Sequence[str]) -> int | None:
+    """Run a command; wrong options end the program with status 2."""
     if arguments[:1] in (["-h"], ["--help"]):
         overview = SubcommandApp()
         for name in COMMANDS:
@@ -41,7 +42,7 @@ def _call(arguments: Sequence[str]) -> Callable[[], int | None]:
         raise UnknownNameError("command", name, COMMANDS)
     module, rest = _module(name), register_files(rest)
     command = module.train_command(rest) if name == "train" else getattr(module, name.replace("-", "_"))
-    return parsed(command, f"drone-env {name}", rest)
+    return tyro.cli(command, prog=f"drone-env {name}", args=rest, config=[tyro.conf.DisallowNone])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,7 +59,7 @@ def _run(arguments: list[str]) -> int:
             load_plugins()
         profiles = dict(REWARD_PROFILES)
         try:
-            return int(_call(arguments)() or 0)
+            return int(_run_command(arguments) or 0)
         finally:  # forget the profiles of files that the command has registered
             REWARD_PROFILES.clear()
             REWARD_PROFILES.update(profiles)

@@ -1,11 +1,7 @@
-"""Shared types of arguments, and the parser of a command line."""
+"""Shared types of arguments."""
 
-import io
 import re
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr
-from functools import partial, wraps
-from itertools import dropwhile, takewhile
 from reprlib import repr as shortened
 from typing import Annotated, Any
 
@@ -28,7 +24,6 @@ AgentName = Annotated[str, tyro.conf.arg(metavar=AGENT)]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=AGENT)]
 ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT)]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
-ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
 SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 PROFILE = "|".join((*REWARD_PROFILES, "FILE.toml"))
@@ -85,27 +80,3 @@ def select_maps(seeds: str | None, split: str | None, episodes: int | None, defa
     if split is not None or episodes is not None:
         raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
     return "custom", parse_seeds(seeds)
-
-
-def parsed(command: Callable[..., int | None], program: str, arguments: Sequence[str]) -> Callable[[], int | None]:
-    """Return the call of a command with these arguments; `--help` prints its manual and exits."""
-
-    @wraps(command)
-    def call(*args: Any, **options: Any) -> Callable[[], int | None]:
-        return partial(command, *args, **options)
-
-    box = io.StringIO()
-    try:
-        with redirect_stderr(box):
-            return tyro.cli(call, prog=program, args=arguments, config=[tyro.conf.DisallowNone])
-    except SystemExit as ended:
-        if not ended.code:
-            raise
-    # The message is between the title and the next rule; without UTF-8 a rule follows the title.
-    lines = dropwhile(_is_rule, (line.strip("│╰╯ ") for line in box.getvalue().splitlines()[1:]))
-    message = " ".join(" ".join(takewhile(lambda line: not _is_rule(line), lines)).split())
-    raise InvalidValueError(f"{message.partition(' Got errors')[0].rstrip('.')}; see {program} --help")
-
-
-def _is_rule(line: str) -> bool:
-    return line.startswith(("──", "----"))

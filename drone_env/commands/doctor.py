@@ -8,38 +8,31 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
 
 from packaging.requirements import Requirement
 
-from drone_env import __version__
 from drone_env.agents import make_agent
-from drone_env.commands.printing import print_json
 from drone_env.core.compile_cache import cache_folder
 from drone_env.envs.registry import load_plugins, plugin_names
 from drone_env.errors import DISTRIBUTION, install_command
 from drone_env.files import data_folder
 
-Finding = dict[Literal["topic", "name", "status", "detail"], str]
-"""One result. `status` is `ok`, `absent` (an extra) or `broken` (flights may fail)."""
+Finding = tuple[str, str, str, str]
+"""Topic, name, status and detail. The status is `ok`, `absent` (an extra) or `broken` (flights may fail)."""
 
 
-def doctor(json: bool = False) -> int:
+def doctor() -> int:
     """Check packages, extras, shipped networks, folders and plugins.
 
     Exit status: 0 if you can fly, 1 if something is broken. A missing extra is not broken. The command leaves no
     file behind.
-
-    Args:
-        json: Print JSON.
     """
-    findings = list(_diagnose())
-    broken = [finding["name"] for finding in findings if finding["status"] == "broken"]
-    if json:
-        print_json({"version": __version__, "healthy": not broken, "findings": findings})
-    else:
-        print("\n".join("{:9} {:16} {:9} {}".format(*finding.values()) for finding in findings))
-        print(f"\nBroken: {', '.join(broken)}" if broken else "\nFlights can be flown.")
+    broken: list[str] = []
+    for topic, name, status, detail in _diagnose():
+        print(f"{topic:9} {name:16} {status:9} {detail}")
+        if status == "broken":
+            broken.append(name)
+    print(f"\nBroken: {', '.join(broken)}" if broken else "\nFlights can be flown.")
     return 1 if broken else 0
 
 
@@ -63,7 +56,7 @@ def _checked(topic: str, name: str, check: Callable[[], object], otherwise: str 
         status, detail = "ok", str(check())
     except Exception as error:
         status, detail = otherwise, str(error)
-    return {"topic": topic, "name": name, "status": status, "detail": detail}
+    return topic, name, status, detail
 
 
 def _complete(extra: str) -> str:

@@ -7,13 +7,13 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 
 import pytest
 
 from drone_env import cli, get_task
-from drone_env.commands.arguments import REGISTERED, parsed
+from drone_env.commands.arguments import REGISTERED
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
 from tests.package.installed import copy_tracked
@@ -140,7 +140,8 @@ def _check_path(word: str, where: str) -> None:
 
 def _check_options(arguments: list[str], where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "parsed", lambda *arguments: parsed(*arguments) and bool)  # parses without calling
+        parse = cli.tyro.cli
+        patch.setattr(cli.tyro, "cli", lambda command, **how: parse(wraps(command)(lambda *_, **__: 0), **how))
         for option in REGISTERED:  # earlier commands of the page make the files
             known = get_task("easy") if option == "--task" else get_reward_profile("aligned")
             patch.setitem(REGISTERED, option, lambda file, known=known: known)

@@ -98,8 +98,7 @@ class Installed:
         options = ["--task", "easy", "--agents", "greedy", "optimal", "--episodes", "5", "--json"]
         evaluated = json.loads(self.run("drone-env", "evaluate", *options))
         assert evaluated["tasks"]["easy_delivery"]["agents"]["optimal"]["score_ratio"] == 1
-        doctor = json.loads(self.run("drone-env", "doctor", "--json"))
-        assert doctor["healthy"], doctor
+        assert self.run("drone-env", "doctor").endswith("Flights can be flown.\n")
 
     def check_server(self, files: list[str]) -> None:
         """Check the page with all its files, and a step over HTTP."""

@@ -1,10 +1,8 @@
 """`drone-env doctor` on a sound machine and on broken ones."""
 
-import json
 import shutil
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,20 +20,20 @@ def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def diagnosis(capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, dict[str, Any]]]:
-    """The exit status, and the findings by their names."""
-    status = main(["doctor", "--json"])
-    report = json.loads(capsys.readouterr().out)
-    assert report["healthy"] == (status == 0)
-    return status, {finding["name"]: finding for finding in report["findings"]}
+def diagnosis(capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, list[str]]]:
+    """The exit status, and the status and detail of each finding by its name."""
+    status = main(["doctor"])
+    found, _, verdict = capsys.readouterr().out.rpartition("\n\n")
+    assert verdict.startswith("Broken: ") == (status == 1)
+    return status, {name: rest for _, name, *rest in (line.split(maxsplit=3) for line in found.splitlines())}
 
 
 def test_a_sound_machine(capsys: pytest.CaptureFixture[str], empty_folder: Path) -> None:
     status, found = diagnosis(capsys)
     assert status == 0
     for name in ("python", "required", "easy_delivery", "hard_delivery", "tournet", "data", "cache"):
-        assert found[name]["status"] == "ok", found[name]
-    assert found["data"]["detail"] == str(empty_folder / "data")
+        assert found[name][0] == "ok", found[name]
+    assert found["data"][1] == str(empty_folder / "data")
     assert list(empty_folder.iterdir()) == []
 
 
@@ -50,9 +48,9 @@ def test_what_is_broken(
     file.write_bytes(file.read_bytes()[:100_000])
     (empty_folder / "file").write_text("")
     monkeypatch.setenv("DRONE_ENV_DATA", "file/data")
-    status, found = diagnosis(capsys)
-    broken = {name: finding["detail"] for name, finding in found.items() if finding["status"] == "broken"}
-    assert (status, set(broken)) == (1, {"medium_delivery", "tournet", "data", "results"})
+    ended, found = diagnosis(capsys)
+    broken = {name: detail for name, (status, detail) in found.items() if status == "broken"}
+    assert (ended, set(broken)) == (1, {"medium_delivery", "tournet", "data", "results"})
     assert "gone.safetensors: name a file, as in tournet:FILE" in broken["tournet"]
 
 
@@ -63,10 +61,10 @@ def test_what_flying_needs_is_broken_if_missing_and_an_extra_is_absent(
     installed = metadata.distributions
     monkeypatch.setattr(metadata, "distributions", lambda name: () if name == missing else installed(name=name))
     ended, found = diagnosis(capsys)
-    assert (ended, {name for name in found if found[name]["status"] == "broken"}) == (status, broken)
-    assert found["all"]["status"] == "absent"
-    assert missing in found["all"]["detail"]
-    assert found["all"]["detail"].endswith(f"run: {install_command('all')}")
+    assert (ended, {name for name in found if found[name][0] == "broken"}) == (status, broken)
+    assert found["all"][0] == "absent"
+    assert missing in found["all"][1]
+    assert found["all"][1].endswith(f"run: {install_command('all')}")
 
 
 def test_a_plugin_that_cannot_be_imported_is_broken(
@@ -77,6 +75,6 @@ def test_a_plugin_that_cannot_be_imported_is_broken(
     monkeypatch.setenv("DRONE_ENV_PLUGINS", "nope, half_a_plugin,tests.toy")
     status, found = diagnosis(capsys)
     assert status == 1
-    assert [found[name]["status"] for name in ("nope", "half_a_plugin", "tests.toy")] == ["broken", "broken", "ok"]
-    assert "No module named 'nope'" in found["nope"]["detail"]
-    assert "division by zero" in found["half_a_plugin"]["detail"]
+    assert [found[name][0] for name in ("nope", "half_a_plugin", "tests.toy")] == ["broken", "broken", "ok"]
+    assert "No module named 'nope'" in found["nope"][1]
+    assert "division by zero" in found["half_a_plugin"][1]
