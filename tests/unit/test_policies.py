@@ -150,7 +150,7 @@ def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.Captu
     assert "2 flights of each stochastic agent per map" in " ".join(capsys.readouterr().out.split())
     assert len(list((folder / "pieces").iterdir())) == 3
     assert main([*command[:-1], "1", "--out", str(folder)]) == 2
-    assert "repeats: {'random on easy_delivery': 2} is now {}" in capsys.readouterr().err
+    assert "holds another evaluation: only one of the two has" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
