@@ -21,10 +21,8 @@ def audit(
     gamma: float = 1.0,
     maps: int = 20,
     split: Split = "test",
-    shaping_gamma: float | None = None,
     replay: Path | None = None,
     json: bool = False,
-    jobs: int | None = None,
 ) -> int:
     """Compute the flight that maximises a reward, and its score.
 
@@ -42,25 +40,23 @@ def audit(
         gamma: The learner's discount, 0 to 1.
         maps: Number of maps.
         split: The split; its first maps are used.
-        shaping_gamma: Discount of the shaping, if not `gamma`.
         replay: Write the flight over the worst map to this JSON file, for analyse-flight.
         json: Print JSON instead.
-        jobs: Number of threads; by default one per core.
     """
     # Imported lazily: they load a compiler.
     from drone_env.flights.record import record_of, save_record
     from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
 
     config = get_task(task)
-    profile = audited_profile(reward, gamma, shaping_gamma)
-    if maps < 1 or (jobs is not None and jobs < 1):
-        raise InvalidValueError("--maps and --jobs must be at least 1")
+    profile = audited_profile(reward, gamma)
+    if maps < 1:
+        raise InvalidValueError("--maps must be at least 1")
     if replay is not None:
         prepare_file("--replay", replay)
     seeds = split_seeds(split, maps)
     with progress_bar(f"{config.short_name} {profile.id}", maps) as advance:
         audits: list[MapAudit] = []
-        for audited in audit_maps(config, seeds, profile, gamma, jobs):
+        for audited in audit_maps(config, seeds, profile, gamma):
             audits.append(audited)
             advance()
     report = summarise_audits(config, profile, gamma, audits)

@@ -98,7 +98,9 @@ def save_film(episode: Episode, path: str | Path, size: int = 480) -> None:
         InvalidValueError: if the size is not 64 to 4096 pixels.
         OSError: if the file cannot be written.
     """
-    palette = _picture(episode, size).quantize(256)  # all pictures share the colours of the last one
+    palette = _picture(episode, size).quantize(
+        256, Image.Quantize.FASTOCTREE
+    )  # all pictures share the colours of the last one
     every = max(1, math.ceil(episode.steps / MAX_FILM))
     flown = Episode(episode.task, episode.reward_profile, episode.seed)
 

@@ -1,7 +1,6 @@
 """Many drones as one `stable_baselines3.common.vec_env.VecEnv`, stepped by compiled code."""
 
 import time
-from collections.abc import Sequence
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -11,7 +10,6 @@ from gymnasium.vector import AutoresetMode
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
-from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.forms import to_planes, to_vector
@@ -80,18 +78,12 @@ class DroneDeliveryVecEnv(VecEnv):
         self._returns = np.zeros(self.num_envs)
         self._start = time.perf_counter()
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Choose the maps seed, seed + 1, ..., seed + N - 1 for the next reset; None draws the first at random.
+    def reset(self) -> Observations:
+        """Start all episodes, on the maps that `seed` chose or else on each drone's next map.
 
         Raises:
-            InvalidValueError: if one of them is not in [0, 2^53); nothing changes.
+            InvalidValueError: if a seed is not in [0, 2^53).
         """
-        if seed is not None:
-            check_seed(check_seed(seed) + self.num_envs - 1)
-        return super().seed(seed)
-
-    def reset(self) -> Observations:
-        """Start all episodes, on the maps that `seed` chose or else on each drone's next map."""
         self._vector.reset(seed=self._seeds)
         self._reset_seeds()
         self._returns[:] = 0.0
@@ -160,10 +152,6 @@ class DroneDeliveryVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """True for SB3's `Monitor`, because infos contain `episode`; else False."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
-
-    def get_images(self) -> Sequence[None]:
-        """None for each drone: record films of a single `DroneDeliveryEnv`."""
-        return [None] * self.num_envs
 
     def close(self) -> None:
         """There is nothing to close."""

@@ -1,7 +1,8 @@
 """Results of flights over maps in columns: one row per flight or per map."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -153,3 +154,18 @@ def repeated(repeats: Sequence[Results]) -> Results:
         if results.key._replace(repeat=first.repeat) != first:
             raise InvalidValueError(f"these are not flights of one agent over the same maps: {first} and {results.key}")
     return concatenate(repeats, first)
+
+
+def results_by_agent(rows: Iterable[Any]) -> dict[str, Results]:
+    """Return the results of each agent, one row per map, from the rows of `Store.means_by_map`."""
+    found: dict[str, Results] = {}
+    columns = ("seeds", "scores", "steps", "success", "optimal_scores", "flights", "rewards", "ids")
+    for agent, group in groupby(rows, key=lambda row: row["agent"]):
+        maps = list(group)
+        first, profiles = maps[0], {row["reward_profile"] for row in maps}
+        found[agent] = Results.of_rows(
+            EpisodesKey(first["task"], first["task_version"], "custom", (first["seeds"], maps[-1]["seeds"] + 1), agent),
+            reward_profile=profiles.pop() if len(profiles) == 1 else None,
+            **{name: [row[name] for row in maps] for name in columns},
+        )
+    return found

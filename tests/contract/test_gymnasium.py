@@ -45,9 +45,7 @@ STANDARD, SKYLINE = IDS[0], IDS[3]
 """One of each kind: tasks differ in their numbers alone, and Skyline's telemetry has more values."""
 
 
-@pytest.mark.parametrize(
-    ("env_id", "render_mode"), [(STANDARD, None), (STANDARD, "ansi"), (STANDARD, "rgb_array"), (SKYLINE, None)]
-)
+@pytest.mark.parametrize(("env_id", "render_mode"), [(STANDARD, "ansi"), (STANDARD, "rgb_array"), (SKYLINE, None)])
 def test_gymnasium_check_env_passes_without_a_warning(env_id: str, render_mode: str | None) -> None:
     check_env(make(env_id, render_mode=render_mode).unwrapped)
 

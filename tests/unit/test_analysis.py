@@ -21,14 +21,8 @@ from drone_env.results.analysis import (
 )
 from tests.api.flying import flown
 from tests.toy import toy_episode
-from tests.which_tasks import SMALL
 
 SEED = 7
-AGENTS = ("random", "greedy", "optimal")
-FLIGHTS = [
-    (task, agent) for task in SMALL if task not in ("skyline_hard", "rush_hard", "city_small") for agent in AGENTS
-]
-"""Flights over maps whose values take milliseconds."""
 MAP = ["@.0", "..."]
 """Two steps to the only parcel. With 4 steps: V* is 0.8 + 0.2 * 2/4 = 0.9 at the start, each step lost costs 0.05."""
 
@@ -76,7 +70,6 @@ def test_the_only_move_by_hand() -> None:
         # The first wait on the pad fills the battery.
         (["P@.", "..0"], "LWWRLWRLWRLW", (3, 11, "WRL", "circled a pad for 9 steps", 8)),
         (["P@.", "..0"], "RRRLLWWWWWW", (6, 11, "W", "stayed on a pad for 6 steps", 1)),
-        (MAP, "WWWWW", None),  # too few
         (MAP, "RLRL", None),
         (["@.......", ".......0"], "RRRRRRR", None),  # the same action over other cells
     ],
@@ -103,7 +96,8 @@ def test_a_failed_flight_that_lost_nothing_is_not_blamed() -> None:
     assert (analysis.regret, analysis.worst, analysis.why) == (0, None, "No flight over this map scores more.")
 
 
-@pytest.mark.parametrize(("task", "agent"), FLIGHTS)
+@pytest.mark.parametrize("task", ["easy", "hard", "skyline_easy", "rush_easy"])
+@pytest.mark.parametrize("agent", ["random", "greedy", "optimal"])
 def test_regrets_add_up_to_optimum_minus_score_exactly(task: str, agent: str) -> None:
     episode = flown(task, agent)
     analysis = analyse_flight(record_of(episode, agent))
@@ -130,7 +124,7 @@ def test_an_unfinished_flight_counts_as_waiting_to_the_end() -> None:
     assert analysis.values == (solve("easy", SEED).score, analysis.moves[1].value, solve_episode(flight).score)
 
 
-@pytest.mark.parametrize("task", ["easy_delivery", "medium_delivery", "hard_delivery"])
+@pytest.mark.parametrize("task", ["easy_delivery", "hard_delivery"])
 def test_labels_go_by_the_value_of_a_parcel(task: str) -> None:
     parcels = (0.0, 1e-9, 0.0079, 0.0081, 0.049, 0.051, 0.49, 0.51)
     labels = [label_of(regret * parcel_value(TASKS[task]), TASKS[task]) for regret in parcels]

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,11 +71,10 @@ def test_a_key_is_of_this_configuration_of_a_registered_task_and_of_its_split() 
         episodes_key("easy", "greedy", range(2**52 - 1, 2**52 + 1), "train")
     with pytest.raises(UnknownNameError, match="custom"):
         episodes_key("easy", "greedy", range(2), "dev")
-    for seeds in (range(0), range(0, 10, 2), range(-1, 3), range(2**53 - 1, 2**53 + 1)):
+    seeds: Any
+    for seeds in (range(0), range(0, 10, 2), range(-1, 3), range(2**53 - 1, 2**53 + 1), [1, 2]):
         with pytest.raises(InvalidValueError):
-            episodes_key("easy", "greedy", seeds)
-    with pytest.raises(InvalidValueError, match=r"seeds must be a range .* got \[1, 2\]"):
-        evaluate("greedy", "easy", seeds=cast(Any, [1, 2]))
+            evaluate("greedy", "easy", seeds=seeds)
 
 
 def test_a_key_names_a_network_by_what_its_file_holds(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def test_results_of_code_without_a_file_are_never_those_of_other_code(monkeypatc
 
 
 def test_of_who_draws_lots_each_flight_over_a_map_is_another_and_the_same_every_time(mine: Any) -> None:
-    for name in ("random", "my_policies:Dice"):
+    for name in ("my_policies:Dice",):
         keys = repeats_of(episodes_key("easy", name, range(30)), 3)
         assert [key.repeat for key in keys] == [0, 1, 2]
         flown = [run_episodes(key) for key in keys]
@@ -159,7 +159,6 @@ def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.Captu
         ("my_policies:missing", "my_policies.py has no 'missing'"),
         ("nowhere_at_all:chase", "cannot import module 'nowhere_at_all': ModuleNotFoundError"),
         ("my_policies:Homeless", "agent 'Homeless' on 'easy_delivery', constructor: TypeError"),
-        ("my_policies:number", "an agent is a function of the observation, an object"),
         ("leaving_policies:fly", "cannot import module 'leaving_policies': SystemExit: 0"),
     ],
 )

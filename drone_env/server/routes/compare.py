@@ -13,9 +13,8 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
 from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import Count, Seed, StrictModel
-from drone_env.results.flown import results_by_agent
 from drone_env.results.folder import SHIPPED
-from drone_env.results.result import Result, Results
+from drone_env.results.result import Result, Results, results_by_agent
 from drone_env.results.statistics import DIFFERENCES, Bounds, PairedComparison, ci95, mean_of, ranked
 from drone_env.server.exceptions import error_responses
 from drone_env.server.jobs import job_context
