@@ -1,11 +1,8 @@
 """`drone-env serve`: the server."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
-from drone_env.errors import MissingPackageError, needs
-
-NEEDED = ("fastapi", "uvicorn", "websockets", "pydantic_settings", "sse_starlette")
+from drone_env.errors import needs
 
 
 def serve(
@@ -28,11 +25,8 @@ def serve(
         data: Folder of episodes, sessions and logs.
         reward_profiles: TOML files of additional reward profiles.
     """
-    for package in NEEDED:
-        if find_spec(package) is None:
-            raise MissingPackageError(package, "server")
-    from drone_env.server.process import run
-
+    with needs("server"):
+        from drone_env.server.process import run
     run(host, port, workers, data, reward_profiles)
 
 
