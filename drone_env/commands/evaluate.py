@@ -67,15 +67,17 @@ def evaluate(
         raise InvalidValueError("--task and --agents take one name or more")
     tasks = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
     made: dict[tuple[str, str], Agent] = {}
-    rows: dict[Row, tuple[EpisodesKey, ...] | Exception] = {}
-    for t, name in dict.fromkeys((t, name) for t in tasks for name in names):
+
+    def keys_of(task: TaskConfig, name: str) -> tuple[EpisodesKey, ...] | Exception:
         try:
             if name == "optimal":
-                require_solvable(t)
-            agent = made[t.id, name] = make_agent(name, t)
-            rows[t, name] = repeats_of(episodes_key(t, name, maps, chosen_split, made=agent), repeats, agent)
+                require_solvable(task)
+            agent = made[task.id, name] = make_agent(name, task)
+            return repeats_of(episodes_key(task, name, maps, chosen_split, made=agent), repeats, agent)
         except (CheckpointError, TooLargeError, UnsupportedTaskError) as error:
-            rows[t, name] = error
+            return error
+
+    rows = {(t, name): keys_of(t, name) for t in tasks for name in names}
     keys = [key for of_row in rows.values() if isinstance(of_row, tuple) for key in of_row]
     if not keys:
         raise next(of_row for of_row in rows.values() if isinstance(of_row, Exception))

@@ -71,11 +71,10 @@ def test_an_agent_that_cannot_fly_a_task_says_why_and_one_must_fly(
     assert "is not an exported network" in " ".join(capsys.readouterr().err.split())
 
 
-# The battery does not last for all four parcels of the second.
-@pytest.mark.parametrize(("task", "success"), [("medium", True), ("skyline_medium", False)])
-def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    seed = next(seed for seed in range(1000) if solve(task, seed).deliveries == 3)
-    assert main(["solve", "--task", task, "--seed", str(seed), "--json"]) == 0
+def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
+    # The battery does not last for all four parcels.
+    seed = next(seed for seed in range(1000) if solve("skyline_medium", seed).deliveries == 3)
+    assert main(["solve", "--task", "skyline_medium", "--seed", str(seed), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     episode = Episode(report["task"], seed=report["seed"])
     assert tuple(report["path"][0]) == episode.position
@@ -83,7 +82,7 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         episode.step(Action[action])
         assert tuple(position) == episode.position
     assert (episode.score, episode.success, episode.steps) == (report["score"], report["success"], report["steps"])
-    assert report["success"] is success
+    assert report["success"] is False
     assert len(report["order"]) == report["deliveries"] == 3
 
 
@@ -153,15 +152,10 @@ def test_help_is_a_manual_and_wrong_options_are_named(
 
 
 @pytest.mark.parametrize(
-    ("command", "output", "said"),
-    [
-        ("fly --help", ">/dev/full", "drone-env: standard output: No space left on device\n"),
-        ("evaluate --help", "| true", ""),
-    ],
+    ("output", "said"), [(">/dev/full", "drone-env: standard output: No space left on device\n"), ("| true", "")]
 )
-def test_an_output_that_cannot_be_written_is_an_error_of_one_line_at_most(command: str, output: str, said: str) -> None:
-    line = f"set -o pipefail; {sys.executable} -m drone_env {command} {output}"
-    done = ran("bash", "-c", line)
+def test_an_output_that_cannot_be_written_is_an_error_of_one_line_at_most(output: str, said: str) -> None:
+    done = ran("bash", "-c", f"set -o pipefail; {sys.executable} -m drone_env fly --help {output}")
     assert (done.returncode, done.stderr) == (2, said)
 
 
