@@ -7,12 +7,11 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from drone_env.city.city_file import MAX_SIDE, task_of, write_city
+from drone_env.city.city_file import MAX_SIDE, write_city
 from drone_env.city.openstreetmap import import_city
 from drone_env.commands.flights import prepare_file
 from drone_env.core.cells import Cell
-from drone_env.envs.registry import check_names
-from drone_env.errors import InvalidTaskError, InvalidValueError
+from drone_env.errors import InvalidValueError
 from drone_env.results.tables import Table, percent, print_table
 
 Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -53,8 +52,4 @@ def city(file: Source, out: Path, bbox: Box = None, cell: float = 16.0, size: Si
     counts = np.bincount(imported.grid.ravel()).tolist()
     kinds = [(Cell(kind).name.lower(), f"{n}", percent(n / (width * height))) for kind, n in enumerate(counts) if n]
     print_table(Table("", ("cell", "cells", "share"), kinds), names=1)
-    try:
-        check_names(task_of(imported, out.stem))
-    except InvalidTaskError as error:
-        print(f"You cannot fly it yet: {error}")
     print(f"{imported.attribution}, {imported.licence}")

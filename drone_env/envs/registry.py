@@ -88,24 +88,15 @@ def register_task(task: TaskConfig) -> TaskConfig:
     """
     from drone_env.graders import GRADERS, make_grader  # imported lazily: loads Pydantic
 
-    check_names(task)
-    TASKS[task.id] = task
-    GRADERS.setdefault(task.id, make_grader(task.id))
-    register_envs()
-    return task
-
-
-def check_names(task: TaskConfig) -> None:
-    """Check that no other task has one of the names of a task.
-
-    Raises:
-        InvalidTaskError: if another task has one of them.
-    """
     names = {task.id, task.short_name, task.grader}
     for other in TASKS.values():
         taken = sorted(names & {other.id, other.short_name, other.grader})
         if taken and other != task:
             raise InvalidTaskError(f"task {task.id!r}: {', '.join(taken)} already names the task {other.id!r}")
+    TASKS[task.id] = task
+    GRADERS.setdefault(task.id, make_grader(task.id))
+    register_envs()
+    return task
 
 
 def register_city(path: str | Path) -> TaskConfig:
