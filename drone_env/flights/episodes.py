@@ -5,13 +5,13 @@ from datetime import datetime, timezone
 from statistics import fmean
 from typing import Annotated, Literal, cast
 
-from pydantic import Field, PlainSerializer, computed_field
+from pydantic import BeforeValidator, Field, PlainSerializer, computed_field
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.flights.provenance import Provenance
+from drone_env.flights.provenance import Parent, Provenance
 from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.models import Count, Direction, OutcomeName, Score, Seed, StrictModel
 
@@ -45,6 +45,10 @@ def _iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat()
 
 
+def _parent(stored: object) -> object:
+    return Parent.model_validate_json(stored) if isinstance(stored, str) else stored
+
+
 class EpisodeSummary(StrictModel):
     """One row of a list of finished episodes, with the optimum of its map."""
 
@@ -60,8 +64,9 @@ class EpisodeSummary(StrictModel):
     person: str | None = Field(description="The name that a person chose.")
     values_used: bool = Field(strict=False, description="Whether a person turned on values in flight.")
     undo_used: bool = Field(strict=False, description="Whether a person took back steps.")
-    parent_id: str | None = Field(description="Id of the flight that this one continues; null if it is no fork.")
-    parent_step: Count | None = Field(description="The number of steps of that flight.")
+    parent: Annotated[Parent | None, BeforeValidator(_parent)] = Field(
+        description="The flight that this one continues; null if it is no fork."
+    )
     actions: str = Field(exclude=True, description="One digit per action.")
     deliveries: Count
     deliveries_total: Count
@@ -71,6 +76,11 @@ class EpisodeSummary(StrictModel):
     outcome: str
     solved: bool = Field(exclude=True, strict=False, description="Whether the solver has finished its map.")
     optimal_score: Score | None = Field(description="The optimum of its map; null if it is unknown.")
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who flew."""
+        return Provenance(**{name: getattr(self, name) for name in Provenance.model_fields})
 
     @computed_field
     @property
@@ -95,14 +105,14 @@ SELECT_ROWS = (
 SELECT_BEST = f"""
     SELECT {", ".join(COLUMNS)}, 0 AS solved, NULL AS optimal_score FROM (
         SELECT *, row_number() OVER (PARTITION BY person ORDER BY score DESC, steps, number) AS place
-        FROM flights {{where}} AND parent_id IS NULL
+        FROM flights {{where}} AND parent IS NULL
     ) WHERE place = 1 ORDER BY score DESC, steps, number LIMIT ?
 """
 """Selects the best flight of each person; `where` names one map and flights by hand."""
 
 # Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
 SELECT_BY_MAP = """
-    SELECT e.agent, e.pilot, e.person, e.values_used, e.undo_used, e.parent_id, task, task_version,
+    SELECT e.agent, e.pilot, e.person, e.values_used, e.undo_used, e.parent, task, task_version,
         o.task IS NOT NULL AS solved, max(e.number),
         iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL) AS reward_profile, seed AS seeds,
         avg(e.score) AS scores, avg(e.steps) AS steps, avg(e.outcome = 'delivered') AS success,

@@ -5,35 +5,20 @@ import secrets
 import sqlite3
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
-from hashlib import sha256
-from typing import NamedTuple
+from dataclasses import astuple, dataclass
 
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import PACKAGE_TASKS, TaskConfig, get_task
+from drone_env.errors import StoreError
 from drone_env.flights.provenance import Parent, Provenance
 
 FLIGHT_ID = re.compile(r"[0-9a-f]{16}")
 """Form of the id of a flight."""
 
 
-class MapKey(NamedTuple):
-    """What a flight begins with: the map and the profile that pays."""
-
-    task: str
-    task_version: int
-    seed: int
-    reward_profile: str
-
-    @classmethod
-    def of(cls, episode: Episode) -> "MapKey":
-        """Return the key of an episode."""
-        return cls(episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id)
-
-
 @dataclass(frozen=True)
 class Flight:
-    """One flight: the columns of its row that are not computed from others."""
+    """One flight: the columns of its row that are not computed from others. `parent` is the JSON of a `Parent`."""
 
     id: str
     task: str
@@ -45,8 +30,18 @@ class Flight:
     person: str | None
     values_used: bool
     undo_used: bool
-    parent_id: str | None
-    parent_step: int | None
+    parent: str | None
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who flew it."""
+        return Provenance(
+            pilot=self.pilot,
+            person=self.person,
+            values_used=bool(self.values_used),
+            undo_used=bool(self.undo_used),
+            parent=None if self.parent is None else Parent.model_validate_json(self.parent),
+        )
 
     def fly(self) -> Episode:
         """Fly it again.
@@ -58,8 +53,7 @@ class Flight:
         return Episode(task, self.reward_profile, self.seed).fly(map(int, self.actions))
 
 
-COLUMNS = tuple(Flight.__dataclass_fields__)
-SELECT_FLIGHT = f"SELECT {', '.join(COLUMNS)} FROM flights WHERE id = ?"
+COLUMNS = ", ".join(Flight.__dataclass_fields__)
 
 
 def new_id() -> str:
@@ -72,51 +66,38 @@ def digits_of(actions: Iterable[int]) -> str:
     return "".join(map(str, actions))
 
 
-def read_flight(connection: sqlite3.Connection, flight_id: str) -> Flight:
-    """Return the flight of an id that the store contains."""
-    return Flight(*connection.execute(SELECT_FLIGHT, (flight_id,)).fetchone())
+def insert_flight(connection: sqlite3.Connection, flight_id: str, episode: Episode, by: Provenance) -> None:
+    """Add the row of a flight. If the id is stored already, nothing changes.
 
-
-def read_provenance(connection: sqlite3.Connection, flight: Flight) -> Provenance:
-    """Return the provenance of a stored flight, with that of its parents."""
-    parent = None
-    if flight.parent_id is not None and flight.parent_step is not None:
-        before = read_provenance(connection, read_flight(connection, flight.parent_id))
-        parent = Parent(**dict(before), step=flight.parent_step)
-    fields = {name: getattr(flight, name) for name in ("pilot", "person", "values_used", "undo_used")}
-    return Provenance.model_validate({**fields, "parent": parent}, strict=False)
-
-
-def insert_flight(
-    connection: sqlite3.Connection, flight_id: str, key: MapKey, actions: str, provenance: Provenance
-) -> None:
-    """Add the row of an unfinished flight, after the row of its parent if that is missing.
-
-    If the id is stored already, nothing changes.
+    Raises:
+        StoreError: if the store has flights of another task of the same name.
     """
-    parent = provenance.parent
-    parent_id = None if parent is None else _parent_id(connection, key, actions[: parent.step], parent)
-    values = (flight_id, *key, actions, provenance.pilot, provenance.person, provenance.values_used)
-    values += (provenance.undo_used, parent_id, parent and parent.step, provenance.label)
+    task, parent = episode.task, None if by.parent is None else by.parent.model_dump_json()
+    if task.id not in PACKAGE_TASKS:
+        row = (task.id, task.version, task.digest)
+        connection.execute("INSERT INTO own_tasks VALUES (?, ?, ?) ON CONFLICT DO NOTHING", row)
+        check_task(connection, task)
+    flown = (task.id, task.version, episode.seed, episode.reward_profile.id, digits_of(episode.actions))
+    flight = Flight(flight_id, *flown, by.pilot, by.person, by.values_used, by.undo_used, parent)
+    values = (*astuple(flight), by.label)
     places = ", ".join("?" * len(values))
-    connection.execute(
-        f"INSERT INTO flights ({', '.join(COLUMNS)}, agent) VALUES ({places}) ON CONFLICT (id) DO NOTHING", values
-    )
+    connection.execute(f"INSERT INTO flights ({COLUMNS}, agent) VALUES ({places}) ON CONFLICT (id) DO NOTHING", values)
+    if episode.ended:
+        finish_flight(connection, flight_id, episode)
 
 
-def _parent_id(connection: sqlite3.Connection, key: MapKey, actions: str, parent: Parent) -> str:
-    """Return the stored flight that begins with these actions; if there is none, store them as an unfinished one."""
-    found = connection.execute(
-        "SELECT id FROM flights WHERE task = ? AND task_version = ? AND seed = ? AND reward_profile = ? AND agent = ? "
-        "AND substr(actions, 1, ?) = ? AND (number IS NOT NULL OR id NOT IN (SELECT flight_id FROM sessions)) "
-        "ORDER BY number IS NULL, number LIMIT 1",
-        (*key, parent.label, len(actions), actions),
-    ).fetchone()
-    if found is not None:
-        return found[0]
-    flight_id = sha256(repr((key, actions, parent.label)).encode()).hexdigest()[:16]
-    insert_flight(connection, flight_id, key, actions, parent)
-    return flight_id
+def check_task(connection: sqlite3.Connection, task: TaskConfig) -> None:
+    """Check that the rows under the name of a task belong to this task.
+
+    Raises:
+        StoreError: if they belong to another task of the same name.
+    """
+    query = "SELECT rules FROM own_tasks WHERE task = ? AND task_version = ? AND rules != ?"
+    for (rules,) in connection.execute(query, (task.id, task.version, task.digest)):
+        raise StoreError(
+            f"the store has flights of another task {task.id!r} (rules {rules}, now {task.digest}): "
+            "rename the changed task, or use another data folder"
+        )
 
 
 def finish_flight(connection: sqlite3.Connection, flight_id: str, episode: Episode) -> None:

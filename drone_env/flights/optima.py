@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from functools import partial
-from itertools import islice
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
@@ -16,8 +15,6 @@ from drone_env.planning.optimal import best_of
 SOLVE_SECONDS = 0.1
 MAPS_AT_ONCE = 100
 """Maximum number of maps per job."""
-WAITING = 4
-"""Maximum number of callers that wait at once; others return without waiting, so that threads stay free."""
 log = logging.getLogger(__name__)
 Scores = list[float | None]
 Submit = Callable[[TaskConfig, Sequence[int]], "Future[Scores]"]
@@ -37,7 +34,7 @@ def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> Scores:
 
 
 class Optima:
-    """Solves maps, one job per task at a time, and stores their optima.
+    """Solves maps, one job at a time, and stores their optima.
 
     Args:
         database: The database of the store.
@@ -48,13 +45,12 @@ class Optima:
         self._database = database
         self._thread = ThreadPoolExecutor(1, "drone_env-optima")
         self._submit = submit or partial(self._thread.submit, solve_maps)
-        self._unsolved: dict[TaskConfig, dict[int, None]] = {}
+        self._unsolved: dict[Map, None] = {}
         self._changed = threading.Condition()
-        self._waiting = threading.Semaphore(WAITING)
         self._closed = False
 
-    def solve(self, maps: Collection[Map], patience: float = 0) -> None:
-        """Start to solve maps and wait for them, unless `WAITING` callers are waiting.
+    def solve(self, maps: Collection[Map], patience: float) -> None:
+        """Start to solve maps and wait for them.
 
         Errors are logged; the next call for the same map tries again.
 
@@ -63,28 +59,21 @@ class Optima:
             patience: Seconds to wait.
         """
         with self._changed:
-            idle = {task for task, _ in maps} - self._unsolved.keys()
-            for task, seed in maps:
-                self._unsolved.setdefault(task, {})[seed] = None
-            for task in idle:
-                self._start(task)
-        if patience and self._waiting.acquire(blocking=False):
-            try:
-                with self._changed:
-                    self._changed.wait_for(
-                        lambda: not any(seed in self._unsolved.get(task, ()) for task, seed in maps), patience
-                    )
-            finally:
-                self._waiting.release()
+            idle = not self._unsolved
+            self._unsolved.update(dict.fromkeys(maps))
+            if idle:
+                self._start()
+            self._changed.wait_for(lambda: self._unsolved.keys().isdisjoint(maps), patience)
 
     def close(self) -> None:
         """Stop without storing unfinished jobs."""
         self._closed = True
         self._thread.shutdown(cancel_futures=True)
 
-    def _start(self, task: TaskConfig) -> None:
-        """Start the next job of a task; the caller holds the lock."""
-        seeds = list(islice(self._unsolved[task], MAPS_AT_ONCE))
+    def _start(self) -> None:
+        """Start the next job; the caller holds the lock."""
+        task = next(iter(self._unsolved))[0]
+        seeds = [seed for known, seed in self._unsolved if known == task][:MAPS_AT_ONCE]
         try:
             job = self._submit(task, seeds)
         except (DroneEnvError, RuntimeError) as error:  # too many jobs, or a closed pool
@@ -94,7 +83,7 @@ class Optima:
 
     def _store(self, task: TaskConfig, seeds: Sequence[int], job: "Future[Scores]") -> None:
         """Store the optima of a finished job and start the next."""
-        scores: Scores = []
+        solved: Sequence[int] = ()
         try:
             try:
                 scores = job.result()
@@ -103,19 +92,18 @@ class Optima:
             if not self._closed:
                 rows = [(task.id, task.version, seed, score) for seed, score in zip(seeds, scores, strict=False)]
                 with self._database.writing() as connection:
-                    self._database.check_task(connection, task, claim=True)
                     connection.executemany("INSERT OR IGNORE INTO optima VALUES (?, ?, ?, ?)", rows)
+                solved = seeds[: len(rows)]
         except (CancelledError, Exception) as error:
-            scores = []
             if not self._closed:
                 expected = isinstance(error, DroneEnvError | CancelledError)
                 message = "optima of %s could not be solved or stored: %s"
                 log.warning(message, task.id, error, exc_info=None if expected else error)
         with self._changed:
-            left = self._unsolved.pop(task)
-            for seed in seeds[: len(scores)]:
-                del left[seed]
-            if left and scores and not self._closed:
-                self._unsolved[task] = left
-                self._start(task)
+            for seed in solved:
+                del self._unsolved[task, seed]
+            if not solved:
+                self._unsolved.clear()
+            if self._unsolved:
+                self._start()
             self._changed.notify_all()

@@ -1,7 +1,6 @@
 """The provenance of a flight: who flew it, with what help, and which flight it continues."""
 
 import re
-import unicodedata
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -18,8 +17,7 @@ PERSON = re.compile(r"[\w-]{1,20}")
 
 
 def _is_line(text: str) -> str:
-    kinds = {unicodedata.category(character) for character in text}
-    if not 0 < len(text) <= LONGEST_LABEL or kinds & {"Zl", "Zp"} or any(kind[0] == "C" for kind in kinds):
+    if not (0 < len(text) <= LONGEST_LABEL and text.isprintable()):
         raise ValueError(f"an agent's name is one printable line of 1 to {LONGEST_LABEL} characters, got {text!r}")
     return text
 

@@ -15,7 +15,6 @@ from typing import Any
 from typing_extensions import Self
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import get_reward_profile
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError, StoreError, UnknownNameError
 from drone_env.flights.database import BUSY_SECONDS, Database
@@ -28,31 +27,18 @@ from drone_env.flights.episodes import (
     StoredEpisode,
     analyse,
 )
-from drone_env.flights.flight import (
-    COLUMNS,
-    Flight,
-    MapKey,
-    digits_of,
-    finish_flight,
-    insert_flight,
-    new_id,
-    read_flight,
-    read_provenance,
-)
+from drone_env.flights.flight import COLUMNS, Flight, check_task, digits_of, insert_flight, new_id
 from drone_env.flights.memory_view import LENGTH, MemoryView
 from drone_env.flights.optima import Map, Optima, Submit
 from drone_env.flights.provenance import HUMAN, Provenance
-from drone_env.flights.record import EpisodeRecord, replay
 
 log = logging.getLogger(__name__)
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
-PAGE = 100
 PATIENCE = 0.5
-"""Default time to wait for optima, in seconds."""
-MOST_ROWS = 1 << 31
+"""Seconds to wait for optima."""
 NEWEST = "ORDER BY number DESC LIMIT ?"
-SELECT_STORED = f"SELECT {', '.join(COLUMNS)}, number, finished_at, reward_total, score FROM flights"
+SELECT_STORED = f"SELECT {COLUMNS}, number, finished_at, reward_total, score FROM flights"
 
 
 class Store:
@@ -84,7 +70,7 @@ class Store:
         try:
             with self.database.reading() as connection:
                 for task in list(TASKS.values()):
-                    self.database.check_task(connection, task)
+                    check_task(connection, task)
             self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
             self.database.close()
@@ -99,7 +85,7 @@ class Store:
         self.database.close()
 
     def check(self) -> None:
-        """Check that the file was not deleted or replaced, as every method that writes does, and that writes succeed.
+        """Check that steps can be stored: the last write succeeded, and the file was not deleted or replaced.
 
         Raises:
             StoreError: if nothing can be stored.
@@ -114,39 +100,24 @@ class Store:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    # Finished episodes
-
-    def add_episode(
-        self, episode: EpisodeRecord | Episode, agent: str | Provenance | None = None, episode_id: str | None = None
-    ) -> str:
+    def add_episode(self, episode: Episode, agent: str | Provenance, episode_id: str | None = None) -> str:
         """Store a finished episode and return its id; `memory.json` shows it a moment later.
-
-        A record is replayed and verified first.
 
         Args:
             episode: The flight.
-            agent: Who flew an `Episode`; a record contains it.
+            agent: Who flew.
             episode_id: Its id, 16 hex digits; None for a new one. If the id is stored already, nothing changes.
 
         Raises:
             EpisodeError: if the episode has not ended.
-            InvalidValueError: if the record does not fit its flight, `agent` is given with a record, missing with an
-                `Episode` or not one printable line, or task or profile differ from the registered ones.
-            UnknownNameError: if there is no such task, version or reward profile.
+            InvalidValueError: if the agent's name is not one printable line.
             StoreError: if it could not be written; nothing is stored then.
         """
-        if isinstance(episode, EpisodeRecord):
-            if agent is not None:
-                raise InvalidValueError("agent belongs to an Episode; a record names its own")
-            agent, episode = episode.provenance, replay(episode)
-        if agent is None:
-            raise InvalidValueError("agent belongs to an Episode: who has flown it?")
-        _check_replayable(episode)
+        if not episode.ended:
+            raise EpisodeError("the episode has not ended: only finished ones are stored")
         provenance, flight_id = Provenance.of(agent), episode_id or new_id()
         with self.database.writing() as connection:
-            self.database.check_task(connection, episode.task, claim=True)
-            insert_flight(connection, flight_id, MapKey.of(episode), digits_of(episode.actions), provenance)
-            finish_flight(connection, flight_id, episode)
+            insert_flight(connection, flight_id, episode, provenance)
         self.on_finished([flight_id])
         return flight_id
 
@@ -159,19 +130,9 @@ class Store:
             InvalidValueError: if its reward profile has changed.
             StoreError: if the store cannot be read.
         """
-        if episode_id.isascii():
-            for row in self._read(f"{SELECT_STORED} WHERE id = ? AND number IS NOT NULL", (episode_id,)):
-                return self._stored(row)
+        for row in self._read(f"{SELECT_STORED} WHERE id = ? AND number IS NOT NULL", (episode_id,)):
+            return _stored(row)
         raise UnknownNameError("episode", episode_id, ())
-
-    def provenance(self, flight_id: str) -> Provenance:
-        """Return who flew a stored flight.
-
-        Raises:
-            StoreError: if the store cannot be read.
-        """
-        with self.database.reading() as connection:
-            return read_provenance(connection, read_flight(connection, flight_id))
 
     def listed(
         self,
@@ -179,10 +140,7 @@ class Store:
         task: str | TaskConfig | None = None,
         agent: str | None = None,
         before: int | None = None,
-        after: int | None = None,
-        episode_id: str | None = None,
         seed: int | None = None,
-        patience: float | None = None,
     ) -> list[EpisodeSummary]:
         """Return the last `n` finished episodes with the optima of their maps, newest first.
 
@@ -190,26 +148,19 @@ class Store:
         not None must hold.
 
         Args:
-            n: How many, 0 or more.
+            n: How many.
             task: The task.
             agent: The pilot.
             before: The episode was stored before the one of this number.
-            after: The episode was stored after the one of this number.
-            episode_id: Its id.
             seed: The map.
-            patience: Seconds to wait for optima; None for `PATIENCE`.
 
         Raises:
             UnknownNameError: if there is no such task.
-            InvalidValueError: if n is negative.
             StoreError: if the store cannot be read.
         """
-        if n < 0:
-            raise InvalidValueError(f"n must be at least 0, got {n}")
-        filters = {"agent =": agent, "number <": before, "number >": after, "id =": episode_id, "seed =": seed}
-        where, values = _where(task, filters)
-        query = f"{SELECT_ROWS} {where} {NEWEST}", (*values, min(n, MOST_ROWS))
-        return [EpisodeSummary(**row) for row in self._read_solved(*query, "seed", patience)]
+        where, values = _where(task, {"agent =": agent, "number <": before, "seed =": seed})
+        rows = self._read_solved(f"{SELECT_ROWS} {where} {NEWEST}", (*values, n), "seed")
+        return [EpisodeSummary(**row) for row in rows]
 
     def means_by_map(self, task: str | TaskConfig) -> list[sqlite3.Row]:
         """Return the means of each agent's flights over each map of a task; optima as in `listed`.
@@ -248,9 +199,8 @@ class Store:
         """
         flown = {"seed =": episode.seed, "reward_profile =": episode.reward_profile.id}
         where, values = _where(episode.task, {**flown, "actions =": digits_of(episode.actions)})
-        with self.database.reading() as connection:
-            rows = connection.execute(f"SELECT {', '.join(COLUMNS)} FROM flights {where} ORDER BY number", values)
-            return [(row["id"], read_provenance(connection, Flight(*row))) for row in rows.fetchall()]
+        rows = self._read(f"SELECT {COLUMNS} FROM flights {where} ORDER BY number", values)
+        return [(row["id"], Flight(*row).provenance) for row in rows]
 
     def stored_ids(self, episode_ids: Iterable[str]) -> set[str]:
         """Return the ids that the store contains."""
@@ -266,30 +216,24 @@ class Store:
         Raises:
             StoreError: if the store cannot be read.
         """
-        number = 0
-        # In pages, since an open reader prevents SQLite from truncating its log.
-        while page := self._read(f"{SELECT_STORED} WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
-            number = page[-1]["number"]
-            for row in page:
-                try:
-                    yield self._stored(row)
-                except (InvalidValueError, UnknownNameError) as error:
-                    log.warning("flight %s is left out: %s", row["id"], error)
+        # One by one, since an open reader prevents SQLite from truncating its log.
+        for row in self._read("SELECT id FROM flights WHERE number IS NOT NULL ORDER BY number"):
+            try:
+                yield self.episode(row["id"])
+            except (InvalidValueError, UnknownNameError) as error:
+                log.warning("flight %s is left out: %s", row["id"], error)
 
-    def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float | None = None) -> Analysis:
+    def analysis(self, task: str | TaskConfig, last: int = 1000) -> Analysis:
         """Return statistics of the last episodes of a task.
 
-        Each map is solved once, in the background; this call waits up to `patience` seconds. `mean_regret` omits the
+        Each map is solved once, in the background; this call waits up to `PATIENCE` seconds. `mean_regret` omits the
         maps that are not solved by then.
 
         Raises:
             UnknownNameError: if there is no such task.
-            InvalidValueError: if `last` is below 1.
             StoreError: if the store cannot be read.
         """
-        if last < 1:
-            raise InvalidValueError(f"last must be at least 1, got {last}")
-        rows = self.listed(last, task, patience=patience)
+        rows = self.listed(last, task)
         where, values = _where(task)
         ((total,),) = self._read(f"SELECT count(*) FROM flights {where}", values)
         return analyse(get_task(task), total, rows)
@@ -327,45 +271,27 @@ class Store:
         with self.database.reading() as connection:
             return connection.execute(query, values).fetchall()
 
-    def _stored(self, row: sqlite3.Row) -> StoredEpisode:
-        """Fly a stored flight again."""
-        flight = Flight(*row[: len(COLUMNS)])
-        episode = flight.fly()
-        if (episode.reward_total, episode.score) != (row["reward_total"], row["score"]):
-            profile = f"reward profile {flight.reward_profile!r}"
-            raise InvalidValueError(f"{profile} has changed since this flight: register the new one under another name")
-        with self.database.reading() as connection:
-            provenance = read_provenance(connection, flight)
-        return StoredEpisode.of(flight.id, row["finished_at"], episode, provenance)
-
     def _newer(self, after: int) -> list[tuple[int, str]]:
         """Return number and JSON of the newest episodes after a number, oldest first; "" if it cannot be flown."""
         newer: list[tuple[int, str]] = []
         for row in self._read(f"{SELECT_STORED} WHERE number > ? {NEWEST}", (after, LENGTH))[::-1]:
             try:
-                newer.append((row["number"], self._stored(row).model_dump_json(exclude_none=True)))
+                newer.append((row["number"], _stored(row).model_dump_json(exclude_none=True)))
             except (InvalidValueError, UnknownNameError) as error:
                 log.warning("%s leaves out flight %s: %s", VIEW_NAME, row["id"], error)
                 newer.append((row["number"], ""))
         return newer
 
 
-def _check_replayable(episode: Episode) -> None:
-    """Check that an episode has ended and can be flown again from its record.
-
-    Raises:
-        EpisodeError: if it has not ended.
-        InvalidValueError: if task or reward profile differ from the registered ones of the same name.
-        UnknownNameError: if task or reward profile are not registered.
-    """
-    if not episode.started or not episode.ended:
-        raise EpisodeError("the episode has not ended: only finished ones are stored")
-    task, profile = episode.task, episode.reward_profile
-    if get_task(task.id, task.version) != task or get_reward_profile(profile.id) != profile:
-        raise InvalidValueError(
-            f"{task.id!r} or reward profile {profile.id!r} is not the registered one, so it cannot be replayed: "
-            "register it under another name"
-        )
+def _stored(row: sqlite3.Row) -> StoredEpisode:
+    """Fly a stored flight again."""
+    *flown, _, finished_at, reward_total, score = row
+    flight = Flight(*flown)
+    episode = flight.fly()
+    if (episode.reward_total, episode.score) != (reward_total, score):
+        profile = f"reward profile {flight.reward_profile!r}"
+        raise InvalidValueError(f"{profile} has changed since this flight: register the new one under another name")
+    return StoredEpisode.of(flight.id, finished_at, episode, flight.provenance)
 
 
 def _where(task: str | TaskConfig | None, filters: Mapping[str, Any] | None = None) -> tuple[str, tuple[Any, ...]]:

@@ -75,7 +75,7 @@ class OpenEnvSession:
                 episode = await asyncio.to_thread(start_episode, options, last)
             else:
                 episode = start_episode(options, last)
-            self._session = Session("", new_id(), episode, Provenance.of(agent))
+            self._session = Session(new_id(), episode, Provenance.of(agent))
         else:
             episode = await self._use(
                 lambda session: session.begin(start_episode(options, session.episode.seed), agent)

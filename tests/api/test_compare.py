@@ -11,6 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.flights.provenance import Provenance
+from drone_env.flights.record import replay
 from drone_env.flights.store import Store
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
@@ -89,7 +90,7 @@ def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[
 def test_rewards_of_different_profiles_have_no_mean(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         for profile in ("tiered", "aligned"):
-            store.add_episode(flown("easy", 7, "greedy", profile=profile))
+            store.add_episode(replay(flown("easy", 7, "greedy", profile=profile)), "greedy")
     with TestClient(create_app(Settings(data=tmp_path))) as client:
         (row,) = get(client, "/leaderboard/easy")["rows"]
     assert (row["flights"], row["reward"], row["reward_profile"]) == (2, None, None)

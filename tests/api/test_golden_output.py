@@ -59,7 +59,7 @@ def outputs(data: Path) -> dict[str, list[str]]:
     waiting = put_run(data, "waiting", "WAIT", MAPS, model="waits")
     agents = [put_evaluation(data, agent, agent, MAPS, repeats=2) for agent in ("random", "greedy")]
     with Store(data) as store:
-        store.listed(99, patience=100)
+        store.listed(99)
     tasks = ("--task", "easy", "skyline_easy", "--seeds", "14:18")
     flyers = ("--agents", "random", "pathqnet", "optimal", "--repeats", "2", "--against", "random")
     evaluate = ("evaluate", *tasks, *flyers)

@@ -11,7 +11,7 @@ from drone_env.core.actions import Action, Outcome
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.flights.record import EpisodeRecord, record_of
+from drone_env.flights.record import EpisodeRecord, record_of, replay
 from drone_env.flights.store import Store
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.results.analysis import analyse_flight
@@ -160,7 +160,7 @@ def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(
     flights = [("greedy", 0), ("greedy", 1), ("greedy", 2), ("random", 0), ("random", 1)]
     with Store(settings["data"]) as store:
         for agent, seed in flights:
-            store.add_episode(record("easy", seed, agent))
+            store.add_episode(replay(record("easy", seed, agent)), agent)
     rows = client.get("/episodes").json()
     assert [(row["agent"], row["seed"]) for row in rows["episodes"]] == flights[::-1]
     assert rows["next"] is None
@@ -184,7 +184,7 @@ def test_flights_of_a_task_that_is_gone_with_its_plugin_are_listed_without_their
     with monkeypatch.context() as plugin, Store(settings["data"]) as store:
         plugin.setitem(TASKS, gone.id, gone)
         for task in ("easy", "gone"):
-            store.add_episode(record(task))
+            store.add_episode(replay(record(task)), "me")
     optima = [("gone", None, None), ("easy_delivery", solve("easy", 7).score, 0)]
     for path in ("/episodes", "/memory_logs"):
         listed = client.get(path).json()["episodes"]

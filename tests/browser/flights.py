@@ -6,7 +6,7 @@ from typing import Any
 
 from drone_env.files import EVALUATIONS
 from drone_env.flights.provenance import Provenance
-from drone_env.flights.record import EpisodeRecord, record_of
+from drone_env.flights.record import EpisodeRecord, record_of, replay
 from drone_env.flights.store import Store
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
 from drone_env.results.folder import ResultsFolder
@@ -24,8 +24,8 @@ def flown(
 def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
     """Store flights, oldest first, with the optima of their maps, and return their ids."""
     with Store(folder) as store:
-        ids = [store.add_episode(flight) for flight in flights]
-        store.listed(len(ids), patience=100)
+        ids = [store.add_episode(replay(flight), flight.provenance) for flight in flights]
+        store.listed(len(ids))
         return ids
 
 

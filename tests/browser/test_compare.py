@@ -8,6 +8,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.flights.provenance import Provenance
+from drone_env.flights.record import replay
 from drone_env.flights.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
@@ -279,7 +280,8 @@ def test_the_flights_of_one_pilot_are_listed_in_pages(page: Page, server: Server
 def test_a_flight_that_ends_elsewhere_appears_by_itself(page: Page, server: Server) -> None:
     compare(page, "hard")
     with Store(server.data) as store:
-        new = [store.add_episode(flown("hard", SEEDS, "greedy", label="else, where")) for _ in range(2)]
+        episode = replay(flown("hard", SEEDS, "greedy"))
+        new = [store.add_episode(episode, "else, where") for _ in range(2)]
     expect(page.locator(f"[data-episode='{new[1]}']")).to_be_visible()
     # The address keeps a name with a comma whole.
     press(page, "else, where")

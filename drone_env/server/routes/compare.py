@@ -114,7 +114,7 @@ class Pairing(StrictModel):
 def leaderboard(app_state: AppStateDep, task_name: str) -> Leaderboard:
     """The agents of a task over all finished flights; flights of an agent over the same map count as their mean."""
     maps = app_state.store.means_by_map(task_name)
-    flown = results_by_agent(row for row in maps if row["parent_id"] is None)
+    flown = results_by_agent(row for row in maps if row["parent"] is None)
     by = {row["agent"]: row for row in maps}
     models = app_state.runs.models()
     return Leaderboard(
@@ -130,7 +130,7 @@ def leaderboard(app_state: AppStateDep, task_name: str) -> Leaderboard:
             )
             for agent, summary in ranked(flown)
         ],
-        forks=sum(row["flights"] for row in maps if row["parent_id"] is not None),
+        forks=sum(row["flights"] for row in maps if row["parent"] is not None),
     )
 
 

@@ -249,7 +249,7 @@ def _open(app_state: AppState, caller: str, options: Start) -> list[StartedFligh
             elif provenance.pilot == HUMAN:
                 flight_id = new_id()
                 version = _version(flight_id, 0)
-                session = app_state.sessions.open(episode, provenance, owner=caller, keep=opened, flight_id=flight_id)
+                session = app_state.sessions.open(episode, provenance, owner=caller, flight_id=flight_id)
                 opened.append(session)
             opening = FlightHeader.at_start(start, provenance, session)
             network = app_state.networks.shown_network(provenance.pilot, start.task)

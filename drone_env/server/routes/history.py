@@ -36,8 +36,7 @@ class ListedEpisode(EpisodeSummary):
 def listed(store: Store, n: int, *filters: Any, **more: Any) -> list[ListedEpisode]:
     """The last `n` finished episodes, newest first. Arguments and errors as `Store.listed`."""
     return [
-        ListedEpisode(**vars(row), name=display_name(store.provenance(row.id)))
-        for row in store.listed(n, *filters, **more)
+        ListedEpisode(**vars(row), name=display_name(row.provenance)) for row in store.listed(n, *filters, **more)
     ]
 
 
