@@ -3,21 +3,16 @@
 The first pass over a file stores the coordinates of its nodes, the second reads its ways, so its order does not matter.
 """
 
-import bz2
-import gzip
 import logging
-import os
-import sys
-import zlib
+import re
 from cmath import phase
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import degrees
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +22,7 @@ from drone_env.city.raster import GridProjection, Points, paint_area, paint_line
 from drone_env.core.cells import Cell
 from drone_env.core.terrain import Name
 from drone_env.errors import InvalidValueError, abbreviate, needs
-from drone_env.files import open_file
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from drone_env.toml_text import parse_toml
 
 log = logging.getLogger(__name__)
 
@@ -54,12 +44,9 @@ MIN_CELL, MAX_CELL = 1.0, 100.0
 """Metres along the side of a cell."""
 FINE = 16
 """Samples along the side of a cell."""
+REMARK = re.compile(rb"<remark>(.*?)</remark>", re.DOTALL)
+LONGEST_REMARK = 4096
 TABLE = Path(__file__).with_name("layers.toml")
-PACKED: Mapping[bytes, tuple[str, Callable[..., Any]]] = {
-    b"\x1f\x8b\x08": (".gz", gzip.open),
-    b"BZh": (".bz2", bz2.open),
-}
-"""Suffix and opener by the first bytes of a compressed file."""
 ALLOWED = "allowed are XML (.osm, .osm.gz, .osm.bz2) and PBF (.osm.pbf) of OpenStreetMap"
 COMPLETE = "include them: in Overpass by `(...; >;); out;`, in osmium by `extract --strategy smart`"
 HISTORY = "it contains several versions of an object: keep the newest by `osmium time-filter`"
@@ -108,13 +95,10 @@ class Match(NamedTuple):
 
 @dataclass
 class Source:
-    """An open file, and what osmium does not read of it."""
+    """A file that osmium reads, and its module."""
 
     osmium: Any
-    file: Any
-    bounds: Sequence[BBox]
-    deleted: Set[tuple[str, int]]
-    """Initial of the type, and id, of the objects that JOSM marks as deleted."""
+    file: str
 
     def objects(self, types: Any, *filters: Any) -> Iterator[Any]:
         """Yield the objects of some types that pass some filters of osmium."""
@@ -122,8 +106,9 @@ class Source:
         for keep in filters:
             processor.with_filter(keep)
         for item in processor:
-            if (item.type_str(), item.id) not in self.deleted:
-                yield item
+            if item.deleted:
+                raise InvalidValueError(HISTORY)
+            yield item
 
     @cached_property
     def new_nodes(self) -> Mapping[int, Place]:
@@ -145,9 +130,19 @@ class Source:
         nodes = (node.location for node in self.objects(self.osmium.osm.NODE))
         places = [(at.lon, at.lat) for at in nodes if at.valid()]
         if not places:
-            raise InvalidValueError(f"it contains no node with a place, or all are deleted; {COMPLETE}")
+            raise InvalidValueError(f"it contains no node with a place; {COMPLETE}")
         (west, south), (east, north) = np.min(places, axis=0).tolist(), np.max(places, axis=0).tolist()
         return west, south, east, north
+
+    def covered(self) -> BBox:
+        """Return what the file covers: its bounds, else its nodes."""
+        header = self.osmium.io.Reader(self.file, self.osmium.osm.NOTHING).header()
+        if header.has_multiple_object_versions:
+            raise InvalidValueError(HISTORY)
+        box = header.box()
+        if not box.valid():
+            return self.extent()
+        return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
 
 
 def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: tuple[int, int] = (64, 64)) -> City:
@@ -173,15 +168,17 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     if not MIN_CELL <= cell <= MAX_CELL:
         raise InvalidValueError(f"--cell must be {MIN_CELL:g} to {MAX_CELL:g} metres, got {cell:g}")
     with _opened(path) as source:
-        projection = projection_of(bbox or _covered(source), cell, size, middle=bbox is None)
+        projection = projection_of(bbox or source.covered(), cell, size, middle=bbox is None)
         found = Collection(projection)
         _collect(found, source)
         if not found.cut and not any(any(vars(geometry).values()) for geometry in found.layered.values()):
-            raise InvalidValueError(f"no layer has anything there; the file covers {_degrees(source.extent())}")
+            raise InvalidValueError(
+                f"no layer has anything there; the file covers {' '.join(f'{side:.9g}' for side in source.extent())}"
+            )
         if found.cut:
-            share = f"{len(found.cut)} of {len(found.lines)} ways and areas"
+            share = f"{len(found.cut)} of {len(found.objects)} ways and areas"
             lacking = f"{share} lack nodes ({', '.join([*found.cut][:3])})"
-            if len(found.cut) > MAX_CUT * len(found.lines):
+            if len(found.cut) > MAX_CUT * len(found.objects):
                 raise InvalidValueError(f"{lacking}; {COMPLETE}, or select a smaller --bbox")
             log.warning("%s: %s: the city lacks these areas, and these ways have gaps", path, lacking)
     grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
@@ -192,7 +189,7 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
 
 @lru_cache(maxsize=1)
 def _table() -> dict[str, Any]:
-    return tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    return parse_toml(TABLE.read_bytes())
 
 
 @lru_cache(maxsize=1)
@@ -231,98 +228,21 @@ def _opened(path: Path) -> Generator[Source, None, None]:
     """Yield the source; errors inside the `with` name the path."""
     with needs("city"):
         import osmium
-        import osmium.io
-        import osmium.osm
-    with open_file(path) as opened:
-        size, magic = os.fstat(opened.fileno()).st_size, opened.read(3)
+    with open(path, "rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - LONGEST_REMARK))
+        remark = REMARK.search(file.read())
     if size > MAX_FILE:
         cut = "cut it with `osmium extract --bbox WEST,SOUTH,EAST,NORTH`"
         raise InvalidValueError(f"{path} has {size >> 20} MiB, allowed are {MAX_FILE >> 20}: {cut}")
-    packing, unpack = PACKED.get(magic, ("", open))
+    if remark is not None:
+        raise InvalidValueError(f"{path}: Overpass did not finish: {abbreviate(remark[1].strip().decode())}")
     try:
-        with unpack(path, "rb") as stream:
-            start = stream.read(64)
-            stream.seek(0)
-            pbf = not packing and b"OSMHeader" in start
-            bounds, deleted = ([], set[tuple[str, int]]()) if pbf else _read_xml(stream, start)
-        file = osmium.io.File(str(path), "pbf" if pbf else f"xml{packing}")
-        header = osmium.io.Reader(file, osmium.osm.NOTHING).header()
-        if header.has_multiple_object_versions:
-            raise InvalidValueError(HISTORY)
-        box = header.box()
-        if pbf and box.valid():
-            bounds = [(box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat)]
-        yield Source(osmium, file, bounds, deleted)
+        yield Source(osmium, str(path))
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-    except (
-        RuntimeError,
-        ValueError,
-        EOFError,
-        OSError,
-        zlib.error,
-        expat.ExpatError,
-        osmium.InvalidLocationError,
-    ) as error:
+    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
         raise InvalidValueError(f"{path}: cut short or damaged, so save it again: {error}; {ALLOWED}") from None
-
-
-def _read_xml(stream: Any, start: bytes) -> tuple[list[BBox], set[tuple[str, int]]]:
-    """Read what osmium leaves out: all bounds but the first, deleted objects of JOSM, remarks of Overpass.
-
-    Args:
-        stream: The file.
-        start: Its first bytes.
-    """
-    if start.lstrip(b"\xef\xbb\xbf\xff\xfe\0 \r\n\t")[:1] != b"<":
-        if not start:
-            raise InvalidValueError(f"the file is empty; {ALLOWED}")
-        json = ": in Overpass, write [out:xml] instead of [out:json]" if start.lstrip()[:1] in (b"{", b"[") else ""
-        raise InvalidValueError(f"neither XML nor PBF{json}; {ALLOWED}")
-    bounds: list[BBox] = []
-    deleted: set[tuple[str, int]] = set()
-    remarks: list[str] = []
-    seen: set[str] = set()
-    parser = expat.ParserCreate()
-
-    def begin(name: str, attributes: dict[str, str]) -> None:
-        if not seen and name != "osm":
-            raise InvalidValueError(f"<{name}> in place of <osm>; {ALLOWED}")
-        seen.add(name)
-        if name == "bounds" and seen.isdisjoint(("node", "way", "relation")):  # later ones are those of a way
-            sides = (float(attributes.get(side, "nan")) for side in ("minlon", "minlat", "maxlon", "maxlat"))
-            west, south, east, north = sides
-            bounds.append((west, south, east, north))
-        elif name == "remark":
-            parser.CharacterDataHandler = remarks.append
-        elif attributes.get("action") == "delete":
-            deleted.add((name[0], int(attributes["id"])))
-        elif attributes.get("visible") == "false":
-            raise InvalidValueError(HISTORY)
-
-    parser.StartElementHandler = begin
-    parser.ParseFile(stream)
-    if remarks:
-        raise InvalidValueError(f"Overpass did not finish: {abbreviate(''.join(remarks).strip())}")
-    return bounds, deleted
-
-
-def _covered(source: Source) -> BBox:
-    """Return what a file covers: its bounds, else its nodes.
-
-    Raises:
-        InvalidValueError: if it is more than half of the world.
-    """
-    wests, souths, easts, norths = zip(*(source.bounds or [source.extent()]), strict=True)
-    box = min(wests), min(souths), max(easts), max(norths)
-    if box[2] - box[0] > 180 or any(west > east for west, _, east, _ in source.bounds):
-        covers = f"its bounds are {_degrees(box)}, its nodes are in {_degrees(source.extent())}"
-        raise InvalidValueError(f"{covers}: select a part with --bbox WEST SOUTH EAST NORTH")
-    return box
-
-
-def _degrees(box: BBox) -> str:
-    return " ".join(f"{side:.9g}" for side in box)
 
 
 class Collection:
@@ -331,8 +251,8 @@ class Collection:
     def __init__(self, grid: GridProjection) -> None:
         self.grid = grid
         self.layered = {layer.name: Geometry() for layer in layers()}
-        self.lines: dict[str, Sequence[Line]] = {}
-        """Lines of each way and area by its type and id."""
+        self.objects: set[str] = set()
+        """Type and id of each way and area."""
         self.cut: dict[str, None] = {}
         """Those of them without all their nodes."""
         self.districts: dict[str, Name] = {}
@@ -384,9 +304,6 @@ class Collection:
             forms: Forms that its geometry allows.
             lines: Its ways.
             lost: Number of its ways that are not in the file.
-
-        Raises:
-            InvalidValueError: if another version of it was added before.
         """
         known = [place for line in lines for place in line if place is not None]
         # Most objects of a large extract end here, so this check comes first.
@@ -397,8 +314,7 @@ class Collection:
             self.streets.setdefault(street, []).extend(parts)
         if (match := _match(tags, *forms)) is None:
             return
-        if self.lines.setdefault(name, lines) != lines:
-            raise InvalidValueError(HISTORY)
+        self.objects.add(name)
         geometry = self.layered[match.layer.name]
         parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
         area = match.form in ("areas", "points")

@@ -1,7 +1,5 @@
 """Extracts of OpenStreetMap become cities."""
 
-import bz2
-import gzip
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -123,23 +121,13 @@ def saved(written: Callable[[str], str | bytes], folder: Path) -> Path:
     return path
 
 
-DELETED = """
-    <way id="9" action="delete" version="1" visible="true"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="1"/>
-    <tag k="building" v="yes"/></way>
-    <node id="-8" action='delete' lat="60" lon="25.001"><tag k="amenity" v="charging_station"/></node>"""
-
-
 WRITTEN: dict[str, Callable[[str], str | bytes]] = {
     "backwards": lambda text: "\n".join([*text.split("\n")[:2], *text.split("\n")[-3:1:-1], "</osm>"]),
     "nodes twice": lambda text: re.sub("<node.*?/node>", r"\g<0>" * 2, text),
     "negative ids": numbered(lambda number: -number),
     "some negative ids": numbered(lambda number: number if number % 3 else -number),
     "large ids": numbered(lambda number: number + 2**62),
-    "two bounds": with_bounds(bounds(WEST, SOUTH, MIDDLE, NORTH), bounds(MIDDLE, SOUTH, EAST, NORTH)),
     "bounds of ways": lambda text: re.sub("(<way[^>]*>)", r"\1" + bounds(0, 0, 1, 1), text),
-    "deleted in JOSM": with_objects(DELETED),
-    "gzip": lambda text: gzip.compress(text.encode()),
-    "bzip2": lambda text: bz2.compress(text.encode()),
     "UTF-16": lambda text: text.encode("utf-16"),
 }
 
@@ -162,18 +150,9 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     "a way less": (lambda text: re.sub("<way.*?/way>", "", text, count=1), r"1 of 2 .* \(relation 1\)"),
     "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
     "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
-    "a history": (with_objects('<node id="1" visible="false"/>'), "osmium time-filter"),
-    "two versions": (
-        with_objects('<way id="3"><nd ref="5"/><nd ref="7"/><tag k="railway" v="rail"/></way>'),
-        "osmium time-filter",
-    ),
-    "the world": (with_bounds(bounds(-180, -85, 180, 85)), r"nodes are in 25 59.9.* with --bbox WEST"),
-    "across 180 degrees": (with_bounds(bounds(179.9, -1, -179.9, 1)), "with --bbox WEST"),
-    "JSON": (lambda text: '{"elements": []}', r"neither XML nor PBF: in Overpass, write \[out:xml\]"),
-    "HTML": (lambda text: "<html></html>", "<html> in place of <osm>; allowed are XML"),
-    "half": (lambda text: text[:700], "cut short or damaged, so save it again: unclosed token"),
-    "half of a gzip": (lambda text: gzip.compress(text.encode())[:-9], "ended before the end-of-stream"),
-    "nothing": (lambda text: b"", "the file is empty"),
+    "a history": (with_objects('<way id="9" visible="false"/>'), "osmium time-filter"),
+    "half": (lambda text: text[:700], "cut short or damaged, so save it again: .*unclosed token"),
+    "JSON": (lambda text: '{"elements": []}', "not well-formed .* allowed are XML"),
 }
 
 
