@@ -42,42 +42,20 @@ _HOMES = {
 }
 """The public names by module."""
 
-__all__ = [
-    "AGENTS",
-    "GRADERS",
-    "REWARD_PROFILES",
-    "SPLITS",
-    "TASKS",
-    "Action",
-    "Agent",
-    "Cell",
-    "CityMap",
-    "DroneAction",
-    "DroneObservation",
-    "DroneState",
-    "Episode",
-    "EpisodeState",
-    "Event",
-    "Outcome",
-    "RewardProfile",
-    "Solution",
-    "TaskConfig",
-    "__version__",
-    "episodes_key",
-    "evaluate",
-    "generate_city_map",
-    "get_task",
-    "make_agent",
-    "next_seed",
-    "register_agent",
-    "register_city",
-    "register_reward_profile",
-    "register_task",
-    "run_episodes",
-    "solve",
-    "split_seeds",
-    "summarise",
-]
+__all__ = ["__version__"]
+__all__ += ["AGENTS", "Agent", "make_agent", "register_agent"]
+__all__ += ["Action", "Event", "Outcome"]
+__all__ += ["Cell"]
+__all__ += ["Episode", "EpisodeState"]
+__all__ += ["CityMap", "generate_city_map"]
+__all__ += ["REWARD_PROFILES", "RewardProfile"]
+__all__ += ["SPLITS", "next_seed", "split_seeds"]
+__all__ += ["TASKS", "TaskConfig", "get_task"]
+__all__ += ["register_city", "register_reward_profile", "register_task"]
+__all__ += ["episodes_key", "evaluate", "run_episodes", "summarise"]
+__all__ += ["GRADERS"]
+__all__ += ["DroneAction", "DroneObservation", "DroneState"]
+__all__ += ["Solution", "solve"]
 
 
 def __getattr__(name: str) -> Any:
@@ -89,7 +67,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)
 
 
 register_envs()

@@ -222,31 +222,20 @@ def _print_step(direction: str, observation: dict[str, Any]) -> None:
     )
 
 
-def _towards_target(observation: dict[str, Any]) -> str:
-    x, y = observation["current_target"] or (0, 0)
-    right, down = x - observation["drone_x"], y - observation["drone_y"]
-    if abs(right) > abs(down):
-        return "RIGHT" if right > 0 else "LEFT"
-    return "DOWN" if down > 0 else "UP"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one map, always towards the target, and print the result; return 0, or 1 after an error."""
+    """Fly one map by the server's network and print the result; return 0, or 1 after an error."""
     parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying one map.")
     parser.add_argument("url", nargs="?", default=DEFAULT_URL, help="URL of the server (%(default)s)")
-    parser.add_argument("--task", default="easy_delivery", help="the task to fly (%(default)s)")
-    options = parser.parse_args(arguments)
     try:
-        with DroneEnvClient(options.url) as client:
+        with DroneEnvClient(parser.parse_args(arguments).url) as client:
             print(f"health: {client.health()}")
-            observation = client.reset(options.task, agent="client")
+            observation = client.reset("easy_delivery", agent="client")
             while not observation["done"]:
-                direction = _towards_target(observation)
+                direction = client.predict()["action"]
                 observation = client.step(direction)
                 _print_step(direction, observation)
-            print(f"grade: {client.grade(options.task)}")
-            analysis = client.analyse(options.task)
-        print(f"episodes of {analysis['task']} on this server: {analysis['episodes_total']}")
+            print(f"grade: {client.grade('easy_delivery')}")
+            print(f"episodes of easy_delivery on this server: {client.analyse('easy_delivery')['episodes_total']}")
         print(f"score: {observation['score']:.4f} in {observation['step_count']} steps; the server works")
     except (DroneEnvError, httpx.InvalidURL) as error:
         print(f"drone_env.client: {error}", file=sys.stderr)

@@ -124,16 +124,13 @@ class EndpointError(DroneEnvError, RuntimeError):
 
 def install_command(extra: str) -> str:
     """Return the command that adds an extra to this environment, by pip or uv, from the checkout if there is one."""
-    root, chosen = Path(__file__).parents[1], f"[{extra}]" if extra else ""
-    made_by = Path(sys.prefix, "pyvenv.cfg")
-    by_uv = made_by.is_file() and re.search("^uv = ", made_by.read_text("utf-8"), re.MULTILINE)
-    target = f'"{DISTRIBUTION}{chosen}"'  # pip and uv take the installed one, and need no index for it
-    if (root / "uv.lock").is_file():
-        place = "." if Path.cwd() == root else root
-        if by_uv and Path(sys.prefix) == root / ".venv":
-            return f"uv sync{f' --extra {extra}' if extra else ''}{'' if place == '.' else f' --project {place}'}"
-        target = f'-e "{place}{chosen}"'
-    return f"{'uv ' if by_uv else ''}pip install {target}"
+    root, chosen, made_by = Path(__file__).parents[1], f"[{extra}]" if extra else "", Path(sys.prefix, "pyvenv.cfg")
+    tool = "uv pip" if made_by.is_file() and "\nuv = " in made_by.read_text("utf-8") else "pip"
+    if not (root / "uv.lock").is_file():  # the tools take the installed package, and need no index for it
+        return f'{tool} install "{DISTRIBUTION}{chosen}"'
+    if tool == "uv pip" and Path(sys.prefix) == root / ".venv" and Path.cwd() == root:
+        return f"uv sync --extra {extra}" if extra else "uv sync"
+    return f'{tool} install -e "{root}{chosen}"'
 
 
 def abbreviate(value: object) -> str:

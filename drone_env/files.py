@@ -2,11 +2,10 @@
 
 import json
 import os
-import stat
 import threading
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
-from io import BufferedReader, FileIO
+from io import FileIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,45 +21,28 @@ def data_folder(part: Literal["", "results"] = "") -> Path:
     return Path(configured, part) if configured else Path(part or "data")
 
 
-def open_file(path: str | Path) -> BufferedReader:
-    """Open a regular file, or a link to one, to read bytes.
-
-    Other files may block (a pipe), never end (a device) or fail late (a folder).
-
-    Raises:
-        OSError: if it cannot be opened.
-        InvalidValueError: if it is not a regular file.
-    """
-    mode = os.stat(path).st_mode
-    if not stat.S_ISREG(mode):
-        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device"
-        raise InvalidValueError(f"{path} is {kind}; only regular files are read")
-    return open(path, "rb")
-
-
 def read_file(path: str | Path, most: int) -> bytes:
-    """Read a regular file of at most `most` bytes.
+    """Read a file of at most `most` bytes.
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if it is not a regular file, or is too large.
+        InvalidValueError: if it is too large.
     """
-    with open_file(path) as file:
-        too_large = os.fstat(file.fileno()).st_size > most
-        content = b"" if too_large else file.read(most + 1)
-    if too_large or len(content) > most:
+    with open(path, "rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
         raise InvalidValueError(f"{path} is too large: at most {most:,} bytes are read")
     return content
 
 
 def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
-    """Yield the lines of a regular file of any size, each of at most `most` bytes and with its line end.
+    """Yield the lines of a file of any size, each of at most `most` bytes and with its line end.
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if it is not a regular file, or a line is too long.
+        InvalidValueError: if a line is too long.
     """
-    with open_file(path) as file:
+    with open(path, "rb") as file:
         number = 1
         while line := file.readline(most + 1):
             if len(line) > most:

@@ -19,7 +19,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from drone_env.core.actions import Event
 from drone_env.core.rewards import PACKAGE_PROFILES, RewardProfile, get_reward_profile
@@ -31,13 +31,6 @@ from drone_env.toml_text import read_toml
 MAX_FILE = 1 << 16
 
 
-def _number(value: object) -> Decimal:
-    # TOML's decimals are parsed as `Decimal`, so that 0.1 is exact.
-    if type(value) not in (int, Decimal):
-        raise ValueError(f"must be a number, got {abbreviate(value)}")
-    return Decimal(value)  # pyright: ignore[reportArgumentType]
-
-
 def _free(name: str) -> str:
     if not name.isprintable():
         raise ValueError(f"must be printable, got {abbreviate(name)}")
@@ -46,7 +39,8 @@ def _free(name: str) -> str:
     return name
 
 
-RewardNumber = Annotated[Decimal, BeforeValidator(_number)]
+RewardNumber = Annotated[Decimal, Field(strict=False)]
+"""TOML's decimals are parsed as `Decimal`, so that 0.1 is exact."""
 
 
 class RewardFile(BaseModel):

@@ -4,7 +4,6 @@ The dynamics are deterministic, so task, seed and actions determine a flight. A 
 score, which a replay checks, and a digest of the terrain if the task has its own.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -179,17 +178,12 @@ def save_record(record: EpisodeRecord, path: str | Path) -> None:
 
     Raises:
         OSError: if it cannot be written.
-        InvalidValueError: if the last line of the JSONL file is cut; the file is not changed.
     """
     path = Path(path)
     if path.suffix != ".jsonl":
         write_text(path, record.to_json(2) + "\n")
         return
-    with path.open("ab+", buffering=0) as file:
-        if path.is_file() and file.tell():
-            file.seek(-1, os.SEEK_END)
-            if file.read() != b"\n":
-                raise InvalidValueError(f"the last line of {path} is cut; remove it before more are appended")
+    with path.open("ab", buffering=0) as file:
         append_line(file, record.to_json())
 
 

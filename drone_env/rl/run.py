@@ -21,7 +21,7 @@ import torch
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import locked, open_file, replacing
+from drone_env.files import locked, replacing
 from drone_env.rl.common import figure
 
 FORMAT = "drone_env/checkpoint"
@@ -53,10 +53,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         CheckpointError: if it is cut short, or no checkpoint of this project.
     """
     try:
-        with open_file(path) as file:
+        with open(path, "rb") as file:
             state: Any = torch.load(file, map_location="cpu", weights_only=True)
-    except InvalidValueError as error:
-        raise CheckpointError(str(error)) from None
     except OSError:
         raise
     except Exception as error:  # damaged archives, pickles and tensors raise many types

@@ -4,8 +4,7 @@ from collections import deque
 from math import isfinite
 from pathlib import Path
 
-from drone_env.errors import InvalidValueError, StoreError
-from drone_env.files import open_file
+from drone_env.errors import StoreError
 
 FILE_NAME = "train.log"
 TAIL_BYTES = 256 * 1024
@@ -45,15 +44,14 @@ class TrainLog:
             StoreError: if it cannot be read.
         """
         try:
-            with open_file(self.path) as file:
+            with open(self.path, "rb") as file:
                 start = max(file.seek(0, 2) - size, 0)
                 file.seek(start)
                 text = file.read(size).decode("utf-8", "replace")
         except FileNotFoundError:
             return []
-        except (InvalidValueError, OSError) as error:
-            why = getattr(error, "strerror", None) or str(error).removeprefix(f"{self.path} ")
-            raise StoreError(f"{FILE_NAME} cannot be read: {why}") from None
+        except OSError as error:
+            raise StoreError(f"{FILE_NAME} cannot be read: {error.strerror}") from None
         return text.splitlines()[1 if start else 0 :]
 
 

@@ -152,13 +152,13 @@ def test_without_extras_every_program_says_in_a_line_which_it_needs(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("script", "target"), [("train.py", ".[train]"), ("inference.py", ".[llm]"), ("check_graders.py", ".")]
+    ("script", "target"), [("train.py", "[train]"), ("inference.py", "[llm]"), ("check_graders.py", "")]
 )
 def test_scripts_of_a_clone_name_the_command_that_installs_their_packages(script: str, target: str) -> None:
     # With `-S`, Python finds no packages but its own.
     done = subprocess.run([sys.executable, "-S", "-B", script], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 1
-    command = f'pip install -e "{target}"'
+    command = f'pip install -e "{ROOT}{target}"'
     assert re.fullmatch(rf"{script}: \S+ is not installed; run: {re.escape(command)}\n", done.stderr)
 
 

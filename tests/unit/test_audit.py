@@ -131,7 +131,7 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
+        ("id = 'x'\nshaping = 'much'", "shaping: must be a valid decimal"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),
         ("id = 'score'", "taken by a profile of the package"),

@@ -86,7 +86,7 @@ ALL = f"format = 1\n{ROWS}"
         ('format = 1\n[terrain]\nrows = ["· · ", "· x"]', "unknown symbol 'x' in row 1; allowed: '· ' road"),
         ('format = 1\n[terrain]\nrows = ["· · ", "· "]', "row 0 has 2 cells, row 1 has 1"),
         (f'format = 1\n[terrain]\nrows = ["{"🏢" * 513}", "{"🏢" * 513}"]', "wide and high, got 513 x 2"),
-        (f"name = 1\n{ALL}", "unknown key 'name'; allowed: format, attribution"),
+        (f"name = 1\n{ALL}", "name: Extra inputs are not permitted"),
         (f'licence = "{"x" * 201}"\n{ALL}', "licence must be one printable line of at most 200 characters"),
         (f"cell = 0\n{ALL}", "cell must be metres above 0, got 0.0"),
         (f"bbox = [3, 2, 1, 4]\n{ALL}", "-180 <= west < east <= 180"),

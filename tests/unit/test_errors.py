@@ -49,9 +49,8 @@ def test_every_error_arrives_as_it_was(kind: type[DroneEnvError]) -> None:
 @pytest.mark.parametrize(
     ("tool", "folder", "inside", "command"),
     [
-        ("uv", ".venv", "", "uv sync --extra train --project {clone}"),
-        ("uv", "env", "clone", 'uv pip install -e ".[train]"'),
-        ("venv", ".venv", "clone", 'pip install -e ".[train]"'),
+        ("uv", ".venv", "clone", "uv sync --extra train"),
+        ("uv", "env", "clone", 'uv pip install -e "{clone}[train]"'),
         ("venv", ".venv", "", 'pip install -e "{clone}[train]"'),
         ("uv", None, "", 'uv pip install "drone-delivery-env[train]"'),
     ],

@@ -11,8 +11,8 @@ from drone_env.agents.pathqnet import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.openstreetmap import import_city
-from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.files import append_line, read_file, write_text
+from drone_env.errors import DroneEnvError
+from drone_env.files import append_line, write_text
 from drone_env.flights.record import load_record, read_records
 from drone_env.llm.prompt import read_prompt
 from drone_env.llm.run_folder import load_config, load_results
@@ -60,13 +60,6 @@ def refused(name: str, path: Path) -> str:
     assert len(said.splitlines()) == 1
     assert len(said) < 500 + len(str(path))
     return said
-
-
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), Path.mkdir])
-def test_only_files_are_read(make: Callable[[Path], object], tmp_path: Path) -> None:
-    make(tmp_path / "file")
-    with pytest.raises(InvalidValueError, match="only regular files are read"):
-        read_file(tmp_path / "file", 9)
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

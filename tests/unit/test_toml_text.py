@@ -11,8 +11,7 @@ from drone_env.toml_text import parse_toml
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("x = 0x" + "f" * 100_000, "a number has more than 64 digits"),
-        ("x = 1e99999999999999999999", "exponent"),
+        ("x = 1e99999999999999999999", "decimal"),
         ("x = " + "[" * 100_000, "recursion|deep"),
         ("# \ud800", "surrogates not allowed"),
         (b"x = '\xff'", "utf-8"),
