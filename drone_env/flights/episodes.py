@@ -1,17 +1,19 @@
 """Finished episodes: the whole episode, rows for lists, means by agent and map, statistics of a task."""
 
+import json
+import sqlite3
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from statistics import fmean
 from typing import Annotated, Literal, cast
 
-from pydantic import BeforeValidator, Field, PlainSerializer, computed_field
+from pydantic import Field, PlainSerializer, computed_field
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.flights.provenance import Parent, Provenance
+from drone_env.flights.provenance import Provenance
 from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.models import Count, Direction, OutcomeName, Score, Seed, StrictModel
 
@@ -45,11 +47,7 @@ def _iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat()
 
 
-def _parent(stored: object) -> object:
-    return Parent.model_validate_json(stored) if isinstance(stored, str) else stored
-
-
-class EpisodeSummary(StrictModel):
+class EpisodeSummary(Provenance):
     """One row of a list of finished episodes, with the optimum of its map."""
 
     number: int = Field(exclude=True, description="The order of storing; it always rises.")
@@ -60,13 +58,6 @@ class EpisodeSummary(StrictModel):
     seed: Seed
     reward_profile: str
     agent: str = Field(description="Who flew, in words.")
-    pilot: str = Field(description="The agent, or `human`: who flew, or who flew on if this is a fork.")
-    person: str | None = Field(description="The name that a person chose.")
-    values_used: bool = Field(strict=False, description="Whether a person turned on values in flight.")
-    undo_used: bool = Field(strict=False, description="Whether a person took back steps.")
-    parent: Annotated[Parent | None, BeforeValidator(_parent)] = Field(
-        description="The flight that this one continues; null if it is no fork."
-    )
     actions: str = Field(exclude=True, description="One digit per action.")
     deliveries: Count
     deliveries_total: Count
@@ -74,13 +65,8 @@ class EpisodeSummary(StrictModel):
     reward_total: float
     score: Score
     outcome: str
-    solved: bool = Field(exclude=True, strict=False, description="Whether the solver has finished its map.")
+    solved: bool = Field(exclude=True, description="Whether the solver has finished its map.")
     optimal_score: Score | None = Field(description="The optimum of its map; null if it is unknown.")
-
-    @property
-    def provenance(self) -> Provenance:
-        """Who flew."""
-        return Provenance(**{name: getattr(self, name) for name in Provenance.model_fields})
 
     @computed_field
     @property
@@ -93,6 +79,12 @@ class EpisodeSummary(StrictModel):
     def regret(self) -> Annotated[float, Field(ge=0)] | None:
         """optimal_score - score."""
         return None if self.optimal_score is None else self.optimal_score - self.score
+
+
+def summary_of(row: sqlite3.Row) -> EpisodeSummary:
+    """Return a row of `SELECT_ROWS`."""
+    parent = None if row["parent"] is None else json.loads(row["parent"])
+    return EpisodeSummary.model_validate({**row, "parent": parent}, strict=False)
 
 
 COLUMNS = list(EpisodeSummary.model_fields)[:-2]

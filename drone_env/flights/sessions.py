@@ -184,7 +184,7 @@ class Sessions:
             connection.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?)", row)
             self._remember(session_id, Session(flight_id, episode.copy(), provenance))
         if episode.ended:
-            self._store.on_finished([flight_id])
+            self._store.on_finished()
         return session_id
 
     def reset(
@@ -257,7 +257,7 @@ class Sessions:
             session.unstored, session.has_ended = "", False
             self._remember(session_id, session)
         if has_ended:
-            self._store.on_finished([session.flight_id])
+            self._store.on_finished()
         return result
 
     def step(

@@ -7,7 +7,9 @@ each process: it does not survive a fork.
 
 import logging
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,8 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import EpisodeError, InvalidValueError, StoreError, UnknownNameError
+from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, StoreError, UnknownNameError
+from drone_env.files import write_text
 from drone_env.flights.database import BUSY_SECONDS, Database
 from drone_env.flights.episodes import (
     SELECT_BEST,
@@ -26,19 +29,23 @@ from drone_env.flights.episodes import (
     EpisodeSummary,
     StoredEpisode,
     analyse,
+    summary_of,
 )
 from drone_env.flights.flight import COLUMNS, Flight, check_task, digits_of, insert_flight, new_id
-from drone_env.flights.memory_view import LENGTH, MemoryView
 from drone_env.flights.optima import Map, Optima, Submit
 from drone_env.flights.provenance import HUMAN, Provenance
 
 log = logging.getLogger(__name__)
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
+VIEW_LENGTH = 100
+VIEW_SECONDS = 0.05
+"""Flights that end within this time are shown together."""
+VIEW = '{{"format": "drone_env/memory", "format_version": 1, "episodes": [\n{}\n]}}\n'
 PATIENCE = 0.5
 """Seconds to wait for optima."""
 NEWEST = "ORDER BY number DESC LIMIT ?"
-SELECT_STORED = f"SELECT {COLUMNS}, number, finished_at, reward_total, score FROM flights"
+SELECT_STORED = f"SELECT {COLUMNS}, finished_at, reward_total, score FROM flights WHERE id = ? AND number IS NOT NULL"
 
 
 class Store:
@@ -49,8 +56,7 @@ class Store:
     Args:
         folder: Created if it is missing.
         busy_seconds: Maximum time to wait for other writers.
-        submit: Starts to solve maps in another process: the map of each stored episode, and the maps of a list. If
-            None, a thread of the store solves the maps of a list.
+        submit: Starts to solve the maps of a list in another process; None for a thread of the store.
 
     Raises:
         OSError: if the folder or the file cannot be created.
@@ -71,17 +77,23 @@ class Store:
             with self.database.reading() as connection:
                 for task in list(TASKS.values()):
                     check_task(connection, task)
-            self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
             self.database.close()
             raise
-        self._solves_all = submit is not None
         self._optima = Optima(self.database, submit)
+        self._lines: dict[str, str] = {}
+        """JSON of the episodes in `memory.json` by id; empty for one that cannot be flown again."""
+        self._shown: list[str] | None = None
+        """Ids of these episodes; None if the file is not written."""
+        self._view_due, self._closing = threading.Event(), threading.Event()
+        self._view_thread = ThreadPoolExecutor(1, "drone_env-memory-view")
+        self.on_finished()
 
     def close(self) -> None:
         """Close the file; a second call does nothing. Waits for `memory.json`."""
         self._optima.close()
-        self._view.close()
+        self._closing.set()
+        self._view_thread.shutdown()
         self.database.close()
 
     def check(self) -> None:
@@ -118,7 +130,7 @@ class Store:
         provenance, flight_id = Provenance.of(agent), episode_id or new_id()
         with self.database.writing() as connection:
             insert_flight(connection, flight_id, episode, provenance)
-        self.on_finished([flight_id])
+        self.on_finished()
         return flight_id
 
     def episode(self, episode_id: str) -> StoredEpisode:
@@ -130,7 +142,7 @@ class Store:
             InvalidValueError: if its reward profile has changed.
             StoreError: if the store cannot be read.
         """
-        for row in self._read(f"{SELECT_STORED} WHERE id = ? AND number IS NOT NULL", (episode_id,)):
+        for row in self._read(SELECT_STORED, (episode_id,)):
             return _stored(row)
         raise UnknownNameError("episode", episode_id, ())
 
@@ -160,7 +172,7 @@ class Store:
         """
         where, values = _where(task, {"agent =": agent, "number <": before, "seed =": seed})
         rows = self._read_solved(f"{SELECT_ROWS} {where} {NEWEST}", (*values, n), "seed")
-        return [EpisodeSummary(**row) for row in rows]
+        return [summary_of(row) for row in rows]
 
     def means_by_map(self, task: str | TaskConfig) -> list[sqlite3.Row]:
         """Return the means of each agent's flights over each map of a task; optima as in `listed`.
@@ -189,7 +201,7 @@ class Store:
         """
         filters = {"seed =": seed, "finished_at >=": since, "pilot =": HUMAN, "values_used =": 0, "undo_used =": 0}
         where, values = _where(task, filters)
-        return [EpisodeSummary(**row) for row in self._read(SELECT_BEST.format(where=where), (*values, n))]
+        return [summary_of(row) for row in self._read(SELECT_BEST.format(where=where), (*values, n))]
 
     def flown_before(self, episode: Episode) -> list[tuple[str, Provenance]]:
         """Return the id and the provenance of the flights with the map, actions and reward profile of an episode.
@@ -238,23 +250,42 @@ class Store:
         ((total,),) = self._read(f"SELECT count(*) FROM flights {where}", values)
         return analyse(get_task(task), total, rows)
 
-    def on_finished(self, flight_ids: Sequence[str]) -> None:
-        """Show flights that have just been stored in `memory.json`, and start to solve their maps."""
-        self._view.refresh()
-        if self._solves_all:
-            for flight_id in flight_ids:
-                self._read_solved(f"{SELECT_ROWS} WHERE id = ?", (flight_id,), "seed", 0)
+    def on_finished(self) -> None:
+        """Show flights that have just been stored in `memory.json`, soon."""
+        if not (self._view_due.is_set() or self._closing.is_set()):
+            self._view_due.set()
+            self._view_thread.submit(self._write_view)
 
-    def _read_solved(
-        self, query: str, values: tuple[object, ...], seed: str, patience: float | None = None
-    ) -> list[sqlite3.Row]:
+    def _write_view(self) -> None:
+        """Replace `memory.json`: in its own thread, since that may wait for the disk."""
+        self._closing.wait(VIEW_SECONDS)
+        self._view_due.clear()
+        query = f"SELECT id FROM flights WHERE number IS NOT NULL {NEWEST}"
+        try:
+            # Each process reads again after it writes, so no older view stays over a newer one.
+            while (newest := [row["id"] for row in self._read(query, (VIEW_LENGTH,))][::-1]) != self._shown:
+                self._lines = {id_: self._lines.get(id_) or self._json(id_) for id_ in newest}
+                write_text(self.folder / VIEW_NAME, VIEW.format(",\n".join(filter(None, self._lines.values()))))
+                self._shown = newest
+        except (OSError, DroneEnvError) as error:
+            # The episodes are safe in the store, and the next one tries again.
+            self._shown = None
+            log.warning("%s could not be written: %s", self.folder / VIEW_NAME, error)
+
+    def _json(self, episode_id: str) -> str:
+        try:
+            return self.episode(episode_id).model_dump_json(exclude_none=True)
+        except (InvalidValueError, UnknownNameError) as error:
+            log.warning("%s leaves out flight %s: %s", VIEW_NAME, episode_id, error)
+            return ""
+
+    def _read_solved(self, query: str, values: tuple[object, ...], seed: str) -> list[sqlite3.Row]:
         """Run a query with a column `solved`; if maps are not solved, wait for the solver and run it again.
 
         Args:
             query: The query.
             values: Its values.
             seed: Its column with the number of the map.
-            patience: Seconds to wait; None for `PATIENCE`.
         """
         rows = self._read(query, values)
         maps: dict[Map, None] = {}
@@ -264,28 +295,17 @@ class Store:
                     maps[get_task(row["task"], row["task_version"]), row[seed]] = None
         if not maps:
             return rows
-        self._optima.solve(maps, PATIENCE if patience is None else patience)
+        self._optima.solve(maps, PATIENCE)
         return self._read(query, values)
 
     def _read(self, query: str, values: tuple[object, ...] = ()) -> list[sqlite3.Row]:
         with self.database.reading() as connection:
             return connection.execute(query, values).fetchall()
 
-    def _newer(self, after: int) -> list[tuple[int, str]]:
-        """Return number and JSON of the newest episodes after a number, oldest first; "" if it cannot be flown."""
-        newer: list[tuple[int, str]] = []
-        for row in self._read(f"{SELECT_STORED} WHERE number > ? {NEWEST}", (after, LENGTH))[::-1]:
-            try:
-                newer.append((row["number"], _stored(row).model_dump_json(exclude_none=True)))
-            except (InvalidValueError, UnknownNameError) as error:
-                log.warning("%s leaves out flight %s: %s", VIEW_NAME, row["id"], error)
-                newer.append((row["number"], ""))
-        return newer
-
 
 def _stored(row: sqlite3.Row) -> StoredEpisode:
     """Fly a stored flight again."""
-    *flown, _, finished_at, reward_total, score = row
+    *flown, finished_at, reward_total, score = row
     flight = Flight(*flown)
     episode = flight.fly()
     if (episode.reward_total, episode.score) != (reward_total, score):

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.flights.memory_view import MemoryView
-from drone_env.flights.provenance import Provenance
-from drone_env.flights.store import Store, StoredEpisode
+from drone_env.files import write_text
+from drone_env.flights.store import Store
 from tests.tools import eventually
 from tests.unit.stores import flown, latest, view
 
@@ -24,30 +23,24 @@ def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: P
     assert [stored.record.agent for stored in expected] == [f"ace {number}" for number in range(30, 130)]
 
 
-def test_an_older_view_that_overwrites_a_newer_one_is_put_right(tmp_path: Path) -> None:
-    path = tmp_path / "memory.json"
-    stored = [StoredEpisode.of(f"{number:016x}", number, flown(), Provenance(pilot="ace")) for number in range(3)]
-    texts = [(number, one.model_dump_json()) for number, one in enumerate(stored, 1)]
-    rows = texts[:1]
+def test_an_older_view_that_overwrites_a_newer_one_is_put_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     overtaken = threading.Event()
 
-    def newer(after: int) -> list[tuple[int, str]]:
-        found = rows[after:]
-        if len(rows) == 2 and not overtaken.is_set():
+    def write_late(path: Path, text: str) -> None:
+        if not overtaken.is_set():
             # Another process stores one more, and writes its view, before this one writes what it has just read.
             overtaken.set()
-            rows.append(texts[2])
-            MemoryView(path, lambda after: rows[after:]).close()
-            assert view(tmp_path) == stored
-        return found
+            with Store(tmp_path) as other:
+                other.add_episode(flown(), "late")
+            assert len(view(tmp_path)) == 1
+        write_text(path, text)
 
-    memory_view = MemoryView(path, newer)
-    eventually(lambda: path.exists() and view(tmp_path) == stored[:1])
-    rows.append(texts[1])
-    memory_view.refresh()
-    memory_view.close()
-    assert overtaken.is_set()
-    assert view(tmp_path) == stored
+    monkeypatch.setattr("drone_env.flights.store.write_text", write_late)
+    with Store(tmp_path):
+        eventually(overtaken.is_set)
+    assert [stored.record.agent for stored in view(tmp_path)] == ["late"]
 
 
 def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:

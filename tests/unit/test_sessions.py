@@ -239,9 +239,9 @@ def test_a_flight_keeps_who_flew_before_its_fork(store: Store) -> None:
     assert rows(store.folder) == {}
     fork_id = store.add_episode(flown(actions="4"), fork)
     (row,) = store.listed(2)
-    assert (row.id, row.agent, row.provenance) == (
+    assert (row.id, row.agent, row.parent) == (
         fork_id,
         "human (Ada) from step 2 of random from step 1 of greedy",
-        fork,
+        fork.parent,
     )
     assert store.episode(fork_id).record.provenance == fork

@@ -35,7 +35,7 @@ class ListedEpisode(EpisodeSummary):
 
 def listed(store: Store, n: int, *filters: Any, **more: Any) -> list[ListedEpisode]:
     """The last `n` finished episodes, newest first. Arguments and errors as `Store.listed`."""
-    return [ListedEpisode(**vars(row), name=display_name(row.provenance)) for row in store.listed(n, *filters, **more)]
+    return [ListedEpisode(**vars(row), name=display_name(row)) for row in store.listed(n, *filters, **more)]
 
 
 class EpisodeSummaries(StrictModel):
