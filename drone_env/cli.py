@@ -10,7 +10,6 @@ from tyro.extras import SubcommandApp
 
 from drone_env import __version__
 from drone_env.commands.arguments import register_files
-from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
 from drone_env.standard_output import guarded, print_error
@@ -57,15 +56,10 @@ def _run(arguments: list[str]) -> int:
     try:
         if arguments[:1] != ["doctor"]:  # it reports broken plugins itself
             load_plugins()
-        profiles = dict(REWARD_PROFILES)
-        try:
-            return int(_run_command(arguments) or 0)
-        finally:  # forget the profiles of files that the command has registered
-            REWARD_PROFILES.clear()
-            REWARD_PROFILES.update(profiles)
+        return int(_run_command(arguments) or 0)
     except BrokenPipeError:
         raise
-    except (DroneEnvError, OSError) as error:
+    except (DroneEnvError, OSError, MemoryError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)
         print_error(error)

@@ -21,11 +21,11 @@ Each message names the given value and the allowed ones.
 
 import re
 import sys
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 DISTRIBUTION = "drone-delivery-env"
 """The name of this package in an index; it is imported as `drone_env`."""
@@ -139,14 +139,6 @@ def abbreviate(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-class Invalid(Protocol):
-    """A validation error of Pydantic or FastAPI."""
-
-    def errors(self) -> Sequence[Any]:
-        """Return the errors, one for each invalid part."""
-        ...
-
-
 LONGEST_NAME = 200
 """Maximum number of characters, because the sender of a value names its parts."""
 PLAIN = {
@@ -160,7 +152,7 @@ PLAIN = {
 """Words of Pydantic's messages, and those of this package."""
 
 
-def wrong_parts(error: Invalid) -> list[tuple[str, str, str]]:
+def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
     """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
     return [
         (".".join(map(str, part["loc"]))[:LONGEST_NAME], _plain(part["msg"]), part["type"])
@@ -174,7 +166,7 @@ def _plain(message: str) -> str:
     return message
 
 
-def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:
+def text_of(error: Any, name: Callable[[str], str] = str) -> str:
     """Describe the first five invalid parts: `part: reason; part: reason`.
 
     Args:

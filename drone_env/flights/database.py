@@ -93,7 +93,7 @@ class Database:
     def __init__(self, path: Path, busy_seconds: float = BUSY_SECONDS) -> None:
         self.path = path
         self.failed = False
-        """Whether a write has failed since the last `probe`."""
+        """Whether the last write has failed."""
         self._busy_seconds = busy_seconds
         # Session ids are secrets; SQLite gives its other files the same permissions.
         path.touch(mode=0o600)
@@ -144,26 +144,16 @@ class Database:
                 self._writer.execute("BEGIN IMMEDIATE")
                 with self._writer:
                     yield self._writer
-                if self.failed:
-                    self._set_patience(self._busy_seconds)
+                self._note(failed=False)
             except sqlite3.Error:
-                self.failed = True
-                self._set_patience(0)  # all who wait for this one fail together
+                self._note(failed=True)
                 raise
 
-    def probe(self) -> None:
-        """Write something if a write has failed, to see whether the disk has room again.
-
-        Raises:
-            StoreError: if this write fails, too.
-        """
-        if self.failed:
-            with self.writing() as connection:
-                connection.execute(f"PRAGMA user_version = {VERSION}")
-            self.failed = False
-
-    def _set_patience(self, seconds: float) -> None:
-        self._writer.execute(f"PRAGMA busy_timeout = {round(1000 * seconds)}")
+    def _note(self, failed: bool) -> None:
+        """Note whether a write has failed. After a failure nobody waits, so that all who wait for it fail together."""
+        if failed != self.failed:
+            self.failed = failed
+            self._writer.execute(f"PRAGMA busy_timeout = {0 if failed else round(1000 * self._busy_seconds)}")
 
     def _connect(self) -> sqlite3.Connection:
         connection = sqlite3.connect(

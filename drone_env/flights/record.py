@@ -50,13 +50,9 @@ class EpisodeRecord(StrictModel):
     ended: bool = Field(description="Whether the flight has ended.")
 
     @model_validator(mode="after")
-    def _rewards_fit(self) -> Self:
+    def _fits(self) -> Self:
         if len(self.rewards) != len(self.actions):
             raise ValueError(f"{len(self.rewards)} rewards do not fit {len(self.actions)} actions")
-        return self
-
-    @model_validator(mode="after")
-    def _agent_fits(self) -> Self:
         if self.provenance.label != self.agent:
             raise ValueError(f"agent is {self.agent!r}, but the other fields say {self.provenance.label!r}")
         return self

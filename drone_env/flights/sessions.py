@@ -15,6 +15,7 @@ from typing import SupportsIndex, TypeVar
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError
+from drone_env.flights.database import VERSION
 from drone_env.flights.flight import COLUMNS, Flight, finish_flight, insert_flight, new_id
 from drone_env.flights.provenance import Provenance
 from drone_env.flights.store import Store
@@ -327,13 +328,13 @@ class Sessions:
             connection.execute("UPDATE sessions SET touched_at = ?", (self._clock(),))
 
     def expire(self) -> int:
-        """End the idle sessions and return their number.
+        """End the idle sessions and return their number. Writes in any case, to see whether the disk has room.
 
         Raises:
             StoreError: if it could not be written.
         """
-        self._database.probe()
         with self._database.writing() as connection:
+            connection.execute(f"PRAGMA user_version = {VERSION}")
             return self._end_idle(connection)
 
     def count(self) -> int:
