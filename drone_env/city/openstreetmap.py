@@ -8,7 +8,7 @@ import re
 from cmath import phase
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import degrees
 from pathlib import Path
@@ -70,18 +70,6 @@ class Layer(NamedTuple):
     """Width in metres by rule."""
     coasts: tuple[Rule, ...]
     unless: tuple[Rule, ...]
-
-
-@dataclass
-class Geometry:
-    """The geometry of one layer that reaches into the grid; coordinates are (x, y) in cells."""
-
-    points: list[Points] = field(default_factory=list[Points])
-    areas: list[list[Points]] = field(default_factory=list[list[Points]])
-    """The lines around each area and its holes, in any order."""
-    lines: list[tuple[Points, float]] = field(default_factory=list[tuple[Points, float]])
-    """Each with its width in metres."""
-    coasts: list[Points] = field(default_factory=list[Points])
 
 
 class Match(NamedTuple):
@@ -171,7 +159,7 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
         projection = projection_of(bbox or source.covered(), cell, size, middle=bbox is None)
         found = Collection(projection)
         _collect(found, source)
-        if not found.cut and not any(any(vars(geometry).values()) for geometry in found.layered.values()):
+        if not found.cut and not found.matched:
             raise InvalidValueError(
                 f"no layer has anything there; the file covers {' '.join(f'{side:.9g}' for side in source.extent())}"
             )
@@ -183,7 +171,7 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
             log.warning("%s: %s: the city lacks these areas, and these ways have gaps", path, lacking)
     grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
     for layer in reversed(layers()):
-        grid[_claimed(layer, found.layered[layer.name], projection)] = layer.kind
+        grid[_claimed(layer, found)] = layer.kind
     return City(grid, ATTRIBUTION, LICENCE, path.name, cell, projection.bbox, names=found.names())
 
 
@@ -250,7 +238,8 @@ class Collection:
 
     def __init__(self, grid: GridProjection) -> None:
         self.grid = grid
-        self.layered = {layer.name: Geometry() for layer in layers()}
+        self.matched: list[tuple[Match, list[Points]]] = []
+        """What reaches into the grid: lines in cells, those around an area and its holes in any order."""
         self.objects: set[str] = set()
         """Type and id of each way and area."""
         self.cut: dict[str, None] = {}
@@ -282,16 +271,9 @@ class Collection:
         double = complex((lengths * np.exp(2j * np.arctan2(*along.T[::-1])))[near].sum())
         return lengths.sum(), Name(text, round(x, 1), round(y, 1), round(degrees(phase(double) / 2)))
 
-    def add_district(self, text: str, place: Points) -> None:
-        """Add the name of a district at a point, float64[2] in cells."""
-        if ((place >= 0) & (place < (self.grid.columns, self.grid.rows))).all():
-            x, y = place.tolist()
-            self.districts[text] = Name(text, round(x, 1), round(y, 1))
-
-    def add_point(self, layer: Layer, place: Points) -> None:
-        """Add a point, float64[2] in cells."""
-        if (place >= 0).all() and (place < (self.grid.columns, self.grid.rows)).all():
-            self.layered[layer.name].points.append(place)
+    def holds(self, place: Points) -> bool:
+        """Return whether a point, float64[2] in cells, is in the grid."""
+        return bool((place >= 0).all() and (place < (self.grid.columns, self.grid.rows)).all())
 
     def add(
         self, name: str, tags: Mapping[str, str], forms: Sequence[str], lines: Sequence[Line], lost: int = 0
@@ -315,7 +297,6 @@ class Collection:
         if (match := _match(tags, *forms)) is None:
             return
         self.objects.add(name)
-        geometry = self.layered[match.layer.name]
         parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
         area = match.form in ("areas", "points")
         loose: set[Place | None] = set()  # ends of lines that no other line continues
@@ -324,15 +305,12 @@ class Collection:
         if not known or lost or loose or any(None in line for line in lines):
             self.cut[name] = None
             parts = [] if area else parts
-        if match.form == "lines":
-            geometry.lines.extend((part, match.layer.lines[match.rule]) for part in parts)
-        elif match.form == "coasts":
-            geometry.coasts.extend(parts)
-        elif match.form == "areas" and parts:
-            geometry.areas.append(parts)
-        elif parts:
+        if match.form == "points" and parts:
             corners = np.concatenate(parts)
-            self.add_point(match.layer, (corners.min(axis=0) + corners.max(axis=0)) / 2)
+            middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+            parts = [middle[None]] if self.holds(middle) else []
+        if parts:
+            self.matched.append((match, parts))
 
 
 def _collect(found: Collection, source: Source) -> None:
@@ -351,10 +329,13 @@ def _collect(found: Collection, source: Source) -> None:
                 relations.append((f"relation {item.id}", tags, [*ways]))
         elif item.location.valid():
             place = found.grid.to_cells(np.array([item.lon, item.lat]))
+            if not found.holds(place):
+                continue
             if match := _match(tags, "points"):
-                found.add_point(match.layer, place)
+                found.matched.append((match, [place[None]]))
             if tags.get("place") in _table()["names"]["place"] and "name" in tags:
-                found.add_district(tags["name"], place)
+                x, y = place.tolist()
+                found.districts[tags["name"]] = Name(tags["name"], round(x, 1), round(y, 1))
     members: dict[int, Line] = {way: () for _, _, ways in relations for way in ways}
     for way in source.objects(osmium.osm.WAY, store):
         tags = {tag.k: tag.v for tag in way.tags}
@@ -390,20 +371,28 @@ def _outside(places: Sequence[Place], grid: GridProjection) -> bool:
     return max(lons) <= west or min(lons) >= east or max(lats) <= south or min(lats) >= north
 
 
-def _claimed(layer: Layer, found: Geometry, projection: GridProjection) -> npt.NDArray[np.bool_]:
+def _claimed(layer: Layer, found: Collection) -> npt.NDArray[np.bool_]:
     """bool[rows, columns]: the cells that a layer claims."""
-    claimed = np.zeros((projection.rows, projection.columns), np.bool_)
-    if found.areas or found.lines:
-        covered = np.zeros((projection.rows * FINE, projection.columns * FINE), np.bool_)
-        for rings in found.areas:
+    grid, forms = (
+        found.grid,
+        {form: list[tuple[Rule, list[Points]]]() for form in ("areas", "lines", "coasts", "points")},
+    )
+    for match, parts in found.matched:
+        if match.layer is layer:
+            forms[match.form].append((match.rule, parts))
+    claimed = np.zeros((grid.rows, grid.columns), np.bool_)
+    if forms["areas"] or forms["lines"]:
+        covered = np.zeros((grid.rows * FINE, grid.columns * FINE), np.bool_)
+        for _, rings in forms["areas"]:
             paint_area(covered, [ring * FINE for ring in rings])
-        for line, width in found.lines:
-            paint_line(covered, line * FINE, width / projection.cell * FINE)
-        samples = np.reshape(covered, (projection.rows, FINE, projection.columns, FINE)).sum(axis=(1, 3))
+        for rule, lines in forms["lines"]:
+            for line in lines:
+                paint_line(covered, line * FINE, layer.lines[rule] / grid.cell * FINE)
+        samples = np.reshape(covered, (grid.rows, FINE, grid.columns, FINE)).sum(axis=(1, 3))
         claimed |= samples >= layer.share * FINE**2
-    if found.coasts:
-        claimed |= water_beside(found.coasts, claimed.shape)
-    for x, y in found.points:
-        if 0 <= x < projection.columns and 0 <= y < projection.rows:
-            claimed[int(y), int(x)] = True
+    if forms["coasts"]:
+        claimed |= water_beside([line for _, lines in forms["coasts"] for line in lines], claimed.shape)
+    for _, [place] in forms["points"]:
+        x, y = place[0].astype(int)
+        claimed[y, x] = True
     return claimed
