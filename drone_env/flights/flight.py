@@ -102,22 +102,13 @@ def check_task(connection: sqlite3.Connection, task: TaskConfig) -> None:
 
 def finish_flight(connection: sqlite3.Connection, flight_id: str, episode: Episode) -> None:
     """Write the numbers of a flight that has ended, which lists and indexes need."""
-    values = {
-        "id": flight_id,
-        "finished_at": time.time(),
-        "deliveries": episode.deliveries_done,
-        "deliveries_total": episode.task.deliveries,
-        "steps": episode.steps,
-        "reward_total": episode.reward_total,
-        "score": episode.score,
-        "outcome": episode.outcome.name.lower(),
-    }
-    connection.execute(FINISH, values)
+    delivered = (episode.deliveries_done, episode.task.deliveries)
+    result = (episode.steps, episode.reward_total, episode.score, episode.outcome.name.lower())
+    connection.execute(FINISH, (time.time(), *delivered, *result, flight_id))
 
 
 FINISH = """
-    UPDATE flights SET finished_at = :finished_at, deliveries = :deliveries, deliveries_total = :deliveries_total,
-        steps = :steps, reward_total = :reward_total, score = :score, outcome = :outcome,
-        number = (SELECT ifnull(max(number), 0) + 1 FROM flights WHERE number IS NOT NULL)
-    WHERE id = :id AND number IS NULL
+    UPDATE flights SET finished_at = ?, deliveries = ?, deliveries_total = ?, steps = ?, reward_total = ?, score = ?,
+        outcome = ?, number = (SELECT ifnull(max(number), 0) + 1 FROM flights WHERE number IS NOT NULL)
+    WHERE id = ? AND number IS NULL
 """

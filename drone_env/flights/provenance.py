@@ -4,10 +4,10 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, WithJsonSchema, model_validator
+from pydantic import AfterValidator, Field, ValidationError, WithJsonSchema, model_validator
 from typing_extensions import Self
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import StrictModel
 
 HUMAN = "human"
@@ -34,7 +34,6 @@ def _text(longest: int) -> WithJsonSchema:
 
 AgentLabel = Annotated[str, AfterValidator(_is_line), _text(LONGEST_LABEL), Field(description="One printable line.")]
 PersonName = Annotated[str, AfterValidator(_is_name), _text(20)]
-_LABEL: TypeAdapter[str] = TypeAdapter(AgentLabel)
 
 
 class Provenance(StrictModel):
@@ -61,10 +60,9 @@ class Provenance(StrictModel):
         if isinstance(agent, Provenance):
             return agent
         try:
-            return Provenance(pilot=_LABEL.validate_python(agent, strict=True))
-        except ValidationError:
-            message = f"an agent's name is one printable line of 1 to {LONGEST_LABEL} characters, got {agent!r}"
-            raise InvalidValueError(message) from None
+            return Provenance(pilot=agent)
+        except ValidationError as error:
+            raise InvalidValueError(text_of(error)) from None
 
     @property
     def label(self) -> str:
@@ -110,7 +108,7 @@ class Provenance(StrictModel):
                 return Provenance.model_validate({**fields, "undo_used": helped})
             return Provenance(pilot=pilot, parent=Parent(**fields, step=step) if step else None)
         except ValidationError as error:
-            raise InvalidValueError(error.errors()[0]["msg"].removeprefix("Value error, ")) from None
+            raise InvalidValueError(text_of(error)) from None
 
 
 class Parent(Provenance):

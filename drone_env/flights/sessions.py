@@ -27,9 +27,9 @@ SELECT_SESSION = f"""
     JOIN (SELECT flight_id, address FROM sessions WHERE id = ?) ON flights.id = flight_id
 """
 CHANGE = """
-    UPDATE flights SET actions = substr(actions, 1, :kept) || :unstored, revision = revision + 1,
-        values_used = :values_used, undo_used = :undo_used, agent = :agent
-    WHERE id = :id
+    UPDATE flights SET actions = substr(actions, 1, ?) || ?, values_used = ?, undo_used = ?, agent = ?,
+        revision = revision + 1
+    WHERE id = ?
 """
 TOUCH = "UPDATE sessions SET touched_at = ?, address = ?, flight_id = ? WHERE id = ?"
 COUNT = "SELECT count(*), count(owner = :owner OR NULL) FROM sessions"
@@ -397,15 +397,8 @@ def _session(row: sqlite3.Row) -> Session:
 
 def _change(connection: sqlite3.Connection, session: Session) -> None:
     """Store what a session has flown, and its provenance."""
-    by = session.provenance
-    values = {
-        "id": session.flight_id,
-        "kept": session.episode.steps - len(session.unstored),
-        "unstored": session.unstored,
-        "values_used": by.values_used,
-        "undo_used": by.undo_used,
-        "agent": by.label,
-    }
+    by, kept = session.provenance, session.episode.steps - len(session.unstored)
+    values = (kept, session.unstored, by.values_used, by.undo_used, by.label, session.flight_id)
     connection.execute(CHANGE, values)
     session.revision += 1
     if session.has_ended:
