@@ -4,9 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-import osmium
-import osmium.io
-
 from drone_env.city.raster import metres_per_degree
 
 CELL, COLUMNS, ROWS = 16.0, 6, 4
@@ -62,12 +59,3 @@ class Drawing:
         inner = [*inner, *(f"<tag k={quoteattr(key)} v={quoteattr(value)}/>" for key, value in tags.items())]
         number = len(self._parts[kind]) + 1
         self._parts[kind].append(f'<{kind} id="{number}" version="1" {attributes}>{"".join(inner)}</{kind}>')
-
-
-def converted(source: Path, path: Path) -> Path:
-    """Write an extract in another format."""
-    box = osmium.io.Reader(str(source)).header()
-    with osmium.SimpleWriter(str(path), header=box) as writer:
-        for item in osmium.FileProcessor(str(source)):
-            writer.add(item)
-    return path

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from drone_env.cli import main
-from tests.unit.osm_files import converted
 
 HELSINKI = Path(__file__).parents[2] / "examples" / "cities" / "helsinki.osm.pbf"
 
@@ -15,24 +14,19 @@ def made(source: Path, out: Path, *more: str) -> Path:
     return out
 
 
-def test_the_same_extract_gives_the_same_bytes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_extract_becomes_a_file_and_its_counts_are_printed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = made(HELSINKI, tmp_path / "a.toml").read_text(encoding="utf-8")
     printed = capfd.readouterr().out
     assert f"{tmp_path / 'a.toml'}: 63 x 64 cells of 16 metres\n--bbox 24.9" in printed
     assert "© OpenStreetMap contributors, ODbL-1.0" in printed
     assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
     assert 'licence = "ODbL-1.0"' in first
-    xml = made(converted(HELSINKI, tmp_path / "helsinki.osm"), tmp_path / "x.toml").read_text(encoding="utf-8")
-    assert xml.replace('"helsinki.osm"', '"helsinki.osm.pbf"') == first
 
 
 WRONG: dict[str, tuple[str, bytes, str, str]] = {
     "a far place": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 2 48 2.01 48.005", "no layer has anything there"),
     "too many cells": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 24.93 60.16 24.96 60.18", "--size allows"),
-    "a box upside down": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 25 61 26 60", "south < north"),
     "a size of nothing": ("town.osm.pbf", b"x", "--size 64", "--size is COLUMNSxROWS"),
-    "too large a size": ("town.osm.pbf", b"x", "--size 64x513", "--size must be 2x2 to 512x512, got 64x513"),
-    "too small a cell": ("town.osm.pbf", b"x", "--cell 0.5", "--cell must be 1 to 100 metres, got 0.5"),
     "a city of another kind": ("town.osm.pbf", b"x", "--out town.json", "a file that ends in .toml"),
 }
 

@@ -123,12 +123,9 @@ def saved(written: Callable[[str], str | bytes], folder: Path) -> Path:
 
 WRITTEN: dict[str, Callable[[str], str | bytes]] = {
     "backwards": lambda text: "\n".join([*text.split("\n")[:2], *text.split("\n")[-3:1:-1], "</osm>"]),
-    "nodes twice": lambda text: re.sub("<node.*?/node>", r"\g<0>" * 2, text),
     "negative ids": numbered(lambda number: -number),
     "some negative ids": numbered(lambda number: number if number % 3 else -number),
     "large ids": numbered(lambda number: number + 2**62),
-    "bounds of ways": lambda text: re.sub("(<way[^>]*>)", r"\1" + bounds(0, 0, 1, 1), text),
-    "UTF-16": lambda text: text.encode("utf-16"),
 }
 
 

@@ -29,7 +29,6 @@ FORK = of("human", at=20, parent=GREEDY)
     [
         ("human", 20, GREEDY, FORK, "human from step 20 of greedy"),
         ("greedy", 3, of("a model with values"), None, "greedy from step 3 of a model with values"),
-        ("human", 0, GREEDY, of("human"), "human"),
         ("human", 0, FORK, of("human"), "human"),
         ("human", 0, of("human", "values"), of("human", "values"), "human with values"),
         (
@@ -39,21 +38,12 @@ FORK = of("human", at=20, parent=GREEDY)
             None,
             "human (Ada) with undo from step 3 of greedy",
         ),
-        ("greedy", 4, of("human", person="Ada"), None, "greedy from step 4 of human (Ada)"),
         # A pilot may continue its own flight.
         ("human", 5, of("human"), of("human", "undo"), "human with undo"),
-        ("human", 5, of("human", "values"), of("human", "values", "undo"), "human with values and undo"),
         ("greedy", 5, GREEDY, GREEDY, "greedy"),
         # The fork ignores all steps after it.
         ("human", 20, of("human", "undo", at=20, parent=GREEDY), FORK, "human from step 20 of greedy"),
         ("optimal", 30, FORK, None, "optimal from step 30 of human from step 20 of greedy"),
-        (
-            "greedy",
-            9,
-            of("human", at=20, parent=of("greedy", at=10, parent=of("random"))),
-            None,
-            "greedy from step 9 of random",
-        ),
     ],
 )
 def test_a_fork_names_who_flew_each_part(
