@@ -55,21 +55,18 @@ def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
 def replacing(path: Path) -> Generator[Path, None, None]:
     """Yield a temporary path to write to, which replaces `path` at the end of the `with`.
 
-    If an error occurs, the temporary file is removed and `path` is unchanged. Devices and pipes are written directly.
+    If an error occurs, the temporary file is removed and `path` is unchanged.
     """
-    direct = path.exists() and not path.is_file() and not path.is_dir()
-    temporary = path if direct else path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
+    temporary = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
         yield temporary
-        if not direct:
-            temporary.replace(path)
+        temporary.replace(path)
     except OSError as error:
         if error.errno is not None and error.filename is None:
             error.filename = str(path)  # missing if the disk is full
         raise
     finally:
-        if not direct:
-            temporary.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def file_identity(path: Path) -> tuple[int, int, int] | None:

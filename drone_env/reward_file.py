@@ -32,8 +32,6 @@ MAX_FILE = 1 << 16
 
 
 def _free(name: str) -> str:
-    if not name.isprintable():
-        raise ValueError(f"must be printable, got {abbreviate(name)}")
     if name in PACKAGE_PROFILES:
         raise ValueError(f"{abbreviate(name)} is taken by a profile of the package")
     return name

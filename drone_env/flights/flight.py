@@ -35,13 +35,9 @@ class Flight:
     @property
     def provenance(self) -> Provenance:
         """Who flew it."""
-        return Provenance(
-            pilot=self.pilot,
-            person=self.person,
-            values_used=bool(self.values_used),
-            undo_used=bool(self.undo_used),
-            parent=None if self.parent is None else Parent.model_validate_json(self.parent),
-        )
+        fields = {name: getattr(self, name) for name in Provenance.model_fields}
+        parent = None if self.parent is None else Parent.model_validate_json(self.parent)
+        return Provenance.model_validate({**fields, "parent": parent}, strict=False)
 
     def fly(self) -> Episode:
         """Fly it again.

@@ -135,7 +135,6 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'x'\nshaping = nan", "finite number"),
         ("id = 'score'", "taken by a profile of the package"),
-        ('id = "a\\u001b"', "must be printable"),
         ("id = 'x'\n[events]\ncrash = 1", "events.crash.*'delivery', 'battery_dead'"),
     ],
 )

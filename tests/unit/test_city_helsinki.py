@@ -14,7 +14,7 @@ def made(source: Path, out: Path, *more: str) -> Path:
     return out
 
 
-def test_an_extract_becomes_a_file_and_its_counts_are_printed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_extract_becomes_a_file_and_is_summed_up(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = made(HELSINKI, tmp_path / "a.toml").read_text(encoding="utf-8")
     printed = capfd.readouterr().out
     assert f"{tmp_path / 'a.toml'}: 63 x 64 cells of 16 metres\n--bbox 24.9" in printed
