@@ -97,8 +97,6 @@ class City:
         sides = f"a city is {MIN_SIDE} to {MAX_SIDE} cells wide and high"
         _require(MIN_SIDE <= min(width, height) and max(width, height) <= MAX_SIDE, f"{sides}, got {width} x {height}")
         _require(len(self.names) <= MAX_NAMES, f"at most {MAX_NAMES} names, got {len(self.names)}")
-        for text, x, y, _ in self.names:
-            _require(0 <= x <= width and 0 <= y <= height, f"name {text!r} is outside the {width} x {height} cells")
         texts = [(name, getattr(self, name)) for name in TEXTS] + [("a name", name.text) for name in self.names]
         for name, text in texts:
             fits = text.isprintable() and len(text) <= MAX_TEXT

@@ -337,15 +337,6 @@ class Sessions:
             connection.execute(f"PRAGMA user_version = {VERSION}")
             return self._end_idle(connection)
 
-    def count(self) -> int:
-        """Return the number of open sessions.
-
-        Raises:
-            StoreError: if the store cannot be read.
-        """
-        with self._database.reading() as connection:
-            return connection.execute(COUNT, {"owner": ""}).fetchone()[0]
-
     def _remember(self, session_id: str, session: Session) -> None:
         """Keep a session in memory, of at most `capacity`."""
         self._in_memory[session_id] = session

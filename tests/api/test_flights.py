@@ -9,13 +9,13 @@ from starlette.testclient import TestClient
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
-from drone_env.flights.sessions import Sessions
 from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.routes.flights import MOST_FLIGHTS
 from drone_env.server.settings import Settings
 from tests.api.flying import ByHand, directions, flown, start
 from tests.api.networks import put_network, put_tour
+from tests.unit.stores import open_sessions
 
 
 def test_a_race_is_what_the_agents_fly_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
@@ -127,11 +127,11 @@ def forking(pilot: str, **fork: Any) -> Any:
     ],
 )
 def test_what_cannot_be_started_is_told_and_opens_nothing(shared_client: TestClient, body: Any, told: str) -> None:
-    sessions: Sessions = shared_client.app.state.shared.sessions  # type: ignore[attr-defined]
-    opened = sessions.count()
+    folder = shared_client.app.state.shared.store.folder  # type: ignore[attr-defined]
+    opened = open_sessions(folder)
     answer = shared_client.post("/flights", json={"task": "easy", "seed": 7, **body}).json()
     assert told in f"{answer['code']}: {answer['detail']}"
-    assert sessions.count() == opened
+    assert open_sessions(folder) == opened
 
 
 @pytest.mark.parametrize(

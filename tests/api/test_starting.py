@@ -9,11 +9,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from drone_env.flights.sessions import Sessions
-from drone_env.flights.store import Store
 from drone_env.server import app
 from tests.api.serving import Server, serving
 from tests.tools import PATIENCE, find_tool, ran, reserved_port
+from tests.unit.stores import open_sessions
 
 EXAMPLE = """
 from drone_env.client import DroneEnvClient
@@ -74,8 +73,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
         server.process.send_signal(asked)
         assert server.process.wait(PATIENCE) == status
         assert "Traceback" not in server.log.read_text()
-    with Store(tmp_path / "data") as store:
-        assert Sessions(store, 9, 60).count() == 1
+    assert open_sessions(tmp_path / "data") == 1
 
 
 def test_an_error_is_one_line_and_creates_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,12 @@ def actions(session: Session) -> list[int]:
     return session.episode.actions
 
 
+def open_sessions(folder: Path) -> int:
+    """The number of open sessions of a folder."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as file:
+        return file.execute("SELECT count(*) FROM sessions").fetchone()[0]
+
+
 @contextmanager
 def failing(folder: Path, what: str) -> Generator[None, None, None]:
     """Have the store of a folder refuse something, such as "UPDATE ON sessions", for the time of the block."""

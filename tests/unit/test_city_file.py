@@ -93,7 +93,6 @@ ALL = f"format = 1\n{ROWS}"
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),
         (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "obstacles block every way from parcel 1 to parcel 2 [2, 2]"),
         (f'names = [["a", 1]]\n{ALL}', "names.0.2: missing"),
-        (f'names = [["a", nan, 2]]\n{ALL}', "name 'a' is outside the 3 x 3 cells"),
         (f"names = {[['a', 1, 2]] * 101}\n{ALL}", "at most 100 names, got 101"),
         (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide.[key]: must be 'width', 'height'"),
     ],

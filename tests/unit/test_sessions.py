@@ -10,7 +10,7 @@ from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, S
 from drone_env.flights.provenance import Provenance
 from drone_env.flights.sessions import Session, Sessions
 from drone_env.flights.store import FILE_NAME, Store
-from tests.unit.stores import actions, failing, flown, latest, opened, rows, sessions_of
+from tests.unit.stores import actions, failing, flown, latest, open_sessions, opened, rows, sessions_of
 
 
 def test_a_step_is_flown_in_place_and_appended(store: Store) -> None:
@@ -171,7 +171,7 @@ def test_a_session_without_steps_gives_way_first_and_an_address_keeps_to_its_sha
         opened_by("greedy")
     newcomers = [opened_by(name, steps=1) for name in ("a", "b")]
     # Now all places are taken: a newcomer gets that of a session without steps.
-    assert sessions.count() == 8
+    assert open_sessions(store.folder) == 8
     newcomers += [opened_by(name, steps=1) for name in ("c", "d")]
     assert not any(is_open(sessions, id_) for id_ in held["second"])
     assert all(is_open(sessions, id_) for id_ in (*flying, *newcomers))
@@ -193,7 +193,7 @@ def test_idle_sessions_end_for_every_process_and_make_room(store: Store) -> None
     opened(other, steps=1)
     clock.now += 60
     opened(other, steps=1)
-    assert other.count() == 1
+    assert open_sessions(store.folder) == 1
 
 
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])
