@@ -13,11 +13,11 @@ from drone_env.planning.optimal import best_of
 SOLVE_SECONDS = 0.1
 MAPS_AT_ONCE = 100
 """Maximum number of maps per job."""
-FIND = "SELECT 1 FROM optima WHERE task = ? AND task_version = ? AND seed = ?"
+TASKS_AT_ONCE = 4
 log = logging.getLogger(__name__)
 Scores = list[float | None]
 Submit = Callable[[TaskConfig, Sequence[int]], "Future[Scores]"]
-"""Starts `solve_maps` in another process."""
+"""Starts `solve_maps` in another process; the future must end when that is closed."""
 Map = tuple[TaskConfig, int]
 
 
@@ -33,23 +33,25 @@ def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> Scores:
 
 
 class Optima:
-    """Solves maps one after another and stores their optima.
+    """Solves maps, those of a task one after another, and stores their optima.
 
     Args:
         database: The database of the store.
-        submit: Starts `solve_maps` in another process; None for the thread of this object.
+        submit: Starts `solve_maps` in another process; None for the threads of this object.
     """
 
     def __init__(self, database: Database, submit: Submit | None = None) -> None:
         self._database = database
         self._submit = submit
-        self._thread = ThreadPoolExecutor(1, "drone_env-optima")
+        self._threads = ThreadPoolExecutor(TASKS_AT_ONCE, "drone_env-optima")
+        self._jobs: dict[TaskConfig, Future[None]] = {}
         self._closed = False
 
     def solve(self, maps: Iterable[Map], patience: float) -> None:
         """Start to solve maps and wait for them.
 
-        Errors are logged; the next call for the same map tries again.
+        While maps of a task are being solved, others of it wait for the next call. Errors are logged; the next call
+        for the same map tries again.
 
         Args:
             maps: The maps.
@@ -58,20 +60,20 @@ class Optima:
         by_task: dict[TaskConfig, list[int]] = {}
         for task, seed in maps:
             by_task.setdefault(task, []).append(seed)
-        wait([self._thread.submit(self._solve, task, seeds) for task, seeds in by_task.items()], patience)
+        running = {task: job for task, job in self._jobs.items() if not job.done()}
+        for task, seeds in by_task.items():
+            if task not in running:
+                running[task] = self._threads.submit(self._solve, task, seeds)
+        self._jobs = running
+        wait([running[task] for task in by_task], patience)
 
     def close(self) -> None:
         """Stop without storing unfinished jobs."""
         self._closed = True
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._threads.shutdown(wait=False, cancel_futures=True)
 
     def _solve(self, task: TaskConfig, seeds: list[int]) -> None:
         try:
-            with self._database.reading() as connection:
-                # An earlier call may have solved some.
-                seeds = [
-                    seed for seed in seeds if not connection.execute(FIND, (task.id, task.version, seed)).fetchone()
-                ]
             while seeds and not self._closed:
                 scores = self._scores(task, seeds[:MAPS_AT_ONCE])
                 rows = [(task.id, task.version, seed, score) for seed, score in zip(seeds, scores, strict=False)]

@@ -76,7 +76,6 @@ def rows_of(drawing: Drawing, folder: Path) -> list[str]:
             ["######", "#....#", "#....#", "######"],
             id="an island",
         ),
-        pytest.param(Drawing().way(*RING, natural="coastline"), [*OPEN[:1], ".####.", ".####.", "......"], id="a bay"),
     ],
 )
 def test_a_thing_becomes_these_cells(drawing: Drawing, rows: list[str], tmp_path: Path) -> None:
@@ -144,7 +143,6 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
         lambda text: re.sub("<node.*?/node>", "", text, count=1),
         r"1 of 2 ways and areas lack nodes \(relation 1\); .* --strategy smart`, or select a smaller --bbox",
     ),
-    "a way less": (lambda text: re.sub("<way.*?/way>", "", text, count=1), r"1 of 2 .* \(relation 1\)"),
     "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
     "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
     "a history": (with_objects('<way id="9" visible="false"/>'), "osmium time-filter"),
