@@ -5,7 +5,7 @@ import os
 import threading
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
-from io import FileIO
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,14 +21,20 @@ def data_folder(part: Literal["", "results"] = "") -> Path:
     return Path(configured, part) if configured else Path(part or "data")
 
 
+def _opened(path: str | Path) -> BufferedReader:
+    if Path(path).exists() and not Path(path).is_file():
+        raise InvalidValueError(f"{path} is not a regular file")  # a pipe would block, and a device never end
+    return open(path, "rb")
+
+
 def read_file(path: str | Path, most: int) -> bytes:
     """Read a file of at most `most` bytes.
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if it is too large.
+        InvalidValueError: if it is too large, or a folder, pipe or device.
     """
-    with open(path, "rb") as file:
+    with _opened(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
         raise InvalidValueError(f"{path} is too large: at most {most:,} bytes are read")
@@ -40,9 +46,9 @@ def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: if a line is too long.
+        InvalidValueError: if a line is too long, or it is a folder, pipe or device.
     """
-    with open(path, "rb") as file:
+    with _opened(path) as file:
         number = 1
         while line := file.readline(most + 1):
             if len(line) > most:

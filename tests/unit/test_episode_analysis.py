@@ -14,34 +14,34 @@ from tests.unit.stores import failing, flown
 def test_an_analysis_looks_at_the_newest(store: Store) -> None:
     for actions in ("4", None, None):
         store.add_episode(flown(actions=actions), "someone")
-    newest = store.analysis("easy", last=2, patience=240)
+    newest = store.analysis("easy", last=2)
     assert (newest.episodes_total, newest.episodes, newest.success_rate, newest.success_trend) == (3, 2, 1, 0)
     assert newest.mean_regret == 0
-    assert store.analysis("easy", last=2**70).success_rate == 2 / 3
 
 
-def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store) -> None:
+def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drone_env.flights.store.PATIENCE", 0)
     for seed in range(40):
         store.add_episode(flown("hard", seed, "4"), "someone")
-    assert store.analysis("hard", patience=0).regret_episodes < 40
-    eventually(lambda: store.analysis("hard", patience=0).regret_episodes == 40)
+    assert store.analysis("hard").regret_episodes < 40
+    eventually(lambda: store.analysis("hard").regret_episodes == 40)
 
 
 def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     store.add_episode(flown(), "someone")
     with failing(store.folder, "INSERT ON optima"):
-        analysis = store.analysis("easy", patience=240)
+        analysis = store.analysis("easy")
     assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
     assert caplog.text.count("optima of easy_delivery could not be solved or stored: store ") == 1
-    assert store.listed(9, patience=240)[0].optimal_score == solve("easy", 7).score
+    assert store.listed(9)[0].optimal_score == solve("easy", 7).score
 
 
 def row(score: float, outcome: OutcomeName, actions: str, optimum: float | None) -> EpisodeSummary:
-    done, steps = int(outcome == "delivered"), len(actions)
-    by = ("someone", "someone", None, False, False, None, None)
-    flight = ("easy_delivery", 1, 7, "tiered", *by, actions, done, 1, steps, 1.0, score, outcome)
-    values = (1, "0123456789abcdef", 0.0, *flight, True, optimum)
-    return EpisodeSummary(**dict(zip(EpisodeSummary.model_fields, values, strict=True)))
+    flight = {"id": "0123456789abcdef", "task": "easy_delivery", "task_version": 1, "seed": 7, "actions": actions}
+    ended = {"deliveries": int(outcome == "delivered"), "deliveries_total": 1, "steps": len(actions), "score": score}
+    values = {**flight, **ended, "number": 1, "finished_at": 0.0, "reward_profile": "tiered", "agent": "someone"}
+    solved = {"solved": True, "optimal_score": optimum}
+    return EpisodeSummary(pilot="someone", reward_total=1.0, outcome=outcome, **values, **solved)
 
 
 def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
