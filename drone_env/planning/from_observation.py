@@ -74,6 +74,8 @@ def episode_of(task: TaskConfig, observation: Observation, reward_profile: str =
     )
     kinds = (Cell.DELIVERY, False), (Cell.DELIVERED, True)
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
+    if len(parcels) != task.deliveries:
+        raise InvalidValueError(f"an observation shows {len(parcels)} parcels; {task.id!r} has {task.deliveries}")
     return episode_from_fields(
         task, ground, int(drone), int(battery), task.max_steps - int(left), parcels, reward_profile
     )

@@ -15,7 +15,7 @@ import pytest
 
 from drone_env.core import compile_cache
 from drone_env.core.compile_cache import CodeCache, cache_folder, digest_of_sources, is_compiled, print_before_compiling
-from drone_env.planning.cell_states import range_kernel
+from drone_env.planning.paths import cost_kernel
 
 PACKAGE = compile_cache.PACKAGE
 KERNEL = """
@@ -120,7 +120,7 @@ def test_the_folder_that_the_environment_names(
     assert not is_compiled(kernels.twice)
     kernels.twice(3)
     assert is_compiled(kernels.twice)
-    assert not is_compiled(kernels.twice, range_kernel)
+    assert not is_compiled(kernels.twice, cost_kernel)
 
 
 @pytest.mark.parametrize("variable", ["HOME", "DRONE_ENV_CACHE"])
