@@ -34,7 +34,7 @@ def assert_places_follow_steps(flight: Episode) -> None:
         assert np.array_equal(before.grids[there], after.grid().ravel())
 
 
-@pytest.mark.parametrize("task", ["easy", "hard", "skyline_easy", "skyline_hard"])
+@pytest.mark.parametrize("task", ["hard", "skyline_easy"])
 def test_a_place_looks_as_if_the_drone_had_just_flown_there(task: str) -> None:
     flight = Episode(task, seed=7)
     for letter in TOUR:
