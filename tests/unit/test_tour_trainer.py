@@ -83,8 +83,8 @@ def test_the_average_follows_the_weights_that_learn_and_is_what_is_kept() -> Non
 
 def test_it_soon_flies_better_than_to_the_nearest_target() -> None:
     trainer = finished(TourTrainer(replace(
-        SMALL_TOUR, updates=40, batch_size=64, warm_up=5, maps_per_chunk=4, states_per_map=32, window=12,
-        learning_rate=2e-3, average=0.9, validation_every=40, validation_maps=30, log_every=10,
+        SMALL_TOUR, updates=60, batch_size=64, warm_up=10, maps_per_chunk=4, states_per_map=32, window=12,
+        learning_rate=2e-3, average=0.9, validation_every=60, validation_maps=30, log_every=10,
     )))  # fmt: skip
     maps = split_seeds("validation", 30)
     greedy = summarise(run_episodes(episodes_key("skyline_easy", "greedy", maps, "validation")))
