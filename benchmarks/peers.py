@@ -25,7 +25,7 @@ from training import Watch
 from training_runs import MAPS, ROOT, fly_test_maps
 
 from drone_env.agents import register_agent
-from drone_env.agents.sb3_policy import Sb3Agent
+from drone_env.agents.custom import Sb3Agent
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.sb3 import DroneDeliveryVecEnv

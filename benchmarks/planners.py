@@ -63,7 +63,7 @@ def row_of_task(task: str, maps: int, few: int) -> list[str]:
         f"{milliseconds(ExactSolver, episodes[:few]):.1f}",
         f"{milliseconds(legs.q_values, episodes[:1] * maps) * 1e3:.0f}",
         f"{bytes_of(legs) / 1e6:.1f}",
-        f"{exact.ranks.nbytes / 1e6:.1f}",
+        f"{exact.returns.values.nbytes / 1e6:.1f}",
     ]
 
 

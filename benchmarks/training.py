@@ -22,7 +22,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from drone_env.agents.batch_rollout import ActBatch
+from drone_env.agents.base import ActBatch
 from drone_env.core.tasks import get_task
 from drone_env.envs.forms import one_hot
 from drone_env.envs.sb3 import DroneDeliveryVecEnv

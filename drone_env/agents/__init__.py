@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from drone_env.agents.base import Agent, BatchAgent
-from drone_env.agents.custom import as_agent
+from drone_env.agents.base import Agent
+from drone_env.agents.custom import as_agent, imported, is_address
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.planned import BeamAgent, NearestAgent, OptimalAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
-from drone_env.agents.source import imported, is_address
 from drone_env.agents.tournet import TournetAgent
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
@@ -85,24 +84,3 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
     if is_address(name):
         return as_agent(imported(name), task)
     raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME"])
-
-
-__all__ = [
-    "AGENTS",
-    "NETWORK_AGENTS",
-    "SHIPPED_AGENTS",
-    "Agent",
-    "BatchAgent",
-    "BeamAgent",
-    "GreedyAgent",
-    "NearestAgent",
-    "OptimalAgent",
-    "PathQNetAgent",
-    "RandomAgent",
-    "TournetAgent",
-    "file_of",
-    "make_agent",
-    "network_file",
-    "rebase_agent_path",
-    "register_agent",
-]

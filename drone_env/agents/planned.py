@@ -1,15 +1,14 @@
 """Agents that plan a whole flight and follow it: the best one, or one by heuristics of vehicle routing."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.core.actions import Action
-from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL
-from drone_env.core.episode import Observation
+from drone_env.core.actions import Action, Event
+from drone_env.core.cells import DELIVERED_CELL
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import episode_of, read_observations
@@ -32,8 +31,8 @@ class PlannedAgent(StatelessAgent):
         self.task = task
         self._planned: dict[int, int] = {}
 
-    def plan(self, observation: Observation, ground: Any, drone: Any) -> Iterable[tuple[int, int, int, int]]:
-        """Plan a flight: for each step, the cell, the units left and the steps left before it, and the action."""
+    def plan(self, episode: Episode) -> Iterable[int]:
+        """The actions of a flight from an episode, which is not changed. Only waiting remains after them."""
         raise NotImplementedError
 
     def reset(self, seed: int) -> None:
@@ -49,14 +48,24 @@ class PlannedAgent(StatelessAgent):
         grounds, drones = read_observations(self.task, grids, telemetry)
         actions = np.zeros(len(grids), np.int64)
         for i, (ground, drone) in enumerate(zip(grounds, drones, strict=True)):
-            state = _state(ground, drone)
+            state = _state(ground, *drone.tolist())
             if state not in self._planned:
-                for *fields, action in self.plan({"grid": grids[i], "telemetry": telemetry[i]}, ground, drone):
-                    if ground[fields[0]] == DELIVERY_CELL:
-                        ground[fields[0]] = DELIVERED_CELL
-                    self._planned[_state(ground, np.array(fields, np.int64))] = int(action)
-            actions[i] = self._planned.setdefault(state, int(Action.WAIT))
+                self._fly(episode_of(self.task, {"grid": grids[i], "telemetry": telemetry[i]}), ground)
+            actions[i] = self._planned[state]
         return actions
+
+    def _fly(self, episode: Episode, ground: npt.NDArray[np.uint8]) -> None:
+        """Plan a flight from an episode and store the action in each of its states."""
+        actions = iter(self.plan(episode))
+        while True:
+            action = next(actions, Action.WAIT)
+            left = self.task.max_steps - episode.steps
+            self._planned[_state(ground, episode.cell, episode.battery_units, left)] = int(action)
+            if episode.ended:
+                break
+            episode.step(action)
+            if episode.event is Event.DELIVERY:
+                ground[episode.cell] = DELIVERED_CELL
 
 
 class OptimalAgent(PlannedAgent):
@@ -71,14 +80,9 @@ class OptimalAgent(PlannedAgent):
 
     config: Mapping[str, object] = {"agent": "optimal", "version": 2}
 
-    def plan(self, observation: Observation, ground: Any, drone: Any) -> Iterable[tuple[int, int, int, int]]:
+    def plan(self, episode: Episode) -> Iterable[int]:
         """Plan a best flight."""
-        episode = episode_of(self.task, observation)
-        actions = iter(best_actions(episode))
-        while not episode.ended:
-            action = next(actions, Action.WAIT)
-            yield episode.cell, episode.battery_units, self.task.max_steps - episode.steps, action
-            episode.step(action)
+        return best_actions(episode)
 
 
 class NearestAgent(PlannedAgent):
@@ -91,11 +95,11 @@ class NearestAgent(PlannedAgent):
     config: Mapping[str, object] = {"agent": "nearest", "version": 1}
     width = 0
 
-    def plan(self, observation: Observation, ground: Any, drone: Any) -> Iterable[tuple[int, int, int, int]]:
+    def plan(self, episode: Episode) -> Iterable[int]:
         """Plan the stops of a flight."""
-        from drone_env.planning.stops import plan_flight  # Imported lazily: compiling takes seconds.
+        from drone_env.planning.stops import planned_actions  # Imported lazily: compiling takes seconds.
 
-        return plan_flight(self.task, ground, drone, self.width)
+        return planned_actions(episode, self.width)
 
 
 class BeamAgent(NearestAgent):
@@ -117,6 +121,6 @@ class BeamAgent(NearestAgent):
         self.config = {"agent": "beam", "version": 1, "width": self.width}
 
 
-def _state(ground: npt.NDArray[np.uint8], drone: npt.NDArray[np.int64]) -> int:
+def _state(ground: npt.NDArray[np.uint8], cell: int, units: int, left: int) -> int:
     """A key of a state. The bytes of thousands of flights over a large map would take gigabytes."""
-    return hash(ground.tobytes() + drone.tobytes())
+    return hash((ground.tobytes(), cell, units, left))

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
 from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.episode import Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
@@ -64,6 +65,11 @@ class GreedyAgent(StatelessAgent):
             x, y, _, to_x, to_y, *_ = telemetry.T
             down_or_wait = np.where(y == to_y, WAIT, UP + (to_y > y))
             return np.where(x == to_x, down_or_wait, LEFT + (to_x > x))
-        from drone_env.planning.paths import cheapest_actions  # Imported lazily: compiling takes seconds.
+        from drone_env.planning.paths import NO_PATH, cheapest_paths  # Imported lazily: compiling takes seconds.
 
-        return cheapest_actions(self._task, grids, drone_positions(self._task, grids, telemetry))
+        x, y = drone_positions(self._task, grids, telemetry).T
+        cells = grids.reshape(len(grids), -1)
+        costs, first = cheapest_paths(self._task, cells, y * self._task.width + x)
+        costs[cells != DELIVERY_CELL] = NO_PATH
+        cheapest = np.arange(len(grids)), costs.argmin(axis=1)  # of equal ones the first in reading order
+        return np.where(costs[cheapest] < NO_PATH, first[cheapest], WAIT)

@@ -15,8 +15,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
-from drone_env.rl.config import TrainConfig, preset
-from drone_env.rl.tour_config import TourConfig
+from drone_env.rl.config import TourConfig, TrainConfig, preset
 
 NetworkName = Literal["pathqnet", "tournet"]
 
@@ -155,7 +154,7 @@ def _resumed(defaults: AnySettings, name: str, given: argparse.Namespace) -> Any
 
 
 def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -> int:
-    from drone_env.rl.run import TrainingRun, summary
+    from drone_env.rl.run import TrainingRun
 
     run = TrainingRun(trainer, data or data_folder(), results or data_folder("results"), fresh)
     unit, total = run.unit, run.total
@@ -170,13 +169,13 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
         return 0
     if run.resumed:
         log(f"going on from {run.checkpoint}: {run.done} of {total} {unit}")
-    shown = run.done
+    shown, every = run.done, run.trainer.config.validation_every
     with progress_bar(run.name, total, shown) as advance, run.stopping_on_interrupt():
         for line in run.train():
-            advance(run.done - shown, f"{run.name}  {summary(line)}")
-            shown = run.done
-            if not sys.stderr.isatty() and run.done % run.trainer.config.validation_every == 0:
-                log(f"{run.done}/{total} {unit}  {summary(line)}")
+            before, shown = shown, run.done
+            advance(shown - before, f"{run.name}  {line.summary}")
+            if not sys.stderr.isatty() and shown // every > before // every:
+                log(f"{shown}/{total} {unit}  {line.summary}")
     if run.stopped:
         command = "the same command without --fresh" if fresh else "the same command"
         log(f"stopped after {run.done} {unit}, saved as {run.checkpoint}; {command} goes on")

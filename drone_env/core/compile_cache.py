@@ -9,7 +9,6 @@ import hashlib
 import os
 import pickle
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
@@ -40,44 +39,27 @@ LOADED = digest_of_sources()
 def cache_folder() -> Path:
     """Return the folder for the compiled code of these sources, and create it if necessary.
 
-    It is in `DRONE_ENV_CACHE`, else in `NUMBA_CACHE_DIR`, else in the user's cache folder; if that cannot be used, in a
-    folder of this user in the temporary directory. Only this user may have write access to the last two, because the
-    process executes the code that it loads.
+    It is in `DRONE_ENV_CACHE`, else in `NUMBA_CACHE_DIR`, else in the user's cache folder.
 
     Raises:
         OSError: if there is no such folder, or the sources have changed since the process loaded them.
     """
     if not LOADED or digest_of_sources() != LOADED:
         raise FileNotFoundError(f"the sources in {PACKAGE} have changed since this program started")
-    chosen = os.environ.get("DRONE_ENV_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
-    with suppress(OSError):
-        # Absolute, because the program may change its working directory.
-        return _usable(Path(chosen).absolute(), private=False) if chosen else _usable(_users_folder(), private=True)
-    owner = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
-    return _usable(Path(tempfile.gettempdir(), f"drone_env{owner}"), private=True)
+    parent = os.environ.get("DRONE_ENV_CACHE") or os.environ.get("NUMBA_CACHE_DIR") or _users_folder()
+    folder = Path(parent).absolute() / LOADED  # absolute, because the program may change its working directory
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK) and not any(folder.glob("*.code")):
+        raise PermissionError(f"{folder} is not writable; set DRONE_ENV_CACHE to a folder that is")
+    return folder
 
 
 def _users_folder() -> Path:
     from platformdirs import user_cache_path  # imported lazily: most processes compile nothing
 
-    try:
-        folder = user_cache_path("drone_env", appauthor=False)
-    except RuntimeError as error:
-        raise FileNotFoundError(str(error)) from None
+    folder = user_cache_path("drone_env", appauthor=False)
     if not folder.is_absolute():
-        raise FileNotFoundError(f"{folder} is not absolute: this user has no home folder")
-    return folder
-
-
-def _usable(parent: Path, private: bool) -> Path:
-    """Return the folder in `parent`. Raises OSError if it is private but writable by others, or empty and read-only."""
-    for folder in (parent, parent / LOADED):
-        folder.mkdir(mode=0o700 if private else 0o777, parents=True, exist_ok=True)
-        found = folder.lstat()
-        if private and hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022):
-            raise PermissionError(f"others than this user can write to {folder}")
-    if not os.access(folder, os.W_OK) and not any(folder.glob("*.code")):
-        raise PermissionError(f"{folder} is not writable")
+        raise FileNotFoundError("this user has no home folder; set DRONE_ENV_CACHE")
     return folder
 
 

@@ -9,19 +9,8 @@ import numpy.typing as npt
 
 from drone_env.core.cells import DELIVERY_CELL, DRONE_CELL, ROAD_CELL
 from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, two_halves, uniform_below
-from drone_env.core.tables import (
-    CELL,
-    INDEX_BITS,
-    NOWHERE,
-    PARCELS,
-    UNDER,
-    Buffer,
-    Tables,
-    interpreted,
-    state_size,
-    view,
-)
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tables import CELL, INDEX_BITS, NOWHERE, PARCELS, UNDER, Buffer, Tables
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 
 VALIDATION, TEST = SPLITS["validation"].start, SPLITS["test"].start
@@ -173,7 +162,7 @@ def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CityMap:
-    """A map before the flight. Equal maps have equal values.
+    """A map before the flight.
 
     Attributes:
         task: The task of the map.
@@ -189,15 +178,6 @@ class CityMap:
     start: tuple[int, int]
     deliveries: tuple[tuple[int, int], ...]
 
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, CityMap):
-            return NotImplemented
-        same = all(getattr(self, name) == getattr(other, name) for name in ("task", "seed", "start", "deliveries"))
-        return same and np.array_equal(self.grid, other.grid)
-
-    def __hash__(self) -> int:
-        return hash((self.task, self.seed))
-
 
 def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     """Generate the map of a task for a seed, or for the next draw of a random generator.
@@ -211,24 +191,12 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
         UnknownNameError: if there is no such task.
         InvalidValueError: if `rng` is not a seed or a generator.
     """
-    task = get_task(config)
-    seed = _seed_from(rng)
-    tables = interpreted(task)
-    grid = np.zeros(tables.cells, np.uint8)
-    state = np.zeros(state_size(tables), np.uint16)
-    scatter(tables, view(grid), view(state), seed)
-    grid[state[CELL]] = ROAD_CELL
+    from drone_env.core.episode import Episode  # It imports this module.
 
-    def position(cell: int) -> tuple[int, int]:
-        return tables.columns[cell], tables.rows[cell]
-
-    return CityMap(
-        task=task,
-        seed=seed,
-        grid=np.reshape(grid, (task.height, task.width)),
-        start=position(state[CELL]),
-        deliveries=tuple(position(cell) for cell in state[PARCELS:]),
-    )
+    episode = Episode(config, seed=_seed_from(rng))
+    grid, (x, y) = episode.grid(), episode.position
+    grid[y, x] = episode.under
+    return CityMap(episode.task, episode.seed, grid, (x, y), tuple((x, y) for x, y, _ in episode.parcels))
 
 
 def _seed_from(rng: Any) -> int:

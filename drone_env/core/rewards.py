@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import lru_cache
+from hashlib import sha256
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,31 +56,24 @@ class RewardProfile:
             *(self.clamp or ()),
             *(v for _, v in self.events),
         )
-        if not all(isinstance(number, Decimal) for number in numbers):
-            raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be Decimal, such as Decimal('0.05')")
-        if not all(number.is_finite() and number.copy_abs() <= MAX_REWARD for number in numbers):
-            raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be from -{MAX_REWARD} to {MAX_REWARD}")
+        if not all(isinstance(n, Decimal) and n.is_finite() and abs(n) <= MAX_REWARD for n in numbers):
+            allowed = f"Decimals from -{MAX_REWARD} to {MAX_REWARD}, such as Decimal('0.05')"
+            raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be {allowed}")
         if self.clamp is not None and self.clamp[0] > self.clamp[1]:
             bounds = f"{self.clamp[0]} to {self.clamp[1]}"
             raise InvalidTaskError(f"reward profile {self.id!r}: the lower bound of clamp is above the upper: {bounds}")
         if self.shaping_gamma is not None and not 0 <= self.shaping_gamma <= 1:
             raise InvalidTaskError(f"reward profile {self.id!r}: shaping_gamma must be in [0, 1]")
 
-    def terms(self) -> dict[str, str]:
-        """All fields that affect rewards, as text, to compare two profiles with the same name."""
-        events = ", ".join(f"{event.name.lower()} {number}" for event, number in sorted(self.events))
-        return {
-            "task_events": str(self.task_events),
-            "events": events,
-            "shaping": str(self.shaping),
-            "clamp": "none" if self.clamp is None else f"{self.clamp[0]} to {self.clamp[1]}",
-            "shaping_gamma": str(self.shaping_gamma),
-            "pays_score": str(self.pays_score),
-        }
+    @property
+    def digest(self) -> str:
+        """A hash of all fields that affect rewards, 16 hex digits."""
+        rules = replace(self, summary="", events=tuple(sorted(self.events)))
+        return sha256(repr(rules).encode()).hexdigest()[:16]
 
 
 _CLAMP = (Decimal("0.01"), Decimal("0.99"))
-_TERRAIN = Decimal("0.02")
+_TERRAIN_AND_BUMPS = (Event.OBSTACLE, Event.BUILDING, Event.TREE, Event.WALL, Event.BLOCKED)
 
 REWARD_PROFILES: dict[str, RewardProfile] = {
     profile.id: profile
@@ -98,11 +92,7 @@ REWARD_PROFILES: dict[str, RewardProfile] = {
             events=(
                 (Event.STEP, Decimal("0.05")),
                 (Event.WAIT, Decimal("0.01")),
-                (Event.OBSTACLE, _TERRAIN),
-                (Event.BUILDING, _TERRAIN),
-                (Event.TREE, _TERRAIN),
-                (Event.WALL, _TERRAIN),
-                (Event.BLOCKED, _TERRAIN),
+                *((event, Decimal("0.02")) for event in _TERRAIN_AND_BUMPS),
             ),
             shaping=Decimal("0.05"),
             clamp=_CLAMP,

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from drone_env.core.actions import ACTION_OFFSETS, N_ACTIONS, Action, Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.seeds import SPLITS, task_key
+from drone_env.core.seeds import task_key
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.core.terrain import Terrain
 
@@ -262,18 +262,13 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
 def _terrain_tables(task: TaskConfig, terrain: Terrain) -> dict[str, Any]:
     """The tables for map generation on fixed terrain."""
     stops = [terrain.start, *(terrain.parcels or [None] * task.deliveries)]
-    by_split = list(task.windows.values())
-    # A window that all splits share is stored once.
-    if all(windows == by_split[0] for windows in by_split):
-        by_split = by_split[:1]
-    windows = [window for split in by_split for window in split]
-    ends = np.cumsum([0, *map(len, by_split)])
-    bounds = np.column_stack([ends[:-1], ends[1:]])
+    windows = [window for split in task.windows.values() for window in split]
+    ends = np.cumsum([0, *map(len, task.windows.values())])
     return {
         "blocks": 0,
         "city_grids": np.frombuffer(b"".join(window.cells for window in windows), np.uint8).copy(),
         "city_cells": np.concatenate([np.array(window.drawn, np.uint16) for window in windows]),
-        "windows": np.ravel(np.broadcast_to(bounds, (len(SPLITS), 2))).copy(),
+        "windows": np.ravel(np.column_stack([ends[:-1], ends[1:]])),
         "window_cells": np.cumsum([0, *(len(window.drawn) for window in windows)]),
         "window_pads": np.array([window.pads for window in windows], np.int64),
         "fixed": np.array([NOWHERE if at is None else at[1] * task.width + at[0] for at in stops], np.uint16),

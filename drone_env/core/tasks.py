@@ -110,18 +110,13 @@ class TaskConfig:
             require(bool(valid), f"{name} must be lower-case letters, digits and _, got {value!r}")
         for number in fields(self):
             value = getattr(self, number.name)
-            # `type` is a string if annotations are not evaluated.
-            if number.type in (int, "int"):
+            if number.type is int:
                 require(type(value) is int, f"{number.name} must be an integer, got {value!r}")
-            elif number.type in (float, "float"):
+            elif number.type is float:
                 finite = type(value) in (int, float) and math.isfinite(value)
                 require(finite, f"{number.name} must be a finite number, got {value!r}")
-        try:
-            object.__setattr__(self, "drain", tuple((Cell(kind), units) for kind, units in self.drain))
-            object.__setattr__(self, "impassable", frozenset(Cell(kind) for kind in self.impassable))
-        except (TypeError, ValueError) as error:
-            message = f"drain holds pairs (Cell, units), impassable holds Cells: {error}"
-            raise InvalidTaskError(f"task {self.id!r}: {message}") from None
+        object.__setattr__(self, "drain", tuple((Cell(kind), units) for kind, units in self.drain))
+        object.__setattr__(self, "impassable", frozenset(Cell(kind) for kind in self.impassable))
         for names, low, high in RANGES:
             for name in names.split():
                 allowed = f"at least {low}" if high == math.inf else f"{low} to {high}"
@@ -130,15 +125,14 @@ class TaskConfig:
         placed = 1 + self.deliveries + sum(self.cell_counts().values())
         fits = self.terrain is not None or placed <= self.width * self.height
         require(fits, f"{placed} things do not fit on {self.width * self.height} cells")
-        require(type(self.efficiency_needs_all) is bool, "efficiency_needs_all must be True or False")
         self._check_streets(require)
         if self.terrain is not None:
             self._check_terrain(require, self.terrain)
         require(len(dict(self.drain)) == len(self.drain), "drain names a kind of cell twice")
         for kind, units in self.drain:
-            require(type(units) is int, f"drain must be whole units, got {units!r} for {kind.name}")
-            require(kind in TERRAIN, f"drain is for kinds under the drone {[str(c.name) for c in TERRAIN]}, got {kind}")
-            require(0 <= units <= MAX_UNITS, f"drain must be 0 to {MAX_UNITS}, got {units} for {kind.name}")
+            require(kind in TERRAIN, f"drain is for kinds under the drone {[c.name for c in TERRAIN]}, got {kind.name}")
+            fits = type(units) is int and 0 <= units <= MAX_UNITS
+            require(fits, f"drain must be 0 to {MAX_UNITS} whole units, got {units!r} for {kind.name}")
         can_block = {Cell.BUILDING, Cell.TREE, Cell.OBSTACLE}
         require(self.impassable <= can_block, f"impassable may hold {sorted(c.name for c in can_block)}")
 
@@ -286,6 +280,10 @@ def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
     return others | {"r_delivery": r_delivery}
 
 
+def _size(side: int, deliveries: int, steps: int) -> dict[str, int]:
+    return {"width": side, "height": side, "deliveries": deliveries, "max_steps": steps}
+
+
 def _task(
     short_name: str,
     side: int,
@@ -301,13 +299,10 @@ def _task(
     return TaskConfig(
         short_name=short_name,
         grader=f"drone_env.graders:grade_{short_name}",
-        width=side,
-        height=side,
-        deliveries=deliveries,
         buildings=buildings,
         trees=trees,
         obstacles=obstacles,
-        max_steps=steps,
+        **_size(side, deliveries, steps),
         **_rewards(*rewards),
         **standard | numbers,
     )
@@ -346,6 +341,10 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
     )
 
 
+def _helsinki(name: str, file: str, side: int, deliveries: int, steps: int, **numbers: int) -> TaskConfig:
+    return task_on(shipped_terrain(file), name, **_size(side, deliveries, steps), **numbers)
+
+
 TASKS: dict[str, TaskConfig] = {
     task.id: task
     for task in (
@@ -359,28 +358,8 @@ TASKS: dict[str, TaskConfig] = {
         _rush("easy", 8, (18, 6, 1), 9, 16, EASY, pads=2, battery_capacity=9, charge_rate=3),
         _rush("medium", 12, (40, 14, 2), 9, 32, MEDIUM, pads=3, battery_capacity=13, charge_rate=2),
         _rush("hard", 16, (80, 24, 4), 10, 40, HARD, pads=3, battery_capacity=16, charge_rate=2),
-        task_on(
-            shipped_terrain("helsinki_8"),
-            "city_small",
-            width=16,
-            height=16,
-            deliveries=4,
-            pads=5,
-            max_steps=160,
-            battery_capacity=26,
-            charge_rate=5,
-        ),
-        task_on(
-            shipped_terrain("helsinki_16"),
-            "city",
-            width=64,
-            height=64,
-            deliveries=5,
-            pads=8,
-            max_steps=640,
-            battery_capacity=80,
-            charge_rate=8,
-        ),
+        _helsinki("city_small", "helsinki_8", 16, 4, 160, pads=5, battery_capacity=26, charge_rate=5),
+        _helsinki("city", "helsinki_16", 64, 5, 640, pads=8, battery_capacity=80, charge_rate=8),
     )
 }
 """Every task in its current version, by id."""

@@ -5,34 +5,30 @@ parcel delivers it, and a drone at a pad has not charged yet.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import FLYING
-from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, Cell
-from drone_env.core.compiled import kernel
+from drone_env.core.actions import FLYING, N_ACTIONS
+from drone_env.core.cells import DELIVERY_CELL, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import choose_target, deliver, manhattan, outcome, step, write_telemetry
+from drone_env.core.rules import deliver, manhattan, outcome, write_telemetry
 from drone_env.core.tables import (
     BATTERY,
-    CELL,
     DELIVERIES_DONE,
     DISTANCE,
-    N_MOVES,
     NOWHERE,
     OUTCOME,
     STEPS,
     TARGET,
     UNDER,
-    Tables,
     interpreted,
     tabulate,
     view,
 )
-from drone_env.planning.states import UNPAID, put_drone, state_arrays
+from drone_env.planning.paths import cheapest_ways
+from drone_env.planning.states import put_drone, state_arrays
 
 UNREACHED = -1
 MAX_CHUNK_CELLS = 256
@@ -90,52 +86,8 @@ def open_cells(episode: Episode) -> npt.NDArray[np.int64]:
     return np.flatnonzero(~np.isin(grid, list(episode.task.impassable)))
 
 
-@kernel
-def range_kernel(
-    tables: Tables, rewards: Rewards, ground: Any, start: Any, most: Any, grid: Any, state: Any, reached: Any
-) -> None:
-    """Fly all moves in rounds, from each cell that the last round reached with more units than before.
-
-    Args:
-        tables: The task's tables.
-        rewards: Tables of any profile; not used.
-        ground: uint8[cells], without the drone.
-        start: uint16[state size], in flight.
-        most: int64[cells], all `UNREACHED`; receives the most units left on arrival.
-        grid: uint8[cells], a copy of `ground`; working memory, like the following arrays.
-        state: uint16[state size]
-        reached: int64[2, cells], all `UNREACHED`: units at the cells that the last and the current round improved.
-    """
-    most[start[CELL]] = reached[0, start[CELL]] = start[BATTERY]
-    last, this, improved = 0, 1, True
-    for steps in range(start[STEPS], tables.max_steps):
-        if not improved:
-            break
-        improved = False
-        for cell in range(tables.cells):
-            reached[this, cell] = UNREACHED
-        for cell in range(tables.cells):
-            units = reached[last, cell]
-            if units <= 0:  # the battery is empty
-                continue
-            for action in range(N_MOVES):
-                for i in range(len(start)):
-                    state[i] = start[i]
-                put_drone(tables, grid, state, cell, steps, units)
-                if state[UNDER] == DELIVERY_CELL:
-                    state[UNDER] = DELIVERED_CELL
-                choose_target(tables, state)
-                step(tables, rewards, grid, state, action)
-                to, left = int(state[CELL]), int(state[BATTERY])
-                grid[cell], grid[to] = ground[cell], ground[to]
-                if left > most[to]:
-                    most[to] = reached[this, to] = left
-                    improved = True
-        last, this = this, last
-
-
 def battery_range(episode: Episode, cell: int, units: int) -> npt.NDArray[np.int64]:
-    """The most battery units that a drone can have left at each cell, by moves in the steps left.
+    """The most battery units that a drone can have left at each cell, by moves alone.
 
     0 means that the drone reaches the cell with its last unit. Deliveries do not end the flight here.
 
@@ -147,14 +99,12 @@ def battery_range(episode: Episode, cell: int, units: int) -> npt.NDArray[np.int
     Returns:
         int64[cells], `UNREACHED` for cells out of range.
     """
-    task = episode.task
-    ground, state, _ = state_arrays(episode)
-    start = state.copy()
-    start[[CELL, BATTERY]] = cell, units
-    most, reached = np.full(len(ground), UNREACHED), np.full((2, len(ground)), UNREACHED)
-    rewards = tabulate_rewards(task, UNPAID)
-    range_kernel(tabulate(task), rewards, ground, start, most, ground.copy(), state, reached)
-    return most
+    ground, _, _ = state_arrays(episode)
+    drained, _ = cheapest_ways(episode.task, ground, cell)
+    last = np.reshape(tabulate(episode.task).drain, (-1, N_ACTIONS))[ground, 0]
+    # The last step may drain more than the battery has.
+    in_range = (drained == 0) | ((drained > 0) & (drained - last < units))
+    return np.where(in_range, np.maximum(units - drained, 0), UNREACHED)
 
 
 def charging_pads(episode: Episode) -> list[int]:

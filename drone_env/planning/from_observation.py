@@ -74,6 +74,8 @@ def episode_of(task: TaskConfig, observation: Observation, reward_profile: str =
     )
     kinds = (Cell.DELIVERY, False), (Cell.DELIVERED, True)
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
+    if len(parcels) != task.deliveries:
+        raise InvalidValueError(f"an observation shows {len(parcels)} parcels; {task.id!r} has {task.deliveries}")
     return episode_from_fields(
         task, ground, int(drone), int(battery), task.max_steps - int(left), parcels, reward_profile
     )
@@ -116,29 +118,24 @@ def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
     return missing[0] if missing else Cell.ROAD
 
 
-def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> None:
-    """Check the shapes and cell ids of N observations, because compiled code does not.
+def drone_positions(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int64]:
+    """(x, y) of the drones of N observations, int64[N, 2]. It checks shapes and ids, because compiled code does not.
 
     Args:
         task: The task.
         grids: uint8[N, H, W]
         telemetry: float32[N, telemetry_size]
     """
-    n, height, width = len(grids), task.height, task.width
-    if grids.shape != (n, height, width) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
-        expected = f"grids uint8[N, {height}, {width}] and telemetry float32[N, {task.telemetry_size}]"
+    n, sides = len(grids), (task.width, task.height)
+    if grids.shape != (n, *sides[::-1]) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
+        expected = f"grids uint8[N, {task.height}, {task.width}] and telemetry float32[N, {task.telemetry_size}]"
         got = " and ".join(f"{array.dtype}{list(array.shape)}" for array in (grids, telemetry))
         raise InvalidValueError(f"observations of {task.id!r} are {expected}; got {got}")
     if (grids >= N_CELL_KINDS).any():
         raise InvalidValueError(f"the kinds of cells are 0 to {N_CELL_KINDS - 1}, got {grids.max()}")
-
-
-def drone_positions(
-    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
-) -> npt.NDArray[np.int64]:
-    """(x, y) of the drones of N observations, int64[N, 2]."""
-    require_observations(task, grids, telemetry)
-    positions = np.rint(telemetry[:, :2] * np.array([task.width, task.height]))
-    if not ((positions >= 0) & (positions < (task.width, task.height))).all():
+    positions = np.rint(telemetry[:, :2] * np.array(sides))
+    if not ((positions >= 0) & (positions < sides)).all():
         raise InvalidValueError(f"the drone of an observation is outside the grid of {task.id!r}")
     return positions.astype(np.int64)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import NONE, collision
@@ -18,7 +18,6 @@ from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.states import require_memory
 
-WAIT = int(Action.WAIT)
 UNREACHED = 1 << 30
 NO_STOP = -1
 NO_PATH = 1 << 40
@@ -181,71 +180,41 @@ def find_costs(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: An
 
 
 @kernel
-def cost_kernel(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: Any) -> None:
-    """`find_costs`, compiled."""
-    find_costs(tables, grid, kind_costs, costs, first)
-
-
-@kernel
-def cheapest_kernel(
-    tables: Tables, grids: Any, starts: Any, kind_costs: Any, costs: Any, first: Any, actions: Any
-) -> None:
-    """For each map, write the first action towards the parcel that is cheapest to reach; WAIT if there is none.
-
-    Battery counts first, then steps. Ties go to the first parcel in reading order.
-    """
+def cost_kernel(tables: Tables, grids: Any, starts: Any, kind_costs: Any, costs: Any, first: Any) -> None:
+    """`find_costs` on N maps, each from one start."""
     for i in range(len(grids)):
-        costs[:] = NO_PATH
-        first[:] = NO_ACTION
-        costs[starts[i]] = 0
-        find_costs(tables, grids[i], kind_costs, costs, first)
-        best = NO_PATH
-        actions[i] = WAIT
-        for cell in range(tables.cells):
-            if grids[i, cell] == DELIVERY_CELL and costs[cell] < best:
-                best = costs[cell]
-                actions[i] = first[cell]
+        costs[i, starts[i]] = 0
+        find_costs(tables, grids[i], kind_costs, costs[i], first[i])
 
 
-def cheapest_actions(
+def cheapest_paths(
     task: TaskConfig, grids: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
-    """The first actions towards the parcels that are cheapest to reach, on N maps.
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The cheapest paths from one cell of each of N maps to all cells: battery counts first, then steps.
 
     Args:
         task: The task.
-        grids: uint8[N, height, width], as the drones see them.
-        starts: int64[N, 2], (x, y) of the drones.
+        grids: uint8[N, cells], as the drones see them.
+        starts: int64[N], the first cells.
 
     Returns:
-        int64[N], the actions.
+        int64[N, cells] each: the costs (`UNIT_COST` per battery unit, `STEP_COST` per step) or `NO_PATH`, and the first
+        actions or `NO_ACTION`.
     """
-    tables = tabulate(task)
-    actions = np.zeros(len(grids), np.int64)
-    cells = starts[:, 1] * task.width + starts[:, 0]
-    kind_costs = move_costs(tables)
-    costs, first = np.zeros((2, tables.cells), np.int64)
-    cheapest_kernel(tables, np.reshape(grids, (len(grids), tables.cells)), cells, kind_costs, costs, first, actions)
-    return actions
+    tables, shape = tabulate(task), (len(grids), task.width * task.height)
+    costs, first = np.full(shape, NO_PATH), np.full(shape, NO_ACTION)
+    cost_kernel(tables, grids, starts, move_costs(tables), costs, first)
+    return costs, first
 
 
 def cheapest_ways(
     task: TaskConfig, grid: npt.NDArray[np.uint8], start: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The cheapest way from a cell to each other cell: fewest battery units, then fewest steps.
+    """The units that the cheapest path from a cell to each other cell drains, or -1; and its first action.
 
-    Args:
-        task: The task.
-        grid: uint8[cells], as the drone sees it.
-        start: The first cell.
-
-    Returns:
-        int64[cells] each: the units that the way drains, or -1 if there is none; and its first action, or `NO_ACTION`.
+    As `cheapest_paths`, for one map: uint8[cells] to int64[cells] each.
     """
-    tables = tabulate(task)
-    costs, first = np.full(tables.cells, NO_PATH), np.full(tables.cells, NO_ACTION)
-    costs[start] = 0
-    cost_kernel(tables, grid, move_costs(tables), costs, first)
+    (costs,), (first,) = cheapest_paths(task, grid[None], np.array([start]))
     return np.where(costs == NO_PATH, -1, costs // UNIT_COST), first
 
 

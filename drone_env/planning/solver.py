@@ -4,51 +4,27 @@ The graded score is paid once, at the end, without discount. So the value of a s
 be reached: V*(s) = max over a of Q*(s, a), and Q*(s, a) = V*(step(s, a)) (Bellman, "Dynamic Programming", 1957). There
 are only maxima, no sums, so values equal scores to the last bit.
 
-Solvers store a value as the rank of a score among all scores of the task, which takes two bytes instead of eight.
+`LegSolver` stores a value as the rank of a score among all scores of the task, which takes two bytes instead of eight.
 """
 
 from abc import ABC, abstractmethod
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
-from drone_env.core.cells import DELIVERY_CELL, Cell
+from drone_env.core.cells import Cell
 from drone_env.core.compiled import kernel
 from drone_env.core.episode import Episode, rollout
-from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import DELIVERY, score, score_of, step
-from drone_env.core.tables import (
-    BATTERY,
-    CELL,
-    DELIVERED_FLAG,
-    DELIVERIES_DONE,
-    DISTANCE,
-    EVENT,
-    OUTCOME,
-    PARCELS,
-    STEPS,
-    TARGET,
-    UNDER,
-    Tables,
-    tabulate,
-)
+from drone_env.core.rewards import Rewards, get_reward_profile, tabulate_rewards
+from drone_env.core.rules import score, score_of, step
+from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, OUTCOME, PARCELS, STEPS, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.planning.states import (
-    UNPAID,
-    battery_ranges,
-    delivered_set,
-    put_drone,
-    put_parcels,
-    require_memory,
-    state_arrays,
-    waiting_parcels,
-)
-
-NOT_REACHABLE = "the solved episode cannot reach this state: create a solver for this episode"
+from drone_env.planning.returns import highest_returns
+from drone_env.planning.states import UNPAID, require_memory, state_arrays, waiting_parcels
 
 
 @kernel
@@ -122,7 +98,7 @@ class Solver(ABC):
         """Q*, float64[5]: the highest score that can still be reached after each action.
 
         Raises:
-            EpisodeError: if the episode has ended, or is not reachable from the solved one.
+            EpisodeError: if the episode has ended, or does not go on from the solved one.
         """
         self._require_from_here(episode)
         _, state, _ = state_arrays(episode)
@@ -172,31 +148,18 @@ class Solver(ABC):
         return [step.action for step in flight.path[len(self._start.actions) :]]
 
     def _require_from_here(self, episode: Episode) -> None:
-        """Reject an episode that has ended, or is not reachable from the solved one."""
+        """Reject an episode that has ended, or does not go on from the solved one."""
         if episode.ended:
             raise EpisodeError("the episode has ended: it has no further actions")
-        if (episode.task, episode.seed) != (self._start.task, self._start.seed):
-            raise EpisodeError(NOT_REACHABLE)
-        waiting, t = waiting_parcels(episode), episode.steps - self._start.steps
-        lowest, sizes = self._battery_ranges
-        possible = (
-            t >= 0
-            and np.array_equal(_invariants(episode), self._invariants)
-            and set(waiting) <= set(self._waiting)
-            and all((x, y) != episode.position or delivered for x, y, delivered in episode.parcels)
-            and episode.under not in episode.task.impassable
-            and 0 <= episode.battery_units - lowest[t] < sizes[t]
+        start = self._start
+        goes_on = (
+            (episode.task, episode.seed) == (start.task, start.seed)
+            and episode.steps >= start.steps
+            and episode.actions[: len(start.actions)] == start.actions
+            and np.array_equal(_invariants(episode), _invariants(start))
         )
-        if not possible:
-            raise EpisodeError(NOT_REACHABLE)
-
-    @cached_property
-    def _battery_ranges(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        return battery_ranges(self._start)
-
-    @cached_property
-    def _invariants(self) -> npt.NDArray[np.int64]:
-        return _invariants(self._start)
+        if not goes_on:
+            raise EpisodeError("the solved episode cannot reach this state: create a solver for this episode")
 
 
 def _invariants(episode: Episode) -> npt.NDArray[np.int64]:
@@ -210,63 +173,11 @@ def _invariants(episode: Episode) -> npt.NDArray[np.int64]:
     return np.append(grid, parcels)
 
 
-@kernel
-def value_kernel(
-    tables: Tables,
-    rewards: Rewards,
-    grid: Any,
-    state: Any,
-    parcels: Any,
-    first_step: int,
-    lowest: Any,
-    starts: Any,
-    ends: Any,
-    ranks: Any,
-) -> None:
-    """Compute the ranks backwards from the last step, by flying every action from every state.
-
-    Args:
-        tables: The task's tables.
-        rewards: Tables of any profile; not used.
-        grid: uint8[cells], without the drone; working memory.
-        state: uint16[state size], working memory.
-        parcels: int64[n], the entries of `state` of the waiting parcels.
-        first_step: Steps taken in the solved state.
-        lowest: int64[T + 1], the lowest possible battery after each step, at least 1.
-        starts: int64[T + 1], index of the first rank of each step.
-        ends: [deliveries + 1, capacity + 1, max_steps + 1], the rank of each possible end.
-        ranks: [starts[-1]], receives the rank of each value: by step, battery, delivered set and cell.
-    """
-    places = tables.cells << len(parcels)
-    for t in range(len(starts) - 2, -1, -1):
-        for delivered in range((1 << len(parcels)) - 1):
-            put_parcels(tables, grid, state, parcels, delivered)
-            for cell in range(tables.cells):
-                under = grid[cell]
-                if under == DELIVERY_CELL or tables.impassable[under]:
-                    continue
-                for units in range((starts[t + 1] - starts[t]) // places):
-                    best = 0
-                    for action in range(N_ACTIONS):
-                        put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
-                        state[TARGET], state[DISTANCE] = cell, 0
-                        step(tables, rewards, grid, state, action)
-                        to, battery = int(state[CELL]), int(state[BATTERY])
-                        if state[OUTCOME] != FLYING:
-                            rank = ends[state[DELIVERIES_DONE], battery, state[STEPS]]
-                        else:
-                            place = delivered_set(state, parcels) * tables.cells + to
-                            rank = ranks[starts[t + 1] + (battery - lowest[t + 1]) * places + place]
-                        best = max(best, int(rank))
-                        grid[to] = state[UNDER]
-                        if state[EVENT] == DELIVERY:
-                            put_parcels(tables, grid, state, parcels, delivered)
-                        grid[cell] = under
-                    ranks[starts[t] + units * places + delivered * tables.cells + cell] = best
-
-
 class ExactSolver(Solver):
     """Values by dynamic programming over all states. It covers every task; `LegSolver` is a hundred times faster.
+
+    Attributes:
+        returns: The highest returns of the reward profile `score`, which are the values.
 
     Args:
         episode: An episode in flight; it is not changed.
@@ -278,18 +189,9 @@ class ExactSolver(Solver):
 
     def __init__(self, episode: Episode) -> None:
         super().__init__(episode)
-        task = episode.task
-        self._places = task.width * task.height << len(self._waiting)
-        self._scores, ends = ranked_scores(task)
-        self._lowest, sizes = self._battery_ranges
-        self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
-        require_memory("the exact values", task, int(self._starts[-1]) * ends.itemsize)
-        self.ranks = np.zeros(int(self._starts[-1]), ends.dtype)
-        arrays = (*state_arrays(episode), episode.steps, self._lowest, self._starts, ends, self.ranks)
-        value_kernel(tabulate(task), tabulate_rewards(task, UNPAID), *arrays)
+        self.returns = highest_returns(episode, get_reward_profile("score"), 1.0, of_targets=False)
 
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         delivered, cell, battery, left = states.T
-        t = len(self._starts) - 1 - left
-        place = delivered * (self._places >> len(self._waiting)) + cell
-        return self._scores[self.ranks[self._starts[t] + (battery - self._lowest[t]) * self._places + place]]
+        returns, t = self.returns, len(self.returns.sizes) - left
+        return returns.values[t, battery - returns.lowest[t], delivered, 0, cell]

@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS, Action
-from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
+from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
-from drone_env.core.rules import score_of, units_left
+from drone_env.core.episode import Episode
+from drone_env.core.rules import score_of
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError
 from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, least_units, move_costs
-from drone_env.planning.states import require_memory
+from drone_env.planning.states import require_memory, state_arrays
 
 WAIT = int(Action.WAIT)
 FAR = 1 << 30
@@ -275,38 +275,21 @@ def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, 
 
 
 @kernel
-def trace_kernel(stops: StopMap, order: Any, units: int, left: int, flown: Any) -> int:
-    """Write each step of a flight to these stops, int64[steps, 4], and return their number.
-
-    A step is the cell, the units left and the steps left before it, and its action. If parcels remain, the drone waits.
-    """
-    tables, place, steps, delivered = stops.tables, len(stops.cells) - 1, 0, 0
-    drain: Any = tables.drain
-    charge = int(drain[PAD_CELL * N_ACTIONS + WAIT])
+def route_kernel(stops: StopMap, flight: Flight, order: Any, actions: Any) -> int:
+    """Write the actions of a flight to these stops, int64[steps], and return their number."""
+    n = 0
     for stop in order:
-        cell, start = stops.cells[stop], stops.cells[place]
-        arrival = steps + stops.costs[place, cell] % UNIT_COST if cell != start else steps
-        if arrival > left:
-            break
-        steps = arrival
+        cell, start = stops.cells[stop], stops.cells[flight.place]
+        arrival = n + (stops.costs[flight.place, cell] % UNIT_COST if cell != start else 0)
+        after = fly_to(stops, flight, stop)
+        n += flight.left - after.left
+        actions[arrival:n] = WAIT
         while cell != start:
-            cell, action = step_back(stops, place, cell)
+            cell, action = step_back(stops, flight.place, cell)
             arrival -= 1
-            flown[arrival, 0], flown[arrival, 3] = cell, action
-            flown[arrival, 1], flown[arrival, 2] = units - stops.costs[place, cell] // UNIT_COST, left - arrival
-        units = max(units - stops.costs[place, stops.cells[stop]] // UNIT_COST, 0)
-        while stop >= stops.parcels and units < tables.capacity and steps < left:
-            flown[steps] = stops.cells[stop], units, left - steps, WAIT
-            units = units_left(tables, units, charge)
-            steps += 1
-        delivered |= stops.passed[place, stop]
-        place = stop
-    cell = stops.cells[place]
-    while delivered != (1 << stops.parcels) - 1 and units > 0 and steps < left:
-        flown[steps] = cell, units, left - steps, WAIT
-        units = units_left(tables, units, int(drain[stops.ground[cell] * N_ACTIONS + WAIT]))
-        steps += 1
-    return steps
+            actions[arrival] = action
+        flight = after
+    return n
 
 
 def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int) -> StopMap:
@@ -318,12 +301,9 @@ def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int) -
         drone: The cell of the drone.
 
     Raises:
-        InvalidValueError: if it has more parcels than the task.
         TooLargeError: if the map would take more memory than `states.MAX_BYTES`.
     """
     tables, parcels = tabulate(task), np.flatnonzero(ground == DELIVERY_CELL)
-    if len(parcels) + (ground == DELIVERED_CELL).sum() > task.deliveries:
-        raise InvalidValueError(f"an observation shows more parcels than {task.id!r} has")
     pads = np.flatnonzero(ground == PAD_CELL) if task.charge_rate and not task.uniform else parcels[:0]
     places, n = np.concatenate([parcels, pads, [drone]]), len(parcels)
     p = len(places)
@@ -335,26 +315,22 @@ def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int) -
     return stops
 
 
-def plan_flight(
-    task: TaskConfig, ground: npt.NDArray[np.uint8], drone: npt.NDArray[np.int64], width: int
-) -> npt.NDArray[np.int64]:
+def planned_actions(episode: Episode, width: int) -> npt.NDArray[np.int64]:
     """Plan a flight by beam search, or, if `width` is 0, by nearest neighbour with recharging.
 
     Args:
-        task: The task.
-        ground: uint8[cells], without the drone.
-        drone: int64[3], cell, units left and steps left.
+        episode: An episode in flight; it is not changed.
         width: Partial flights to keep after each stop.
 
     Returns:
-        int64[steps, 4], the cell, the units left and the steps left before each step, and its action.
+        The actions, int64[steps]. If the episode has not ended after them, only waiting remains.
     """
-    cell, units, left = drone.tolist()
-    stops = measure_stops(task, ground, cell)
+    ground, _, _ = state_arrays(episode)
+    stops, left = measure_stops(episode.task, ground, episode.cell), episode.task.max_steps - episode.steps
     best, order = np.zeros((2, 2 * left + 2), np.int64)
     most = 2 * stops.parcels + 4 if width else 0
     beams, scores = np.zeros((2, max(width, 1), 4 + most), np.int64), np.zeros(width)
-    start = np.array([0, len(stops.cells) - 1, units, left])
-    n = beam_kernel(stops, start, beams, scores, best, order)
-    flown = np.zeros((left, 4), np.int64)
-    return flown[: trace_kernel(stops, best[:n], units, left, flown)]
+    start = Flight(0, len(stops.cells) - 1, episode.battery_units, left)
+    n = beam_kernel(stops, np.array(start), beams, scores, best, order)
+    actions = np.zeros(left, np.int64)
+    return actions[: route_kernel(stops, start, best[:n], actions)]

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents import Agent, BatchAgent, make_agent
-from drone_env.agents.base import begin
+from drone_env.agents import make_agent
+from drone_env.agents.base import Agent, BatchAgent, begin, rollout_batch
 from drone_env.agents.custom import as_agent
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, map_key, split_seeds, task_key
@@ -285,8 +285,6 @@ def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
 
 
 def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> Flown:
-    from drone_env.agents.batch_rollout import rollout_batch  # compiles
-
     agent_seeds = _agent_seeds(seeds, repeat)
     if isinstance(agent, BatchAgent):
         reset = partial(agent.reset_batch, agent_seeds)

@@ -1,16 +1,17 @@
-"""What the trainers share: validation, and the check of a checkpoint's settings."""
+"""What the trainers share: the state of a checkpoint, and validation."""
 
 import ctypes
 import math
 import sys
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from copy import deepcopy
+from dataclasses import asdict
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import nn
 
-from drone_env.agents.batch_rollout import ActBatch, rollout_batch
+from drone_env.agents.base import ActBatch, rollout_batch
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError
@@ -53,17 +54,6 @@ class Validator:
         return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))
 
 
-def require_same(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
-    """Check that a checkpoint has these settings.
-
-    Raises:
-        CheckpointError: if it has not; the message names some that differ.
-    """
-    if changed := differences(theirs, ours):
-        more = f" and {len(changed) - MAX_NAMED} more" if len(changed) > MAX_NAMED else ""
-        raise CheckpointError(f"the checkpoint has other settings: {', '.join(changed[:MAX_NAMED])}{more}; use those")
-
-
 def figure(value: float, digits: int) -> str:
     """A number with this many decimal places; `-` for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
@@ -79,6 +69,58 @@ def update_average(average: nn.Module, network: nn.Module, weight: float) -> Non
     """Move each parameter of `average` towards `network` by this weight (Polyak averaging)."""
     for mean, parameter in zip(average.parameters(), network.parameters(), strict=True):
         mean.lerp_(parameter, weight)
+
+
+class BaseTrainer:
+    """What a `TrainingRun` needs of a trainer, beside `train()`, `result` and `metadata()`.
+
+    A subclass names its networks and optimisers in `modules`, the other attributes that a checkpoint contains in
+    `variables`, and the class of its log lines in `progress`. `online` is the network that learns.
+
+    Args:
+        config: The settings.
+    """
+
+    modules: ClassVar[tuple[str, ...]] = ()
+    variables: ClassVar[tuple[str, ...]] = ()
+    progress: ClassVar[Any]
+    config: Any
+    online: Any
+
+    def __init__(self, config: Any) -> None:
+        keep_freed_memory()
+        torch.set_num_threads(config.num_threads)
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.history: list[Any] = []
+        """The lines of the log."""
+        self.best: dict[str, torch.Tensor] = {}
+        """The parameters of the network to export; empty before the first validation."""
+
+    def get_state(self) -> dict[str, Any]:
+        """The state of the training as tensors and plain values."""
+        return {
+            "config": self.config.identity(),
+            **{name: getattr(self, name).state_dict() for name in self.modules},
+            **{name: deepcopy(getattr(self, name)) for name in ("best", *self.variables)},
+            "history": [asdict(line) for line in self.history],
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue from a state of `get_state`.
+
+        Raises:
+            CheckpointError: if the state is of a training with other settings; the message names some that differ.
+        """
+        if changed := differences(state["config"], self.config.identity()):
+            more = f" and {len(changed) - MAX_NAMED} more" if len(changed) > MAX_NAMED else ""
+            named = ", ".join(changed[:MAX_NAMED])
+            raise CheckpointError(f"the checkpoint has other settings: {named}{more}; use those")
+        for name in self.modules:
+            getattr(self, name).load_state_dict(state[name])
+        for name in ("best", *self.variables):
+            setattr(self, name, deepcopy(state[name]))
+        self.history = [self.progress(**line) for line in state["history"]]
 
 
 def keep_freed_memory() -> None:

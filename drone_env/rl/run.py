@@ -37,10 +37,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("wb") as file:
-        try:
-            torch.save({"format": FORMAT, **state}, file)
-        except RuntimeError as error:  # PyTorch's error for a full disk
-            raise OSError(f"{path} could not be written: {str(error).splitlines()[0]}") from error
+        torch.save({"format": FORMAT, **state}, file)
         file.flush()
         os.fsync(file.fileno())
 
@@ -184,25 +181,15 @@ class TrainingRun:
                 "Lower --learning-rate, or raise --max-grad-norm from 0."
             )
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
-        network = self.trainer.best_network()
-        if network is not None:
-            parameters = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
+        if self.trainer.best:
+            parameters = {name: tensor.cpu().numpy() for name, tensor in self.trainer.best.items()}
             write_weights(self.network, parameters, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
 
     def _log_file(self) -> TextIO:
-        """The log, cut to the lines of the checkpoint: training repeats later ones.
-
-        It changes in place, so `tail -f` continues.
-        """
-        text = "".join(f"{log_line(line)}\n" for line in self.trainer.history).encode()
-        if not self.log.exists() or self.log.is_file():
-            with self.log.open("ab+") as file:
-                file.seek(0)
-                same = file.read(len(text)) == text
-                file.truncate(len(text) if same else 0)
-                if not same:
-                    file.write(text)
-        return self.log.open("a", encoding="utf-8", buffering=1)
+        """The log, with the lines of the checkpoint: training repeats later ones."""
+        log = self.log.open("w", encoding="utf-8", buffering=1)
+        log.writelines(f"{log_line(line)}\n" for line in self.trainer.history)
+        return log
 
     def _tensorboard(self) -> Any:
         """TensorBoard's writer; it drops steps after the checkpoint."""
@@ -247,12 +234,3 @@ def log_line(line: Any) -> str:
         f"{name.removeprefix('validation_')}={value if isinstance(value, int) else figure(value, DIGITS.get(name, 4))}"
         for name, value in figures_of(line).items()
     )
-
-
-def summary(line: Any) -> str:
-    """A log line, abridged for the progress bar."""
-    validation = f"validation {figure(line.validation, 4)}"
-    if hasattr(line, "epsilon"):
-        optimum = figure(line.validation_optimum, 4)
-        return f"{validation} of {optimum}  loss {figure(line.loss, 4)}  epsilon {line.epsilon:.2f}"
-    return f"{validation}  regret {figure(line.regret, 5)}  completion {line.completion:.4f}"

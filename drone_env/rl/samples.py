@@ -21,16 +21,16 @@ from drone_env.agents.tour_features import (
     write_features,
 )
 from drone_env.core.actions import FLYING, Action
-from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
+from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compiled import inlined, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import choose_target, reset, step
+from drone_env.core.rules import choose_target, step
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
-from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
+from drone_env.core.tables import BATTERY, CELL, OUTCOME, STEPS, UNDER, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel
-from drone_env.planning.paths import NO_STOP, find_paths, most_paths
+from drone_env.planning.paths import find_paths, most_paths
 from drone_env.planning.solver import ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 
@@ -47,7 +47,7 @@ KEEP_AT_CHOICE, KEEP_ON_PATH, KEEP_LOST = 75, 20, 20
 
 
 class Workspace(NamedTuple):
-    """Working memory for a map of a task."""
+    """A map of a task with its values, and working memory."""
 
     tables: Tables
     rewards: Rewards
@@ -62,31 +62,6 @@ class Workspace(NamedTuple):
     scores: Any
     """float64[ranks], the score of each rank."""
     distances: Distances
-
-
-@inlined
-def begin_map(workspace: Workspace, seed: int) -> int:
-    """Compute the values of map `seed`, remove its drone, and return the cell of its start."""
-    tables, _, grid, state, _, legs, _, distances = workspace
-    reset(tables, grid, state, seed)
-    start = int(state[CELL])
-    grid[start] = state[UNDER]
-    for cell in range(tables.cells):
-        legs.search.stop_at[cell] = NO_STOP
-        legs.search.ground[cell] = grid[cell]
-    stop = legs.parcels
-    for cell in range(tables.cells):
-        if stop < len(legs.stops) and grid[cell] == PAD_CELL:
-            legs.stops[stop] = cell
-            stop += 1
-    for i in range(legs.parcels):
-        legs.stops[i] = state[PARCELS + i]
-    for i in range(len(legs.stops)):
-        legs.search.stop_at[legs.stops[i]] = i
-    mark_delivered(legs, (1 << legs.parcels) - 1)
-    find_distances(legs.search, legs.stops, distances)
-    value_kernel(legs)
-    return start
 
 
 @inlined
@@ -213,28 +188,31 @@ def sample_flight(workspace: Workspace, features: Features, values: Any, m: int,
 
 
 @kernel
-def sample_kernel(workspace: Workspace, seeds: Any, per_map: int, features: Features, values: Any) -> int:
-    """Write up to `per_map` states of each map and return their number.
+def sample_kernel(
+    workspace: Workspace, start: int, seed: int, per_map: int, features: Features, values: Any, m: int
+) -> int:
+    """Write up to `per_map` states of a map, from number m on, and return the number of the next state.
 
     Args:
-        workspace: Working memory.
-        seeds: int64[maps]
-        per_map: Maximum number of states of each map.
+        workspace: The map, without its drone.
+        start: Cell of the drone at the start of the map.
+        seed: Number of the map.
+        per_map: Maximum number of states.
         features: The output.
         values: float32[options], the values of the options, also output.
+        m: Number of the first state.
     """
-    m = 0
-    features.begins[0] = 0
-    for seed in seeds:
-        start = begin_map(workspace, seed)
-        key, end = mix64(seed ^ GOLDEN), m + per_map
-        for _ in range(4 * per_map):
-            if m == end:
-                break
-            key, flies = draw_start(workspace, start, key)
-            if flies:
-                m, key = sample_flight(workspace, features, values, m, end, key)
-                workspace.grid[workspace.state[CELL]] = workspace.state[UNDER]
+    legs = workspace.legs
+    mark_delivered(legs, (1 << legs.parcels) - 1)
+    find_distances(legs.search, legs.stops, workspace.distances)
+    key, end = mix64(seed ^ GOLDEN), m + per_map
+    for _ in range(4 * per_map):
+        if m == end:
+            break
+        key, flies = draw_start(workspace, start, key)
+        if flies:
+            m, key = sample_flight(workspace, features, values, m, end, key)
+            workspace.grid[workspace.state[CELL]] = workspace.state[UNDER]
     return m
 
 
@@ -261,21 +239,24 @@ class SampleGenerator:
 
     def __init__(self, task: TaskConfig, maps: int, per_map: int) -> None:
         self.task, self._per_map = task, per_map
-        tables = tabulate(task)
         # All maps of a task have the same number of stops.
-        ground, state, entries = state_arrays(Episode(task, seed=0))
-        legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
-        scores, _ = ranked_scores(task)
-        grid, state = np.zeros(tables.cells, np.uint8), np.zeros(state_size(tables), np.uint16)
-        stops = len(legs.stops)
-        rewards, distances = tabulate_rewards(task, UNPAID), make_distances(stops)
-        self._workspace = Workspace(tables, rewards, grid, state, entries, legs, scores, distances)
-        states = maps * per_map + 1
+        stops, states = len(self._workspace(Episode(task, seed=0)).legs.stops), maps * per_map + 1
         options = states * stops * most_paths(task)
         self._features, self._values = make_features(states, stops, options), np.zeros(options, np.float32)
 
+    def _workspace(self, episode: Episode) -> Workspace:
+        task, tables, (grid, state, parcels) = self.task, tabulate(self.task), state_arrays(episode)
+        legs = make_legs(task, grid, state[parcels].tolist(), 0, tables.capacity, tables.max_steps)
+        rewards, (scores, _) = tabulate_rewards(task, UNPAID), ranked_scores(task)
+        return Workspace(tables, rewards, grid, state, parcels, legs, scores, make_distances(len(legs.stops)))
+
     def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:
         """The samples of these maps."""
-        m = sample_kernel(self._workspace, seeds, self._per_map, self._features, self._values)
+        m = self._features.begins[0] = 0
+        for seed in seeds.tolist():
+            episode = Episode(self.task, seed=seed)
+            workspace = self._workspace(episode)
+            value_kernel(workspace.legs)
+            m = sample_kernel(workspace, episode.cell, seed, self._per_map, self._features, self._values, m)
         features = Features(*(array.copy() for array in first_states(self._features, m)))
         return Samples(features, self._values[: len(features.token)].copy())

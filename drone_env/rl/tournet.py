@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,17 +33,10 @@ from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, TooLargeError
-from drone_env.rl.common import (
-    Validator,
-    clone_state,
-    figure,
-    keep_freed_memory,
-    require_same,
-    update_average,
-)
+from drone_env.rl.common import BaseTrainer, Validator, clone_state, figure, update_average
+from drone_env.rl.config import TourConfig, randomise
 from drone_env.rl.model import TourNet
 from drone_env.rl.samples import COMPLETE, SampleGenerator, Samples
-from drone_env.rl.tour_config import TourConfig, randomise
 
 CHUNKS = 4
 """Number of chunks in a batch."""
@@ -51,9 +44,6 @@ MAX_REGRET = 0.1
 """Maximum regret in the loss: the completion covers a parcel more or less."""
 AHEAD = 3
 """Number of chunks that are generated ahead."""
-MODULES = ("online", "average", "optimizer")
-VARIABLES = ("updates", "states", "ratios", "validated")
-"""The attributes that a checkpoint stores as state dictionaries, and as they are."""
 
 
 class TourBatch:
@@ -169,19 +159,27 @@ class TourProgress:
     cpu_seconds: float
     ratios: dict[str, float]
 
+    @property
+    def summary(self) -> str:
+        """The line, abridged for the progress bar."""
+        validation = f"validation {figure(self.validation, 4)}"
+        return f"{validation}  regret {figure(self.regret, 5)}  completion {self.completion:.4f}"
 
-class TourTrainer:
+
+class TourTrainer(BaseTrainer):
     """One training of a tour network, from its first update or from a checkpoint.
 
     Args:
         config: The settings.
     """
 
+    modules = ("online", "average", "optimizer")
+    variables = ("updates", "states", "losses", "ratios", "cpu_seconds")
+    progress = TourProgress
+    config: TourConfig
+
     def __init__(self, config: TourConfig) -> None:
-        keep_freed_memory()
-        torch.set_num_threads(config.num_threads)
-        torch.manual_seed(config.seed)
-        self.config = config
+        super().__init__(config)
         sampled = config.sampled_tasks()
         self._task_shares = np.array(list(sampled.values()))
         self._windows: list[deque[Samples]] = [deque(maxlen=config.window) for _ in sampled]
@@ -196,13 +194,10 @@ class TourTrainer:
             self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
         self.updates = self.states = 0
-        self._losses: list[tuple[float, float, float]] = []
-        self.history: list[TourProgress] = []
+        self.losses: list[tuple[float, float, float]] = []
         self.ratios: dict[str, float] = {}
         """The optimality ratio of each task at the last validation."""
-        self.validated: dict[str, Tensor] = {}
-        """The average of the weights at the last validation."""
-        self._cpu_before, self._cpu_since = 0.0, time.process_time()
+        self.cpu_seconds = 0.0
         self._generators = [self._generator(task) for task in sampled]
 
     def _generator(self, task: TaskConfig) -> SampleGenerator:
@@ -211,7 +206,11 @@ class TourTrainer:
     @property
     def cpu_seconds(self) -> float:
         """Processor time of this training, including the parts before a resume."""
-        return self._cpu_before + time.process_time() - self._cpu_since
+        return time.process_time() - self._cpu_since
+
+    @cpu_seconds.setter
+    def cpu_seconds(self, seconds: float) -> None:
+        self._cpu_since = time.process_time() - seconds
 
     def train(self) -> Iterator[list[TourProgress]]:
         """Train until `config.updates` updates; yields the new log lines after each update.
@@ -286,7 +285,7 @@ class TourTrainer:
         self.states += config.batch_size
         # The average covers fewer updates at first, to forget the initial weights.
         update_average(self.average, self.online, 1 - min(config.average, 1 - 1 / (self.updates / 10 + 1)))
-        self._losses.append((choice.item(), regret.item(), completion.item()))
+        self.losses.append((choice.item(), regret.item(), completion.item()))
 
     @property
     def learning_rate(self) -> float:
@@ -303,8 +302,8 @@ class TourTrainer:
             self.validate()
         if self.updates % config.log_every and not last:
             return []
-        choice, regret, completion = np.mean(self._losses, axis=0).tolist()
-        self._losses = []
+        choice, regret, completion = np.mean(self.losses, axis=0).tolist()
+        self.losses = []
         ratios = {name: self.ratios.get(name, math.nan) for name in self._validators}
         mean, rate, seconds = float(np.mean(list(ratios.values()))), self.learning_rate, self.cpu_seconds
         line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, seconds, ratios)
@@ -317,7 +316,7 @@ class TourTrainer:
         for name, validator in self._validators.items():
             result = validator.validate(partial(choose, self._encoders[name], network))
             self.ratios[name] = result.score / result.optimum
-        self.validated = clone_state(self.average)
+        self.best = clone_state(self.average)
 
     @staticmethod
     def _logits(network: TourNet, features: Features) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -326,36 +325,6 @@ class TourTrainer:
         with torch.no_grad():
             preference, completion = network(*batch.inputs)
         return choice_logits(preference, completion).numpy(), completion.numpy()
-
-    def get_state(self) -> dict[str, Any]:
-        """The state of the training as tensors and plain values."""
-        return {
-            "config": self.config.identity(),
-            **{name: getattr(self, name).state_dict() for name in MODULES},
-            **{name: deepcopy(getattr(self, name)) for name in VARIABLES},
-            "losses": list(self._losses),
-            "history": [asdict(line) for line in self.history],
-            "cpu_seconds": self.cpu_seconds,
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from a state of `get_state`."""
-        require_same(self.config.identity(), state["config"])
-        for name in MODULES:
-            getattr(self, name).load_state_dict(state[name])
-        for name in VARIABLES:
-            setattr(self, name, deepcopy(state[name]))
-        self._losses = list(state["losses"])
-        self.history = [TourProgress(**line) for line in state["history"]]
-        self._cpu_before, self._cpu_since = state["cpu_seconds"], time.process_time()
-
-    def best_network(self) -> TourNet | None:
-        """The average of the weights at the last validation; None before the first."""
-        if not self.validated:
-            return None
-        network = TourNet()
-        network.load_state_dict(self.validated)
-        return network
 
     @property
     def result(self) -> str:

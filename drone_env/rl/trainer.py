@@ -10,7 +10,6 @@ Every end is part of the task: targets never bootstrap over an end, and nothing 
 
 import math
 from collections.abc import Iterator
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,28 +24,10 @@ from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.rl.common import (
-    Validation,
-    Validator,
-    clone_state,
-    figure,
-    keep_freed_memory,
-    require_same,
-    update_average,
-)
+from drone_env.rl.common import BaseTrainer, Validation, Validator, clone_state, figure, update_average
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.model import PathQNet
 from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
-from drone_env.rl.replay_buffer import ReplayBuffer
-
-FinishedEpisode = tuple[float, float, bool, int]
-"""Of an episode: undiscounted return, score, whether all parcels were delivered, steps."""
-MODULES = ("online", "target", "optimizer")
-VARIABLES = (
-    *("steps", "updates", "episodes", "updates_due", "validated_updates", "best", "best_score"),
-    *("ended", "early", "window", "unlogged", "losses"),
-)
-"""The attributes that a checkpoint stores as state dictionaries, and as they are."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +63,88 @@ class Progress:
     validation: float
     validation_optimum: float
 
+    @property
+    def summary(self) -> str:
+        """The line, abridged for the progress bar."""
+        validation = f"validation {figure(self.validation, 4)} of {figure(self.validation_optimum, 4)}"
+        return f"{validation}  loss {figure(self.loss, 4)}  epsilon {self.epsilon:.2f}"
 
-class Trainer:
+
+class ReplayBuffer:
+    """The last steps of N environments, one row of N for each step.
+
+    Each observation is stored once: the next one is in the next row. After an end, the next row holds the first
+    observation of another episode, which no target uses.
+
+    Args:
+        capacity: Transitions to hold, rounded down to whole rows; at least two of them.
+        num_envs: N.
+        height, width: Size of the grid.
+        telemetry_size: Values in the telemetry.
+    """
+
+    def __init__(self, capacity: int, num_envs: int, height: int, width: int, telemetry_size: int) -> None:
+        rows = capacity // num_envs
+        self.grids = np.zeros((rows, num_envs, height, width), np.uint8)
+        self.telemetry = np.zeros((rows, num_envs, telemetry_size), np.float32)
+        self.actions = np.zeros((rows, num_envs), np.uint8)
+        self.rewards = np.zeros((rows, num_envs), np.float32)
+        self.terminated = np.zeros((rows, num_envs), np.bool_)
+        self.added = 0
+        """Rows written so far."""
+
+    @property
+    def stored(self) -> int:
+        """Rows in the buffer."""
+        return min(self.added, len(self.grids))
+
+    @property
+    def _columns(self) -> dict[str, npt.NDArray[Any]]:
+        return {name: column for name, column in vars(self).items() if name != "added"}
+
+    def add(
+        self,
+        grids: npt.NDArray[np.uint8],
+        telemetry: npt.NDArray[np.float32],
+        actions: npt.NDArray[np.int64],
+        rewards: npt.NDArray[np.float64],
+        terminated: npt.NDArray[np.bool_],
+    ) -> None:
+        """Store one step of all environments; it replaces the oldest."""
+        row = self.added % len(self.grids)
+        for column, values in zip(
+            self._columns.values(), (grids, telemetry, actions, rewards, terminated), strict=True
+        ):
+            column[row] = values
+        self.added += 1
+
+    def sample(self, batch_size: int, gamma: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], ...]:
+        """Uniformly sampled transitions; the buffer holds at least two rows.
+
+        Returns:
+            Grids uint8[B, H, W], telemetry float32[B, telemetry_size], actions int64[B], rewards float32[B], discounts
+            of the next state's value (gamma, or 0 if the episode ended) float32[B], next grids, next telemetry.
+        """
+        rows = len(self.grids)
+        first = self.added - self.stored + rng.integers(0, self.stored - 1, batch_size)
+        env = rng.integers(0, self.grids.shape[1], batch_size)
+        now, later = (first % rows, env), ((first + 1) % rows, env)
+        discounts = np.float32(gamma) * ~self.terminated[now]
+        reached = self.actions[now].astype(np.int64), self.rewards[now], discounts
+        return self.grids[now], self.telemetry[now], *reached, self.grids[later], self.telemetry[later]
+
+    def get_state(self) -> dict[str, npt.NDArray[Any]]:
+        """The rows in the buffer, and how many were written."""
+        return {name: column[: self.stored] for name, column in self._columns.items()} | {"added": np.array(self.added)}
+
+    def set_state(self, state: dict[str, npt.NDArray[Any]]) -> None:
+        """Take the rows of another buffer of the same size."""
+        self.added = int(state["added"])
+        for name, column in self._columns.items():
+            column[: self.stored] = state[name]
+
+
+class Trainer(BaseTrainer):
     """One DQN training, from its first step or from a checkpoint.
 
     Args:
@@ -93,13 +154,16 @@ class Trainer:
         InvalidValueError: if the settings name a GPU and there is none.
     """
 
+    modules = ("online", "target", "optimizer")
+    variables = ("steps", "updates", "episodes", "updates_due", "validated_updates", "best_score", "early", "window",
+                 "losses")  # fmt: skip
+    progress = Progress
+    config: TrainConfig
+
     def __init__(self, config: TrainConfig) -> None:
         if config.gpu and not torch.cuda.is_available():
             raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
-        keep_freed_memory()
-        torch.set_num_threads(config.num_threads)
-        torch.manual_seed(config.seed)
-        self.config = config
+        super().__init__(config)
         self.task = task = get_task(config.task)
         self.device = torch.device("cuda" if config.gpu else "cpu")
         self.rng = np.random.default_rng(config.seed)
@@ -113,7 +177,7 @@ class Trainer:
         self.replay = ReplayBuffer(config.replay_size, config.num_envs, task.height, task.width, task.telemetry_size)
         self.validator = Validator(task, config.validation_maps)
         self.validation = Validation(math.nan, self.validator.optimum, math.nan)
-        self.best, self.best_score = clone_state(self.eval_network), -1.0
+        self.best_score = -1.0
         self.steps = self.updates = self.episodes = 0
         self.updates_due = 0.0
         self.validated_updates = -1
@@ -121,32 +185,27 @@ class Trainer:
         """Of the running episodes, undiscounted."""
         self.numbers = np.arange(config.num_envs)
         """Numbers of the running episodes, in the order of their starts."""
-        self.ended: list[tuple[int, float, int, int]] = []
-        """Environment, score, steps and deliveries of the episodes that the last step ended, until they are counted."""
-        self.early: dict[int, FinishedEpisode] = {}
-        """Results of episodes that ended before an older one, by number."""
-        self.window: list[FinishedEpisode] = []
-        """The latest results that the log may show."""
-        self.unlogged = 0
-        """How many of them no line covers yet."""
+        self.early: dict[int, tuple[float, float, bool, int]] = {}
+        """Of episodes that no line of the log covers yet, by number: undiscounted return, score, whether all parcels
+        were delivered, steps."""
+        self.window: list[tuple[float, float, bool, int]] = []
+        """The same of the episodes that the last line covers."""
         self.losses: list[float] = []
-        self.history: list[Progress] = []
 
     def train(self) -> Iterator[list[Progress]]:
-        """Train until `config.episodes` episodes have ended; yields the new log lines after each step.
+        """Train until `config.episodes` episodes or more have ended; yields the new log lines after each step.
 
         The caller may save the state between two steps, or stop.
         """
         config = self.config
         while self.episodes < config.episodes:
-            if not self.ended:  # a run may stop amid the episodes that one step ended
-                self.fly()
-                if self.steps > config.learning_starts and self.replay.stored > 1:
-                    self.updates_due += config.num_envs / config.steps_per_update
-                while self.updates_due >= 1:
-                    self.learn()
-                    self.updates_due -= 1
-            yield self.finish_episodes()
+            self.fly()
+            if self.steps > config.learning_starts and self.replay.stored > 1:
+                self.updates_due += config.num_envs / config.steps_per_update
+            while self.updates_due >= 1:
+                self.learn()
+                self.updates_due -= 1
+            yield self.count_episodes()
 
     def fly(self) -> None:
         """Fly one step in every environment and store it."""
@@ -157,9 +216,6 @@ class Trainer:
         self.replay.add(*obs, actions, batch.rewards * self.config.reward_scale, batch.terminated)
         self.returns += batch.rewards
         self.steps += self.config.num_envs
-        finals = batch.finals()
-        columns = (batch.ended, finals["score"], finals["steps"], finals["deliveries"])
-        self.ended = list(zip(*(column.tolist() for column in columns), strict=True))
 
     def learn(self) -> None:
         """Fit the online network to one batch of the replay buffer."""
@@ -188,27 +244,26 @@ class Trainer:
         if config.target_update == "soft":
             update_average(self.target, self.online, config.tau)
 
-    def finish_episodes(self) -> list[Progress]:
-        """Count the episodes that the last step ended, up to `config.episodes`; validate and log when due.
-
-        A run with more episodes counts the rest.
-        """
-        config = self.config
-        lines: list[Progress] = []
-        while self.ended and self.episodes < config.episodes:
-            i, score, steps, deliveries = self.ended.pop(0)
-            number, self.numbers[i] = int(self.numbers[i]), self.episodes + config.num_envs
-            self.early[number] = (float(self.returns[i]), score, deliveries == self.task.deliveries, steps)
+    def count_episodes(self) -> list[Progress]:
+        """Count the episodes that the last step ended; copy the target, validate and log when due."""
+        config, before, finals = self.config, self.episodes, self.batch.finals()
+        columns = (self.batch.ended, finals["score"], finals["steps"], finals["deliveries"])
+        for i, score, steps, deliveries in zip(*(column.tolist() for column in columns), strict=True):
+            success = deliveries == self.task.deliveries
+            self.early[int(self.numbers[i])] = (float(self.returns[i]), score, success, steps)
+            self.numbers[i] = self.episodes + config.num_envs
             self.returns[i] = 0.0
             self.episodes += 1
-            last = self.episodes == config.episodes
-            if config.target_update == "episodes" and self.episodes % config.target_every == 0:
-                self.target.load_state_dict(self.online.state_dict())
-            if (last or self.episodes % config.validation_every == 0) and self.updates != self.validated_updates:
-                self.validate()
-            if last or self.episodes % config.log_every == 0:
-                lines.append(self.log())
-        return lines
+
+        def due(every: int) -> bool:
+            return self.episodes // every > before // every
+
+        last = self.episodes >= config.episodes
+        if config.target_update == "episodes" and due(config.target_every):
+            self.target.load_state_dict(self.online.state_dict())
+        if (last or due(config.validation_every)) and self.updates != self.validated_updates:
+            self.validate()
+        return [self.log()] if last or due(config.log_every) else []
 
     def validate(self) -> None:
         """Fly the validation maps with the network alone, and keep it if it is the best so far."""
@@ -231,8 +286,7 @@ class Trainer:
         """Append the next line to the log."""
         oldest = self.numbers.min()
         finished = [self.early.pop(number) for number in sorted(self.early) if number < oldest]
-        self.unlogged += len(finished)
-        self.window = [*self.window, *finished][-max(self.unlogged, self.config.log_every) :]
+        self.window = [*self.window, *finished][-max(len(finished), self.config.log_every) :]
         reward, score, success, length = np.mean(self.window, axis=0).tolist() if self.window else [math.nan] * 4
         before = self.history[-1].loss if self.history else math.nan
         line = Progress(
@@ -248,7 +302,7 @@ class Trainer:
             validation=self.validation.score,
             validation_optimum=self.validation.optimum,
         )
-        self.losses, self.unlogged = [], 0
+        self.losses = []
         self.history.append(line)
         return line
 
@@ -283,31 +337,22 @@ class Trainer:
 
     def get_state(self) -> dict[str, Any]:
         """The state of the training as tensors and plain values."""
-        return {
-            "config": self.config.identity(),
-            **{name: getattr(self, name).state_dict() for name in MODULES},
-            **{name: copy(getattr(self, name)) for name in VARIABLES},
+        return super().get_state() | {
             "returns": self.returns.tolist(),
             "numbers": self.numbers.tolist(),
             "replay": {name: torch.from_numpy(array) for name, array in self.replay.get_state().items()},
             "batch": {name: torch.from_numpy(array) for name, array in self.batch.get_state().items()},
             "rng": self.rng.bit_generator.state,
-            "history": [vars(line) for line in self.history],
             "validation": list(self.validation),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a state of `get_state`."""
-        require_same(self.config.identity(), state["config"])
-        for name in MODULES:
-            getattr(self, name).load_state_dict(state[name])
-        for name in VARIABLES:
-            setattr(self, name, copy(state[name]))
+        super().set_state(state)
         self.returns, self.numbers = np.array(state["returns"]), np.array(state["numbers"])
         self.replay.set_state({name: tensor.numpy() for name, tensor in state["replay"].items()})
         self.batch.set_state({name: tensor.numpy() for name, tensor in state["batch"].items()})
         self.rng.bit_generator.state = state["rng"]
-        self.history = [Progress(**line) for line in state["history"]]
         self.validation = Validation(*state["validation"])
 
     @property
@@ -328,11 +373,3 @@ class Trainer:
             "validation_score": self.best_score,
             "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
         }
-
-    def best_network(self) -> PathQNet | None:
-        """The network with the best validation, on the CPU; None before the first validation."""
-        if self.best_score < 0:
-            return None
-        network = PathQNet(self.task.telemetry_size)
-        network.load_state_dict(self.best)
-        return network

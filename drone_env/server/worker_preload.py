@@ -15,16 +15,16 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
 from drone_env.planning import legs, solver, stops
-from drone_env.planning.cell_states import battery_range, range_kernel, states_at_cells
+from drone_env.planning.cell_states import battery_range, states_at_cells
 from drone_env.planning.optimal import solver_of
-from drone_env.planning.paths import cheapest_kernel
+from drone_env.planning.paths import cost_kernel
 
 SOLVERS = (
-    range_kernel, legs.flight_kernel, legs.rank_kernel, legs.value_kernel, solver.score_kernel, solver.step_kernel
+    cost_kernel, legs.flight_kernel, legs.rank_kernel, legs.value_kernel, solver.score_kernel, solver.step_kernel
 )  # fmt: skip
 AGENTS = {
-    "tournet": (cheapest_kernel, encode_kernel),
-    "beam": (stops.measure_kernel, stops.beam_kernel, stops.trace_kernel),
+    "tournet": (encode_kernel,),
+    "beam": (stops.measure_kernel, stops.beam_kernel, stops.route_kernel),
 }
 TASKS = ("easy", "skyline_easy")
 

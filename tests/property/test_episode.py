@@ -19,7 +19,7 @@ from drone_env.models import observation_fields
 from drone_env.planning.from_observation import episode_of
 from tests.toy import TOY
 
-thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "150")), deadline=None, derandomize=True)
+thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "100")), deadline=None, derandomize=True)
 
 STANDARD = st.sampled_from(sorted(TASKS)).map(TASKS.__getitem__)
 PROFILES = st.sampled_from(sorted(REWARD_PROFILES))
@@ -164,20 +164,6 @@ def test_aligned_shaping_adds_nothing_over_an_episode_but_the_potential_of_the_s
     finish(episode, actions)
     discounted = sum(0.99**i * step.reward for i, step in enumerate(episode.path))
     assert abs(discounted - (0.99 ** (episode.steps - 1) * episode.score - start)) < 1e-12
-
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_an_unfinished_episode_counts_exactly_what_waiting_to_the_end_would_score(
-    task: TaskConfig, seed: int, actions: list[int]
-) -> None:
-    """So stopping early never pays: whoever stops could have had as much by going on."""
-    episode = Episode(task, "tiered", seed).fly(actions)
-    before = episode.get_state()
-    counted = episode.counted_score()
-    assert episode.get_state() == before
-    finish(episode, [])
-    assert episode.score == counted == episode.counted_score()
 
 
 @thorough

@@ -7,9 +7,8 @@ from typing import Any, TypeVar
 import torch
 from torch import nn
 
-from drone_env.rl.config import TrainConfig
+from drone_env.rl.config import TourConfig, TrainConfig
 from drone_env.rl.run import TrainingRun
-from drone_env.rl.tour_config import TourConfig
 from drone_env.rl.tournet import TourTrainer
 from drone_env.rl.trainer import Trainer
 

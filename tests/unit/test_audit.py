@@ -3,7 +3,6 @@
 import itertools
 import json
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 
 import pytest
@@ -15,11 +14,9 @@ from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError
-from drone_env.planning.audit import audit_map, audited_profile, hover
-from drone_env.planning.optimal import solve_episode
-from drone_env.reward_file import chosen_profile, load_reward_profile
+from drone_env.planning.audit import audit_map, audited_profile
+from drone_env.reward_file import load_reward_profile
 from tests.property.test_episode import custom_task
-from tests.toy import toy_episode
 
 
 def tiny_tasks(count: int) -> list[TaskConfig]:
@@ -52,7 +49,7 @@ def every_flight(task: TaskConfig, seed: int, profile: RewardProfile, gamma: flo
 
 @pytest.mark.parametrize("profile", REWARD_PROFILES)
 def test_the_maximiser_is_the_best_of_all_flights(profile: str) -> None:
-    for seed, (task, gamma) in enumerate(zip(tiny_tasks(12), itertools.cycle([1.0, 0.99, 0.7]), strict=False)):
+    for seed, (task, gamma) in enumerate(zip(tiny_tasks(8), itertools.cycle([1.0, 0.99, 0.7]), strict=False)):
         audited = audit_map(task, seed, profile, gamma)
         highest, lowest_score = every_flight(task, seed, REWARD_PROFILES[profile], gamma)
         assert audited.maximum == pytest.approx(highest, abs=1e-9)
@@ -88,20 +85,6 @@ def test_hover_on_one_easy_map_by_hand() -> None:
     assert audited.score == 0.8
 
 
-def test_hover_waits_at_the_start_if_the_parcel_is_next_to_it() -> None:
-    start = toy_episode(["@0", ".."], max_steps=6)
-    waits = (Action.WAIT,) * 5
-    assert hover(start, solve_episode(start)) == (*waits, Action.RIGHT)
-
-
-def test_a_flight_for_a_reward_of_ones_own_can_be_analysed(tmp_path: Path) -> None:
-    mine, worst = tmp_path / "mine.toml", tmp_path / "worst.json"
-    mine.write_text(MINE)
-    # Waiting costs nothing here, so the delivery may come with the last step.
-    assert cli.main(["audit", "--reward", str(mine), "--maps", "2", "--replay", str(worst)]) == 1
-    assert cli.main(["analyse-flight", str(worst)]) == 0
-
-
 # Files
 
 
@@ -116,24 +99,11 @@ step = -0.01
 """
 
 
-def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(MINE)
-    profile = chosen_profile(str(path))
-    assert profile == load_reward_profile(path)
-    assert profile.id == "mine"
-    assert profile.shaping == Decimal("0.05")
-    assert profile.clamp == (Decimal("-1.0"), Decimal(1))
-    assert {event.name: str(value) for event, value in profile.events} == {"DELIVERY": "1", "STEP": "-0.01"}
-    assert chosen_profile("tiered") is REWARD_PROFILES["tiered"]
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("id = 'x'\nshaping = 'much'", "shaping: must be a valid decimal"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
-        ("id = 'x'\nshaping = nan", "finite number"),
         ("id = 'score'", "taken by a profile of the package"),
         ("id = 'x'\n[events]\ncrash = 1", "events.crash.*'delivery', 'battery_dead'"),
     ],

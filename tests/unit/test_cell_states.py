@@ -34,7 +34,7 @@ def assert_places_follow_steps(flight: Episode) -> None:
         assert np.array_equal(before.grids[there], after.grid().ravel())
 
 
-@pytest.mark.parametrize("task", ["easy", "hard", "skyline_easy", "skyline_hard"])
+@pytest.mark.parametrize("task", ["hard", "skyline_easy"])
 def test_a_place_looks_as_if_the_drone_had_just_flown_there(task: str) -> None:
     flight = Episode(task, seed=7)
     for letter in TOUR:
@@ -56,11 +56,10 @@ def test_the_range_on_a_map_where_it_is_obvious() -> None:
     # Over the building it would not last, and on its last unit it gets there and no further.
     street = toy_episode(["@0B.1", "OOOOO"], battery_capacity=4, **drains)
     assert battery_range(street, street.cell, 4).tolist() == [4, 3, 0, -1, -1, *[-1] * 5]
-    # Round the building it is dearer than over it, and with few steps left there is no way round.
+    # A move may drain more than the battery has, but nothing lies behind.
+    assert battery_range(street, street.cell, 2).tolist() == [2, 1, 0, -1, -1, *[-1] * 5]
+    # Round the building it is cheaper than over it.
     around = toy_episode(["@B.", "...", "10."], battery_capacity=9, drain=((Cell.BUILDING, 4),))
     assert battery_range(around, around.cell, 9).tolist() == [9, 5, 5, 8, 7, 6, 7, 6, 5]
     assert charging_pads(around) == charging_pads(toy_episode(["@P", "0P"])) == []
     assert charging_pads(toy_episode(["@P", "0P"], charge_rate=2)) == [1, 3]
-    late = toy_episode(["@B.", "...", "10."], battery_capacity=9, drain=((Cell.BUILDING, 4),), max_steps=4)
-    fly(late, "WW")
-    assert battery_range(late, late.cell, 9).tolist() == [9, 5, 4, 8, 7, -1, 7, -1, -1]

@@ -14,12 +14,10 @@ from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city
-from drone_env.errors import CheckpointError, InvalidValueError, StoreError
+from drone_env.errors import InvalidValueError, StoreError
 from drone_env.flights.store import Store
 from drone_env.llm.config import RunConfig
-from drone_env.rl.common import require_same
-from drone_env.rl.config import TrainConfig
-from drone_env.rl.tour_config import TourConfig
+from drone_env.rl.config import TourConfig, TrainConfig
 from tests.llm.stored_run import run_config
 from tests.unit.stores import sessions_of
 
@@ -103,8 +101,7 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     write_city(City(GRID, numbers={"deliveries": 3, "max_steps": 39}), yard)
     register_city(yard)
     for config, identity in zip(configs, before, strict=True):
-        with pytest.raises(CheckpointError, match="rules of yard: '"):
-            require_same(config.identity(), identity)
+        assert [name for name, value in config.identity().items() if value != identity[name]] == ["rules of yard"]
     with pytest.raises(ValidationError, match="the task 'yard' has changed since the run"):
         RunConfig.model_validate(dict(run))
     with pytest.raises(StoreError, match="has flights of another task 'yard'"):

@@ -1,7 +1,6 @@
 """PathQNet: its layers, the same in PyTorch and in NumPy, the agent that flies by it, and the shipped networks."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,7 @@ def test_a_flat_map_has_the_values_of_a_square_one() -> None:
         network(torch.zeros(3, 77, dtype=torch.uint8), telemetry)
 
 
-@pytest.mark.parametrize(("height", "width", "telemetry_size"), [(10, 10, 5), (18, 18, 6), (7, 11, 5), (3, 2, 5)])
+@pytest.mark.parametrize(("height", "width", "telemetry_size"), [(18, 18, 6), (3, 2, 5)])
 def test_the_network_without_torch_is_the_same(height: int, width: int, telemetry_size: int, tmp_path: Path) -> None:
     torch.manual_seed(height)
     network = PathQNet(telemetry_size)
@@ -98,25 +97,15 @@ def test_a_network_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         make_agent("pathqnet", "skyline_hard")
 
 
-def file_of(parameters: dict[str, Any], metadata: str = '{"telemetry_size": 5}', **changes: Any) -> bytes:
-    """A file with these parameters, of which some are replaced."""
-    changed = {**parameters, **{name.replace("_", "."): array for name, array in changes.items()}}
-    return save(changed, {METADATA: metadata})
-
-
-BIAS = np.zeros(5, np.float32)
-HOSTILE: dict[str, tuple[Callable[[dict[str, Any]], bytes], str]] = {
-    "a missing array": (lambda whole: file_of({"head.7.bias": BIAS}), "its parameters are not those"),
-    "another shape": (lambda whole: file_of(whole, head_7_bias=BIAS[1:]), r"head.7.bias is float32\[4\]"),
-    "no number": (lambda whole: file_of(whole, head_7_bias=BIAS + np.nan), "head.7.bias has NaN"),
-    "other metadata": (lambda whole: save(whole, {"format": "pt"}), "it lacks 'drone_env'"),
-}
-
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_is_refused_by_name(name: str, tmp_path: Path) -> None:
-    make, why = HOSTILE[name]
-    path = tmp_path / "hostile.safetensors"
-    path.write_bytes(make(export(PathQNet(), path)))
-    with pytest.raises(CheckpointError, match=rf"hostile\.safetensors is not an exported network.*: .*{why}"):
-        load_network(path)
+def test_a_hostile_file_is_refused_by_name(tmp_path: Path) -> None:
+    path, about, bias = tmp_path / "hostile.safetensors", {METADATA: '{"telemetry_size": 5}'}, np.zeros(5, np.float32)
+    whole = export(PathQNet(), path)
+    for content, why in (
+        (save({"head.7.bias": bias}, about), "its parameters are not those"),
+        (save(whole | {"head.7.bias": bias[1:]}, about), r"head.7.bias is float32\[4\]"),
+        (save(whole | {"head.7.bias": bias + np.nan}, about), "head.7.bias has NaN"),
+        (save(whole, {"format": "pt"}), "it lacks 'drone_env'"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(CheckpointError, match=rf"hostile\.safetensors is not an exported network.*: .*{why}"):
+            load_network(path)

@@ -1,6 +1,5 @@
 """A reward profile from a file of one's own, wherever one is named."""
 
-import re
 from pathlib import Path
 
 import gymnasium
@@ -10,9 +9,7 @@ import pytest
 from drone_env.cli import main
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.errors import CheckpointError
 from drone_env.reward_file import load_reward_profile
-from drone_env.rl.common import require_same
 from drone_env.rl.config import TrainConfig
 
 EASY = "drone_env:DroneDelivery-Easy-v1"
@@ -57,11 +54,9 @@ def test_a_training_continues_with_the_same_rewards_only(mine: Path) -> None:
         return TrainConfig(task="easy", reward_profile="mine").identity()
 
     before = identity()
-    require_same(identity(), before)
+    assert identity() == before
     mine.write_text(MINE.replace("-0.25", "-0.5"))
-    different = "reward events: 'delivery 7, wait 0.5, step -0.25' is now 'delivery 7, wait 0.5, step -0.5'; use those"
-    with pytest.raises(CheckpointError, match=re.escape(f"has other settings: {different}")):
-        require_same(identity(), before)
+    assert identity() != before
 
 
 def test_environments_pay_by_the_file(mine: Path) -> None:

@@ -11,8 +11,7 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.rl.config import FAST, ORIGINAL, preset
 from drone_env.rl.policy import EpsilonGreedyPolicy, epsilon_greedy, linear, multiplicative
-from drone_env.rl.replay_buffer import ReplayBuffer
-from drone_env.rl.trainer import Trainer
+from drone_env.rl.trainer import ReplayBuffer, Trainer
 from tests.unit.small_training import SMALL, SMALL_TOUR
 
 
@@ -54,24 +53,25 @@ def filled(capacity: int, steps: int, ends: set[tuple[int, int]]) -> ReplayBuffe
 def test_the_replay_bootstraps_up_to_the_end_of_an_episode() -> None:
     ends = {(0, 2), (1, 3)}
     sampled = filled(10, 5, ends).sample(500, gamma=0.5, rng=np.random.default_rng(0))
+    grids, _, actions, rewards, discounts, next_grids, _ = sampled
     seen: set[tuple[int, int]] = set()
     for k in range(500):
-        mark = int(sampled.grids[k, 0, 0])
+        mark = int(grids[k, 0, 0])
         env, t = divmod(mark, 100)
         seen.add((env, t))
-        assert sampled.rewards[k] == mark
-        assert sampled.discounts[k] == (0 if (env, t) in ends else 0.5)
-        assert sampled.actions[k] == t % 5
-        assert sampled.next_grids[k, 0, 0] == mark + 1
+        assert rewards[k] == mark
+        assert discounts[k] == (0 if (env, t) in ends else 0.5)
+        assert actions[k] == t % 5
+        assert next_grids[k, 0, 0] == mark + 1
     assert seen == {(env, t) for env in range(2) for t in range(4)}
 
 
 def test_the_replay_forgets_the_oldest_row_first() -> None:
     replay = filled(7, 10, set())
     assert replay.stored == 3
-    sampled = replay.sample(200, 0.9, np.random.default_rng(0))
-    assert set(sampled.grids.ravel().tolist()) == {7, 8, 107, 108}
-    assert (sampled.next_grids == sampled.grids + 1).all()
+    grids, *_, next_grids, _ = replay.sample(200, 0.9, np.random.default_rng(0))
+    assert set(grids.ravel().tolist()) == {7, 8, 107, 108}
+    assert (next_grids == grids + 1).all()
 
 
 @pytest.mark.feature("L4", "L5")

@@ -34,17 +34,12 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
     # The nearest parcel
     "the lowest index of equally near parcels": (["1@0", "..2"], "D", {}, {"target": (2, 0)}),
     "the nearest parcel after a delivery": (["1.@0", "...2"], "R", {}, {"target": (3, 1)}),
-    "the lowest index again": (["2.@01", "....."], "RLL", {}, {"target": (4, 0), "deliveries_done": 1}),
     # Battery
     "drain of the cell that is reached": (["@T.0", "...."], "R", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 7}),
-    "drain of a bump": (["@T.0", "...."], "RU", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 4}),
     "drain before the delivery": (["@0.1", "...."], "R", {"drain": ((Cell.DELIVERY, 4),)}, {"battery_units": 6}),
-    "drain stops at zero": (["@T.0", "...."], "R", {"drain": ((Cell.TREE, 30),)}, {"battery_units": 0, "ended": True}),
     "a pad fills no more than the battery": (["@P0", "..."], "RDUWW", {"charge_rate": 3}, {"battery_units": 10}),
     "only waiting charges": (["@P0", "..."], "RU", {"charge_rate": 3}, {"battery_units": 8, "event": Event.WALL}),
-    "a pad that charges nothing": (["@P0", "..."], "RW", {}, {"battery_units": 8}),
     # Endings
-    "one parcel of two": (["@01", "..."], "R", {}, {"outcome": Outcome.FLYING, "ended": False}),
     "all parcels": (["@01", "..."], "RR", {}, {"outcome": Outcome.DELIVERED, "ended": True, "success": True}),
     "battery and steps end together": (
         ["@.0", "..."],
@@ -52,7 +47,6 @@ CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
         {"max_steps": 2},
         {"event": Event.BATTERY_DEAD, "outcome": Outcome.BATTERY_DEAD, "success": False, "rewards": [0.37, 0.31]},
     ),
-    "the battery ends first": (["@.0", "..."], "WW", {"battery_capacity": 2}, {"outcome": Outcome.BATTERY_DEAD}),
     "the steps end first": (
         ["@.0", "..."],
         "WW",

@@ -38,7 +38,7 @@ def task(cells: bytes = CELLS, start: Any = None, parcels: Any = (), columns: in
 def test_the_terrain_of_every_map_is_the_given_one_and_the_seed_draws_the_rest() -> None:
     config = task(pads=1)
     starts, parcels, pads = set(), set(), set()
-    for seed in range(300):
+    for seed in range(150):
         drawn = generate_city_map(config, seed)
         placed = [drawn.start, *drawn.deliveries, *((x, y) for y, x in np.argwhere(drawn.grid == P).tolist())]
         assert len(placed) == len(set(placed)) == 4
@@ -105,13 +105,10 @@ def test_the_terrain_is_part_of_what_the_task_is() -> None:
         ({"cells": CELLS[:-1] + bytes([P]), "pads": 0}, "pads must be at least the 1 of the terrain, got 0"),
         ({"parcels": ((0, 0),)}, "deliveries must be 1, the parcels of the terrain, got 2"),
         ({"start": (5, 0)}, "start and parcels must be different cells, got [(5, 0)]"),
-        ({"parcels": ((0, 0), (0, 0))}, "start and parcels must be different cells"),
         ({"start": (0, 0), "parcels": ((1, 0), (4, 0))}, "must be connected roads; [(4, 0)] are not"),
-        ({"start": (3, 0)}, "[(3, 0)] are not"),
         ({"deliveries": 7}, "8 things do not fit on 7 roads that are connected"),
         ({"width": 2, "pads": 1}, "terrain of 5 x 3 cells must be three times as wide or high as a map"),
         ({"height": 2, "cells": CELLS * 2}, "pads must be at least 1 if each map is a window of the terrain, got 0"),
-        ({"height": 2, "cells": CELLS * 2, "start": (0, 0)}, "cannot be fixed if each map is a window"),
         ({"height": 2, "cells": CELLS * 2, "deliveries": 6, "pads": 1}, ", in any window of train"),
     ],
 )

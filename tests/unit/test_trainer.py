@@ -78,6 +78,7 @@ def test_the_network_is_fitted_to_the_targets_of_the_papers(double: bool, advant
         for parameter in trainer.target.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
     sample = trainer.replay.sample(16, 0.9, np.random.default_rng(0))
+    grids, telemetry, actions, rewards, discounts, next_grids, next_telemetry = sample
     trainer.rng = np.random.default_rng(0)
 
     def values(network: PathQNet, grids: Any, telemetry: Any, i: int) -> list[float]:
@@ -85,13 +86,13 @@ def test_the_network_is_fitted_to_the_targets_of_the_papers(double: bool, advant
 
     errors = []
     for i in range(16):
-        later = values(trainer.target, sample.next_grids, sample.next_telemetry, i)
-        selector = values(trainer.online, sample.next_grids, sample.next_telemetry, i) if double else later
-        now = values(trainer.target, sample.grids, sample.telemetry, i)
-        target = float(sample.rewards[i]) + float(sample.discounts[i]) * later[selector.index(max(selector))]
-        target -= advantage * (max(now) - now[sample.actions[i]])
-        errors.append(abs(target - values(trainer.online, sample.grids, sample.telemetry, i)[sample.actions[i]]))
-    assert sorted(set(sample.discounts.tolist())) == [0, pytest.approx(0.9)]
+        later = values(trainer.target, next_grids, next_telemetry, i)
+        selector = values(trainer.online, next_grids, next_telemetry, i) if double else later
+        now = values(trainer.target, grids, telemetry, i)
+        target = float(rewards[i]) + float(discounts[i]) * later[selector.index(max(selector))]
+        target -= advantage * (max(now) - now[actions[i]])
+        errors.append(abs(target - values(trainer.online, grids, telemetry, i)[actions[i]]))
+    assert sorted(set(discounts.tolist())) == [0, pytest.approx(0.9)]
     trainer.learn()
     costs = [error**2 / 2 if error < 1 else error - 0.5 for error in errors]
     assert trainer.losses == [pytest.approx(np.mean(costs), rel=1e-4)]
@@ -154,7 +155,7 @@ def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
     config = replace(SMALL, num_envs=64, episodes=128, log_every=16, replay_size=4000, epsilon_end=1.0)
     trainer = finished(Trainer(replace(config, learning_starts=10**6)))  # all random, from first to last
     lines = [line for line in trainer.history if not np.isnan(line.score)]
-    assert len(lines) > 3
+    assert lines
     assert all(line.success < 0.7 and line.length > 35 for line in lines), lines
 
 
@@ -168,7 +169,7 @@ def test_the_best_network_is_kept() -> None:
             for parameter in trainer.eval_network.parameters():
                 parameter.fill_(number)
         trainer.validate()
-        kept.append((trainer.best_score, parameters(trainer.best_network())[0].ravel()[0].item()))
+        kept.append((trainer.best_score, next(iter(trainer.best.values())).ravel()[0].item()))
     assert kept == [(0.3, 0), (0.5, 1), (0.5, 1), (0.5, 3)]  # of equal ones the later
 
 
@@ -185,17 +186,18 @@ def test_the_moving_average_is_what_is_judged(target_update: Any, eval_network: 
 
 
 def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
-    uninterrupted = finished(Trainer(SMALL))
+    config = replace(SMALL, episodes=16)
+    uninterrupted = finished(Trainer(config))
     rng = random.Random(0)
-    resumed, stops = Trainer(SMALL), 0
-    while resumed.episodes < SMALL.episodes:
-        for _ in islice(resumed.train(), rng.randint(1, 60)):
+    resumed, stops = Trainer(config), 0
+    while resumed.episodes < config.episodes:
+        for _ in islice(resumed.train(), rng.randint(1, 40)):
             pass
         stops += 1
         save_checkpoint(tmp_path / "run.pth", resumed.get_state())
         # Another seed reveals what the checkpoint lacks.
-        resumed = Trainer(replace(SMALL, seed=SMALL.seed + stops))
-        resumed.config = SMALL
+        resumed = Trainer(replace(config, seed=config.seed + stops))
+        resumed.config = config
         resumed.set_state(load_checkpoint(tmp_path / "run.pth"))
     assert stops > 2
     assert_same(uninterrupted.get_state(), resumed.get_state())

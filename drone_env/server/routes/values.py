@@ -113,8 +113,8 @@ class ValuesAnswer(StrictModel):
     along: list[Score] | None = Field(default=None, description="`value` before each action and at the end.")
     range: Rows[Count] | None = Field(
         default=None,
-        description="[y][x], the most battery units left on arrival at each cell, in the steps left and without "
-        "charging; 0 ends the flight there, null is out of range.",
+        description="[y][x], the most battery units left on arrival at each cell, without charging; 0 ends the flight "
+        "there, null is out of range.",
     )
     pads: list[PadRange] | None = Field(default=None, description="The same with a full battery, from each pad.")
 
