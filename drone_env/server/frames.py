@@ -10,6 +10,7 @@ from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
 from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import (
@@ -119,6 +120,17 @@ class EpisodeView(StrictModel):
     frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step.")
 
 
+class BestFlight(StrictModel):
+    """A best flight over a map."""
+
+    score: Score = Field(description="The highest possible score.")
+    success: bool = Field(description="Whether it delivers all parcels; otherwise battery or steps do not suffice.")
+    deliveries: Count
+    steps: Count = Field(description="Length in steps.")
+    actions: list[Direction] = Field(description="Its actions, in order.")
+    path: list[Position] = Field(description="[x, y] of the drone at the start and after each action.")
+
+
 def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
     """The frame of an episode in its current state. With a network, it has the network's value of each action."""
     x, y = episode.position
@@ -209,6 +221,27 @@ def frames_of(
         episode.step(action)
         frames.append(frame())
     return frames
+
+
+def best_flight(task: TaskConfig, seed: int) -> BestFlight:
+    """A best flight over a map: a job of a worker process.
+
+    Raises:
+        TooLargeError: if the map is too large to be solved.
+    """
+    from drone_env.planning.optimal import solve_episode  # loads Numba, which the process that serves does without
+
+    start = Episode(task, seed=seed)
+    # If every step costs the same, the shortest tour needs no solver.
+    best = solve_episode(start, None if task.uniform else job_context().solver_of(task, seed))
+    return BestFlight(
+        score=best.score,
+        success=best.success,
+        deliveries=best.deliveries,
+        steps=best.steps,
+        actions=[DIRECTIONS[action] for action in best.actions],
+        path=[start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)],
+    )
 
 
 def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) -> tuple[list[int], str]:

@@ -6,11 +6,8 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.flights.sessions import Sessions
-from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.routes.flights import MOST_FLIGHTS
 from drone_env.server.settings import Settings
@@ -71,13 +68,6 @@ def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
     assert frame["target"] == state["current_target"]
     assert frame["q_values"] is None
     assert frame["event"] == state["path_history"][-1]["event"]
-
-
-def test_the_values_along_a_flight_are_those_of_its_analysis(shared_client: TestClient) -> None:
-    moves = ["WAIT"] * 60
-    body = {"task": "easy", "seed": 7, "actions": moves, "only": "along"}
-    along = shared_client.post("/values", json=body).json()["along"]
-    assert along == list(analyse_actions(Episode("easy", seed=7), [Action.WAIT] * 60, "human").values)
 
 
 @pytest.mark.parametrize("change", ["UP", "UNDO", "VALUES"])

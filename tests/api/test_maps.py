@@ -47,6 +47,7 @@ def test_a_drawing_is_worth_what_its_file_is(client: TestClient, tmp_path: Path)
     task = city_task(file)
     best = solve(task, 0)
     assert told["optimum"].pop("path")[0] == YARD["start"]
+    assert told["optimum"].pop("actions") == [action.name for action in best.actions]
     assert told["optimum"] == {"score": best.score, "success": True, "deliveries": 2, "steps": best.steps}
     assert told["numbers"] == {"battery_capacity": 9, "max_steps": 35, "charge_rate": 5}
     assert (task.terrain and task.terrain.attribution) == YARD["attribution"]
@@ -67,7 +68,7 @@ def test_a_flight_over_a_map_that_is_too_large_to_solve_is_explained_without_an_
     flown = Episode(drawn_task(city, name), seed=0).fly([Action.RIGHT, Action.LEFT] * 100)
     told = answer(client, "/annotate", record_of(flown, "someone").model_dump())
     assert told["unsolved"].startswith(f"the exact values of a map of '{name}' would take")
-    assert (told["optimal_score"], told["moves"], told["rescue_step"]) == (None, [], None)
+    assert (told["optimum"], told["moves"], told["rescue_step"]) == (None, [], None)
     assert told["worst"] == {"first": 1, "last": 200, "regret": None, "why": "flew back and forth for 200 steps"}
     assert told["why"] == "Each step costs a unit; a pad was 6 cells away."
 

@@ -75,7 +75,7 @@ def test_mission_results_show_score_efficiency_and_statistics_of_a_success_witho
     card = ended(page)
     expect(card.get_by_role("heading", name="Mission Results")).to_be_visible()
     expect(card.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
-    score, optimum = annotation["score"], annotation["optimal_score"]
+    score, optimum = annotation["score"], annotation["optimum"]["score"]
     expect(card.locator(".hero")).to_have_text(f"{points(score)} / {points(optimum)} possible")
     # The parts of the score and what is lost add up to the optimum, also when rounded.
     parts = card.locator(".points-legend strong").all_inner_texts()
@@ -99,7 +99,7 @@ def test_mission_results_show_score_efficiency_and_statistics_of_a_success_witho
     best = " or ".join(move["best_actions"])
     seen = page.locator("#worst")
     expect(seen).to_have_text(
-        f"Step {worst}, {move['action']}, lost {points(move['regret'])}: {annotation['worst']['why']}"
+        f"Step {worst}, {flight[worst]['action']}, lost {points(move['regret'])}: {annotation['worst']['why']}"
     )
     seen.click()
     expect_frame(page, flight[worst - 1], 60)

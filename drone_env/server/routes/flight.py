@@ -17,13 +17,11 @@ from drone_env.errors import DroneEnvError
 from drone_env.flights.sessions import Session, Sessions
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import (
-    DIRECTIONS,
     Count,
     Direction,
     DroneObservation,
     DroneState,
     PathPoint,
-    Position,
     Score,
     Seed,
     StrictModel,
@@ -31,8 +29,8 @@ from drone_env.models import (
     openenv_json,
 )
 from drone_env.server.addresses import shared_address
-from drone_env.server.best_flights import best_flight
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
+from drone_env.server.frames import BestFlight, best_flight
 from drone_env.server.json_routes import SMALL, JsonRequest, JsonRoute
 from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
@@ -167,20 +165,6 @@ class PathHistory(StrictModel):
     path_history: list[PathPoint] = Field(description="Same as `path`.")
 
 
-class SolutionAnswer(StrictModel):
-    """An optimal flight on the map of an episode that has ended."""
-
-    task: str = Field(description="Id of the task.")
-    seed: Seed = Field(description="Number of the map.")
-    score: Score = Field(description="Score of the session's episode.")
-    optimal_score: Score = Field(description="Highest possible score on this map.")
-    regret: float = Field(ge=0, description="optimal_score - score.")
-    steps: Count = Field(description="Steps of the optimal flight.")
-    deliveries: Count = Field(description="Parcels that it delivers.")
-    actions: list[Direction] = Field(description="Its actions, in order.")
-    path: list[Position] = Field(description="Its positions [x, y], including the start.")
-
-
 def read_session(app_state: AppStateDep, caller: CallerDep, answer: Response) -> Session:
     """The caller's session."""
     return app_state.sessions.read(caller.session(app_state.sessions, answer))
@@ -253,23 +237,12 @@ def path_history(session: SessionDep) -> PathHistory:
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-async def solution(request: Request, app_state: AppStateDep, session: SessionDep) -> SolutionAnswer:
+async def solution(request: Request, app_state: AppStateDep, session: SessionDep) -> BestFlight:
     """The best flight over the map of the session's episode, once that has ended."""
     episode = session.episode
     if not episode.ended:
         raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
-    best, path = await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
-    return SolutionAnswer(
-        task=episode.task.id,
-        seed=episode.seed,
-        score=episode.score,
-        optimal_score=best.score,
-        regret=best.score - episode.score,
-        steps=best.steps,
-        deliveries=best.deliveries,
-        actions=[DIRECTIONS[action] for action in best.actions],
-        path=path,
-    )
+    return await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
 
 
 class Steps:

@@ -1,7 +1,6 @@
 """The routes of the map editor: a map as a drawing, the optimum of a drawing, and drawings stored as tasks."""
 
 from contextlib import suppress
-from itertools import groupby
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -16,11 +15,11 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
-from drone_env.models import MAX_SEED, Count, Position, Score, StrictModel
+from drone_env.models import MAX_SEED, Count, StrictModel
 from drone_env.server.addresses import is_stranger
-from drone_env.server.best_flights import best_flight
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
+from drone_env.server.frames import BestFlight, best_flight
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.state import AppStateDep
@@ -97,16 +96,6 @@ class DrawnMap(StrictModel):
         )
 
 
-class BestFlight(StrictModel):
-    """A best flight over a map."""
-
-    score: Score = Field(description="The highest possible score.")
-    success: bool = Field(description="Whether it delivers all parcels; otherwise battery or steps do not suffice.")
-    deliveries: Count
-    steps: Count = Field(description="Length in steps.")
-    path: list[Position] = Field(description="[x, y] of the drone from the start; a wait adds none.")
-
-
 class MapWorth(StrictModel):
     """The optimum of a drawing, and its file."""
 
@@ -175,10 +164,7 @@ def _worth(drawn: DrawnMap) -> str:
     episode = Episode(drawn_task(city, "map"), seed=0)
     optimum = None
     with suppress(TooLargeError):
-        best, flown = best_flight(episode.task, episode.seed)
-        path = [position for position, _ in groupby(flown)]
-        found = {name: getattr(best, name) for name in ("score", "success", "deliveries", "steps")}
-        optimum = BestFlight(**found, path=path)
+        optimum = best_flight(episode.task, episode.seed)
     name, numbers = name_of(text.encode()), _numbers(episode)
     return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum).model_dump_json()
 

@@ -128,7 +128,7 @@ export function mount(root, context) {
   function drawBest() {
     if (stage.track) {
       /** @type {any} */
-      const best = worth.answer?.optimum ? { optimal_path: worth.answer.optimum.path, moves: [] } : null;
+      const best = worth.answer?.optimum ? { optimum: worth.answer.optimum, moves: [] } : null;
       stage.track.annotation = best;
       board.refresh();
     }

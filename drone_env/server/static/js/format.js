@@ -25,7 +25,7 @@ export const pointsBetween = (...scores) => scores.slice(1).map((score, i) => ro
 const rounded = (score) => Number((100 * score).toFixed(1));
 
 /** The optimum of a flight's map, or null while it is unknown. @param {Track} track */
-export const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
+export const optimumOf = ({ annotation, frames }) => annotation?.optimum?.score ?? frames[0].value;
 
 /** What a flight has lost at a frame, in points. @param {Track} track */
 export function lossOf(track, { done, score, value }) {

@@ -126,7 +126,7 @@ export async function explain(context, track) {
   context.stage.changed(track);
 }
 
-const lost = (value, { optimal_score: best }) => ({ value, regret: best === null ? null : Math.max(0, best - value) });
+const lost = (value, { optimum }) => ({ value, regret: optimum && Math.max(0, optimum.score - value) });
 
 /** Where this tab keeps the flights of a file, and the map of one. */
 const FLIGHTS = "drone-env-flights";

@@ -361,7 +361,7 @@ export class Race extends Emitter {
     while (lacks()) {
       const { all: frames, opening } = track;
       const actions = frames.slice(1).map(({ action }) => action);
-      const flight = { task: opening.task, seed: opening.seed, actions, only: "along" };
+      const flight = { task: opening.task, seed: opening.seed, actions, only: "moves" };
       const answer = await tried(() => this.context.server.post("values", flight));
       if (!answer?.along) return;
       const [optimum] = answer.along;

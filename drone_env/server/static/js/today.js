@@ -95,7 +95,7 @@ export function mountByHand(root, context, race, acts) {
   /** Keeps the result of a flight without values, undo and forks. */
   function keep({ annotation, plain, brought }) {
     if (!annotation || brought || !plain || best?.[1] >= annotation.score) return;
-    best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
+    best = [map(), annotation.score, annotation.optimum?.score ?? null, annotation.network, annotation.network_score];
     remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }
 
@@ -106,12 +106,12 @@ export function mountByHand(root, context, race, acts) {
     if (root.hidden) return;
     if (race.own) keep(race.own);
     unlisted.hidden = !race.own || race.own.plain;
-    const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
+    const { optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${dayOf(new Date(day.date))}` : "By hand";
     const shown = [
       [race.own?.name, race.own?.annotation?.score],
       ["Your best", best?.[1]],
-      ["Possible", optimum ?? best?.[2]],
+      ["Possible", optimum?.score ?? best?.[2]],
       [context.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
       ["Best today", day?.best[0]?.score],
     ];
