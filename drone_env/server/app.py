@@ -40,7 +40,6 @@ from drone_env.server.routes import (
     page,
     predict,
     replay,
-    runs,
 )
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
@@ -114,7 +113,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         catalogue,
         history,
         compare,
-        runs,
         replay,
         maps,
         page,

@@ -26,15 +26,12 @@ from drone_env.models import (
     StrictModel,
 )
 from drone_env.server.jobs import job_context
-from drone_env.server.pilots import display_name
 
 
 class FlightHeader(Provenance):
     """The provenance, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
-    by: str = Field(description="Who flies in words: `human (NAME) with undo from step 20 of pathqnet`.")
-    name: str = Field(description="The same for people.")
     forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")
     short_name: str = Field(description="Short name of the task.")
@@ -58,8 +55,6 @@ class FlightHeader(Provenance):
         return cls(
             session=session,
             **dict(provenance),
-            by=provenance.label,
-            name=display_name(provenance),
             forked_at=None if parent is None else parent.step,
             task=task.id,
             short_name=task.short_name,

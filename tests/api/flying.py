@@ -30,6 +30,11 @@ def agent_start(shown: Message) -> Message:
     return {**fields, "by": by, "actions": [frame["action"] for frame in shown["frames"][1:]]}
 
 
+def label(shown: Message) -> str:
+    """Who flies a flight, in words."""
+    return Provenance.model_validate({name: shown["opening"][name] for name in Provenance.model_fields}).label
+
+
 class ByHand:
     """A person's flight, which remembers its version as the page does."""
 

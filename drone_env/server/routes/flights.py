@@ -10,7 +10,7 @@ from hashlib import sha256
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Body, Request, Response
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
@@ -26,7 +26,6 @@ from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, shows_values
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
-from drone_env.server.pilots import check_name
 from drone_env.server.routes.flight import CallerDep
 from drone_env.server.routes.replay import FLIGHT_ERRORS
 from drone_env.server.schemas import ResetOptions
@@ -68,9 +67,7 @@ class Start(StrictModel):
     seed: Seed | None = Field(default=None, description="Number of the map; null for any.")
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
-    name: Annotated[PersonName, AfterValidator(check_name)] | None = Field(
-        default=None, description="The person's name."
-    )
+    name: PersonName | None = Field(default=None, description="The person's name.")
 
     @model_validator(mode="after")
     def _fork_has_a_map(self) -> Self:

@@ -10,13 +10,13 @@ from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
 from drone_env.flights.episodes import Analysis, EpisodeSummary
+from drone_env.flights.provenance import Provenance
 from drone_env.flights.record import EpisodeRecord
 from drone_env.flights.store import Store
 from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
 from drone_env.server import daily
 from drone_env.server.exceptions import RequestError, answer_to, error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
-from drone_env.server.pilots import display_name
 from drone_env.server.state import AppStateDep
 from drone_env.server.train_log import FILE_NAME, TrainLog
 
@@ -30,15 +30,12 @@ LISTED = 10
 class ListedEpisode(EpisodeSummary):
     """One row of a list of finished episodes."""
 
-    name: str = Field(description="`agent` for people.")
+    by: Provenance = Field(description="`agent` as fields.")
 
 
 def listed(store: Store, n: int, *filters: Any, **more: Any) -> list[ListedEpisode]:
     """The last `n` finished episodes, newest first. Arguments and errors as `Store.listed`."""
-    return [
-        ListedEpisode(**vars(row), name=display_name(store.provenance(row.id)))
-        for row in store.listed(n, *filters, **more)
-    ]
+    return [ListedEpisode(**vars(row), by=store.provenance(row.id)) for row in store.listed(n, *filters, **more)]
 
 
 class EpisodeSummaries(StrictModel):

@@ -99,7 +99,7 @@ export class FlightHistory {
     const answer = await tried(() => this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`));
     if (!answer?.calls.length) return;
     const steps = new Map();
-    for (const call of answer.calls) steps.set(call.step, [...(steps.get(call.step) ?? []), call]);
+    for (const call of answer.calls) steps.set(call.turn, [...(steps.get(call.turn) ?? []), call]);
     track.calls = { model: answer.model, steps };
     this.context.stage.changed(track);
   }
