@@ -38,7 +38,6 @@ from drone_env.server.routes import (
     maps,
     openenv,
     page,
-    predict,
     replay,
 )
 from drone_env.server.security import Security
@@ -109,7 +108,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     for routes in (
         flight,
         flights,
-        predict,
         catalogue,
         history,
         compare,

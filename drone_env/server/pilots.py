@@ -9,8 +9,6 @@ from drone_env.flights.provenance import HUMAN
 
 NETWORK, TRAINED = "pathqnet", "trained"
 """The pilots that fly by a PathQNet: the shipped one, and the one from the data folder."""
-PLANNER_PILOTS = ("trained-tournet", "tournet", TRAINED, NETWORK)
-"""The first of these that supports a task computes the actions for a whole map."""
 
 
 class Pilot(NamedTuple):

@@ -20,10 +20,10 @@ from drone_env.errors import CheckpointError
 from drone_env.models import NAMES
 from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
+from drone_env.server.routes.flight import Prediction
 from drone_env.server.routes.history import LINES
-from drone_env.server.routes.predict import Prediction
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import POINTS, TrainLog
+from drone_env.server.train_log import POINTS, metrics, tail
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
@@ -33,13 +33,13 @@ class TestLogs:
     def test_the_end_of_a_huge_file_is_read_alone(self, tmp_path: Path) -> None:
         path = tmp_path / "train.log"
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
-        assert TrainLog(tmp_path).tail(LINES) == ["short"] * 3
+        assert tail(tmp_path, LINES) == ["short"] * 3
 
     def test_the_curve_of_a_long_training_is_thinned(self, tmp_path: Path) -> None:
-        path, log = tmp_path / "train.log", TrainLog(tmp_path)
+        path = tmp_path / "train.log"
         lines = [f"episode={n} loss={'-' if n < 10 else n / 2} score=nan" for n in range(1, 2001)]
         path.write_text("\n".join(["started", *lines, "episode=2001 loss="]))
-        curve = log.curve()
+        curve = metrics(tmp_path)
         assert curve.keys() == {"episode", "loss", "score"}
         episodes = curve["episode"]
         assert len(episodes) <= POINTS

@@ -24,7 +24,7 @@ def _same_day(monkeypatch: pytest.MonkeyPatch) -> None:  # pyright: ignore[repor
 
 
 def best(client: TestClient) -> list[tuple[Any, ...]]:
-    return [(row["name"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
+    return [(row["person"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
 
 
 def test_a_day_has_one_map_and_each_task_comes_in_turn() -> None:

@@ -2,14 +2,16 @@
 
 import asyncio
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from typing_extensions import Self
 
+from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -17,6 +19,7 @@ from drone_env.errors import DroneEnvError
 from drone_env.flights.sessions import Session, Sessions
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import (
+    DIRECTIONS,
     Count,
     Direction,
     DroneObservation,
@@ -44,14 +47,6 @@ NEW = "new"
 STEP_HEADER = "x-step-count"
 STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
-IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
-OPENED: dict[str, Any] = {
-    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
-    "links": {
-        name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
-        for name in IN_SESSION
-    },
-}
 
 
 class Caller(NamedTuple):
@@ -165,6 +160,22 @@ class PathHistory(StrictModel):
     path_history: list[PathPoint] = Field(description="Same as `path`.")
 
 
+class ModelInfo(StrictModel):
+    """The network behind a prediction."""
+
+    name: Literal["pathqnet"] = "pathqnet"
+    file: str = Field(description="Name of its file.")
+    digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
+
+
+class Prediction(StrictModel):
+    """The next action by the network."""
+
+    action: Direction = Field(description="The action with the highest value.")
+    q_values: dict[Direction, float] = Field(description="Value of each action.")
+    model: ModelInfo
+
+
 def read_session(app_state: AppStateDep, caller: CallerDep, answer: Response) -> Session:
     """The caller's session."""
     return app_state.sessions.read(caller.session(app_state.sessions, answer))
@@ -176,7 +187,7 @@ SessionDep = Annotated[Session, Depends(read_session)]
 @router.post(
     "/reset",
     response_model=FlatReset | ResetResult,
-    responses={200: OPENED, **error_responses(400, 413, 415, 422, 503)},
+    responses=error_responses(400, 413, 415, 422, 503),
 )
 def reset(
     request: Request,
@@ -243,6 +254,27 @@ async def solution(request: Request, app_state: AppStateDep, session: SessionDep
     if not episode.ended:
         raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
     return await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
+
+
+@router.post("/predict", responses=SESSION_ERRORS)
+def predict(app_state: AppStateDep, session: SessionDep) -> Prediction:
+    """The action of the trained network for the session's episode."""
+    episode, networks = session.episode, app_state.networks
+    if episode.ended:
+        raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
+    task = episode.task
+    pilot = networks.preferred(task)
+    if pilot is None:
+        detail = f"there is no network for {task.id!r}; train one: drone-env train --task {task.short_name}"
+        raise RequestError(503, "no_network", detail)
+    agent = networks.network(pilot, task)
+    assert isinstance(agent, PathQNetAgent)
+    values = agent.q_values(episode.observation())
+    return Prediction(
+        action=DIRECTIONS[int(np.argmax(values))],
+        q_values=dict(zip(DIRECTIONS, values.tolist(), strict=True)),
+        model=ModelInfo(file=networks.file(pilot, task).name, digest=str(agent.config["network"])),
+    )
 
 
 class Steps:

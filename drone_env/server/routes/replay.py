@@ -1,7 +1,6 @@
 """The routes that look at a flight: its frames, the regret of each move, what can still be reached from a moment."""
 
 import json
-from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -14,16 +13,15 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
-from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
-from drone_env.errors import CheckpointError, TooLargeError
+from drone_env.core.tasks import MAX_UNITS, get_task
+from drone_env.errors import TooLargeError
 from drone_env.flights.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
 from drone_env.models import DIRECTIONS, Count, Direction, Position, Score, Seed, StrictModel
 from drone_env.results.analysis import Label, analyse_actions, analyse_flight, find_loops, plain, why_failed
 from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frame_of, plan
+from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frame_of
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
-from drone_env.server.pilots import PLANNER_PILOTS
 from drone_env.server.state import AppStateDep
 
 if TYPE_CHECKING:
@@ -90,8 +88,6 @@ class AnalysedFlight(StrictModel):
         description="The last step after which all parcels could still be delivered; null if there is none, or if all "
         "were delivered.",
     )
-    network: str | None = Field(default=None, description="Id of the pilot by whose network the map was flown.")
-    network_score: Score | None = Field(default=None, description="Its score.")
 
 
 class FlightSoFar(StrictModel):
@@ -184,14 +180,13 @@ def _solver_from(start: Episode) -> "Solver":
 
 
 def _annotated(record: EpisodeRecord) -> str:
-    task = get_task(record.task)
     flown: dict[str, Any]
     try:
         analysis = analyse_flight(record, _solver_from)
         worst, why, loops = analysis.worst, analysis.why, analysis.loops
         flown = {
             "score": analysis.score,
-            "optimum": best_flight(task, record.seed),
+            "optimum": best_flight(analysis.task, record.seed),
             "moves": [_part(AnalysedMove, move) for move in analysis.moves],
             "worst": worst and Worst(first=worst.first, last=worst.last, regret=worst.regret, why=analysis.worst_why),
             "rescue_step": analysis.rescue_step if why else None,
@@ -203,24 +198,13 @@ def _annotated(record: EpisodeRecord) -> str:
         worst = idlest and Worst(first=idlest.first, last=idlest.last, regret=None, why=idlest.words)
         flown = {"score": episode.score, "unsolved": str(error), "worst": worst}
     found = [_part(FlownLoop, loop) for loop in loops]
-    return AnalysedFlight(**flown, why=why, loops=found, **_network_flight(task, record.seed)).model_dump_json()
+    return AnalysedFlight(**flown, why=why, loops=found).model_dump_json()
 
 
 def _part(model: type[Part], part: object) -> Part:
     """The fields of a move or a loop that a model has."""
     fields: dict[str, Any] = vars(part)
     return model(**{name: plain(fields[name]) for name in model.model_fields})
-
-
-def _network_flight(task: TaskConfig, seed: int) -> dict[str, Any]:
-    """The pilot of the preferred network and its score over a map, if there is one."""
-    pilot = next((pilot for pilot in PLANNER_PILOTS if job_context().networks.flies(pilot, task)), None)
-    episode = Episode(task, seed=seed)
-    with suppress(CheckpointError, TooLargeError):
-        if pilot is not None:
-            plan(episode, pilot)
-            return {"network": pilot, "network_score": episode.score}
-    return {}
 
 
 def _values(flight: FlightSoFar) -> str:
