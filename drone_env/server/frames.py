@@ -15,7 +15,6 @@ from drone_env.errors import EpisodeError
 from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import (
     DIRECTIONS,
-    NAMES,
     Count,
     Direction,
     EventName,
@@ -24,6 +23,7 @@ from drone_env.models import (
     Position,
     Score,
     StrictModel,
+    observation_numbers,
 )
 from drone_env.server.jobs import job_context
 
@@ -32,41 +32,26 @@ class FlightHeader(Provenance):
     """The provenance, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
-    forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")
-    short_name: str = Field(description="Short name of the task.")
     seed: Count = Field(description="Number of the map.")
     reward_profile: str = Field(description="Id of the reward profile.")
-    width: int
-    height: int
-    max_steps: int
-    battery_capacity: int
     cells: list[list[int]] = Field(description="Kinds of the cells at the start, cells[y][x], without the drone.")
     parcels: list[Position] = Field(description="[x, y] of each parcel.")
-    start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
     def at_start(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
         """The header of an episode at its start."""
-        task, parent = episode.task, provenance.parent
         x, y = episode.position
         cells = episode.grid().tolist()
         cells[y][x] = episode.under
         return cls(
             session=session,
             **dict(provenance),
-            forked_at=None if parent is None else parent.step,
-            task=task.id,
-            short_name=task.short_name,
+            task=episode.task.id,
             seed=episode.seed,
             reward_profile=episode.reward_profile.id,
-            width=task.width,
-            height=task.height,
-            max_steps=task.max_steps,
-            battery_capacity=task.battery_capacity,
             cells=cells,
             parcels=[(px, py) for px, py, _ in episode.parcels],
-            start=(x, y),
         )
 
 
@@ -132,21 +117,17 @@ def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
     last = episode.last_step
     q_values = None if network is None or episode.ended else network.q_values(episode.observation()).tolist()
     return Frame(
+        **{name: value for name, value in observation_numbers(episode).items() if name in Frame.model_fields},
         step=episode.steps,
         action=None if last is None else last.action.name,
         x=x,
         y=y,
-        cell_below=cast(GroundName, NAMES[episode.under]),
         event=None if episode.event is Event.NONE else cast(EventName, episode.event.name.lower()),
         reward=episode.reward_last,
-        reward_total=episode.reward_total,
-        battery=episode.battery,
         battery_units=episode.battery_units,
-        deliveries_done=episode.deliveries_done,
         delivered=[(px, py) for px, py, delivered in episode.parcels if delivered],
         target=episode.target,
         distance=episode.distance_to_target,
-        score=episode.score,
         efficiency=episode.efficiency,
         efficiency_parts=[
             EfficiencyPart(name=name, weight=weight, share=share, score=score)
@@ -154,8 +135,6 @@ def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
                 EFFICIENCY_WEIGHTS.items(), episode.efficiency_shares, episode.score_parts, strict=True
             )
         ],
-        message=episode.message,
-        done=episode.ended,
         outcome=cast(OutcomeName, episode.outcome.name.lower()),
         q_values=None if q_values is None else dict(zip(DIRECTIONS, q_values, strict=True)),
     )

@@ -117,7 +117,7 @@ def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient
         [flown] = again.get("/episodes").json()["episodes"]
         assert (flown["task"], flown["score"]) == (task, told["optimum"]["score"])
         record = again.get(f"/episodes/{flown['id']}").json()
-        assert answer(again, "/replay", record)["opening"]["start"] == YARD["start"]
+        assert answer(again, "/replay", record)["opening"]["parcels"] == YARD["parcels"]
         assert again.get(f"/tasks/{task}").json() == kept
 
 

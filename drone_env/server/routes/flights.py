@@ -5,7 +5,6 @@ page plays it. A person's flight is a session.
 """
 
 import secrets
-from contextlib import suppress
 from hashlib import sha256
 from typing import Annotated, Literal
 
@@ -55,7 +54,7 @@ class Fork(StrictModel):
 
 
 class Start(StrictModel):
-    """One map and one to eight pilots.
+    """One map and one to eight pilots, of which one may be a person.
 
     With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions.
     """
@@ -70,9 +69,11 @@ class Start(StrictModel):
     name: PersonName | None = Field(default=None, description="The person's name.")
 
     @model_validator(mode="after")
-    def _fork_has_a_map(self) -> Self:
+    def _check(self) -> Self:
         if self.fork is not None and self.seed is None:
             raise ValueError("a fork needs the seed of its map")
+        if self.pilots.count(HUMAN) > 1:
+            raise ValueError("one person flies")
         return self
 
 
@@ -130,7 +131,9 @@ class ChangedFlight(StrictModel):
 @router.post("/flights", responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
 def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> StartedFlights:
     """Start to fly one map with several pilots. A person's flight is a session; `/flights/agent` flies an agent's."""
-    return StartedFlights(flights=_open(app_state, caller_address(request), options))
+    start, flying = _choose(options, app_state)
+    caller = caller_address(request)
+    return StartedFlights(flights=[_begin(app_state, caller, start, *flight) for flight in flying])
 
 
 @router.post(
@@ -234,30 +237,21 @@ def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Pr
     return start, flying
 
 
-def _open(app_state: AppState, caller: str, options: Start) -> list[StartedFlight]:
-    """Begin all flights; sessions for those of people, or none if one fails."""
-    start, flying = _choose(options, app_state)
-    opened, begun = list[str](), list[StartedFlight]()
-    try:
-        for provenance, actions in flying:
-            episode, session, version, stored = start.copy().fly(actions), None, None, None
-            if provenance.pilot == HUMAN and episode.ended:
-                stored, provenance = _store(app_state, episode, provenance)
-            elif provenance.pilot == HUMAN:
-                flight_id = new_id()
-                version = _version(flight_id, 0)
-                session = app_state.sessions.open(episode, provenance, owner=caller, keep=opened, flight_id=flight_id)
-                opened.append(session)
-            opening = FlightHeader.at_start(start, provenance, session)
-            network = app_state.networks.shown_network(provenance.pilot, start.task)
-            frames = frames_of(start.copy(), provenance, actions, network)
-            begun.append(StartedFlight(opening=opening, frames=frames, version=version, episode=stored))
-    except BaseException:
-        for session in opened:
-            with suppress(NoSessionError):
-                app_state.sessions.end(session)
-        raise
-    return begun
+def _begin(
+    app_state: AppState, caller: str, start: Episode, provenance: Provenance, actions: list[int]
+) -> StartedFlight:
+    """Begin a flight; one of a person has a session, or is stored if it has ended."""
+    episode, session, version, stored = start.copy().fly(actions), None, None, None
+    if provenance.pilot == HUMAN and episode.ended:
+        stored, provenance = _store(app_state, episode, provenance)
+    elif provenance.pilot == HUMAN:
+        flight_id = new_id()
+        version = _version(flight_id, 0)
+        session = app_state.sessions.open(episode, provenance, owner=caller, flight_id=flight_id)
+    opening = FlightHeader.at_start(start, provenance, session)
+    network = app_state.networks.shown_network(provenance.pilot, start.task)
+    frames = frames_of(start.copy(), provenance, actions, network)
+    return StartedFlight(opening=opening, frames=frames, version=version, episode=stored)
 
 
 def _store(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:

@@ -325,7 +325,8 @@ export class Race extends Emitter {
     this.leave(this.tracks);
     this.tracks = tracks;
     for (const track of beside) track.live = false;
-    const { seed, short_name } = tracks[0].opening;
+    const { seed, task } = tracks[0].opening;
+    const { short_name } = this.context.task(task);
     const rest = setup.pilots.slice(0, setup.pilots.length - flown.length);
     Object.assign(setup, { seed, task: short_name, pilots: [...rest, ...tracks.map(({ pilot }) => pilot)] });
     this.show(step, chosen - 1);
