@@ -15,11 +15,14 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rules import score_of
+from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import NAMES
 from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
+from drone_env.server.routes.catalogue import SCORE_WEIGHTS
 from drone_env.server.routes.flight import Prediction
 from drone_env.server.routes.history import LINES
 from drone_env.server.settings import Settings
@@ -204,6 +207,15 @@ def test_what_tasks_tell_of_rewards_and_drain_is_what_steps_pay(shared_client: T
                     assert episode.battery_units == max(0, units - told["drain"][NAMES[episode.under]])
                 paid.add((episode.event.name, len(pays)))
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
+
+
+def test_the_weights_of_a_score_are_those_of_the_rules() -> None:
+    task = TASKS["easy_delivery"]
+    left = ((0, task.max_steps), (task.battery_capacity, task.max_steps), (0, 0))
+    parcels, charged, at_once = (
+        round(100 * score_of(interpreted(task), task.deliveries, units, steps)) for units, steps in left
+    )
+    assert {"parcels": parcels, "battery": charged - parcels, "steps": at_once - parcels} == SCORE_WEIGHTS
 
 
 class TestClientInProcess:

@@ -16,7 +16,6 @@ from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, StrictModel
-from drone_env.server.addresses import is_stranger
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import BestFlight, best_flight
@@ -135,12 +134,10 @@ async def worth(request: Request, app_state: AppStateDep, drawn: Annotated[Drawn
 async def keep_map(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
-    Callers find it by its name; no list contains it. If the server is full, it deletes the least recently used map.
+    Callers find it by its name; no list contains it. If the server is full, it deletes the oldest map.
     """
-    settings = app_state.settings
-    trusted = settings.token is not None or not is_stranger(request.scope, settings.host)
     text, task = await app_state.work(request, _checked, drawn)
-    await run_in_threadpool(app_state.maps.keep, text, task, trusted)
+    await run_in_threadpool(app_state.maps.keep, text, task.id)
     return await run_in_threadpool(describe, task, app_state)
 
 
