@@ -7,11 +7,10 @@ from pydantic import Field
 from pydantic_core import to_json
 
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.core.actions import Action, Event
+from drone_env.core.actions import Event
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import EpisodeError
 from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import (
     DIRECTIONS,
@@ -26,6 +25,7 @@ from drone_env.models import (
     observation_numbers,
 )
 from drone_env.server.jobs import job_context
+from drone_env.server.networks import Networks
 
 
 class FlightHeader(Provenance):
@@ -140,63 +140,6 @@ def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
     )
 
 
-def shows_values(provenance: Provenance, episode: Episode) -> bool:
-    """Whether values are shown: they are hidden from a person in flight until the person turns them on."""
-    return provenance.pilot != HUMAN or provenance.values_used or episode.ended
-
-
-def plan(episode: Episode, pilot: str, actions: Sequence[int] = (), first: int = 0) -> list[int]:
-    """All actions of an agent's flight to its end.
-
-    Args:
-        episode: The episode at its start; it is flown to its end.
-        pilot: The pilot, an agent.
-        actions: The actions flown so far.
-        first: The number of actions that another pilot flew. The agent acts at every later step, so that its internal
-            state is the same as in flight.
-
-    Raises:
-        EpisodeError: if an action after `first` is not the agent's.
-        UnsupportedTaskError: if there is no network for the task.
-        CheckpointError: if the network file cannot be used.
-        TooLargeError: if the map is too large for the pilot.
-    """
-    agent = job_context().networks.agent(pilot, episode.task)
-    assert agent is not None
-    agent.reset(episode.seed)
-    for step, action in enumerate(actions, 1):
-        if step > first:
-            chosen = int(agent.act(episode.observation()))
-            if chosen != action:
-                raise EpisodeError(
-                    f"step {step} of the fork is not an action of {pilot}: it flies {Action(chosen).name} there"
-                )
-        episode.step(action)
-    return [int(action) for action in rollout(episode, agent.act).actions]
-
-
-def frames_of(
-    episode: Episode, provenance: Provenance, actions: Sequence[int], network: PathQNetAgent | None
-) -> list[Frame]:
-    """The frames of a flight, frame 0 included.
-
-    Args:
-        episode: The episode at its start; it is flown.
-        provenance: Who flew it.
-        actions: The actions of the flight.
-        network: The network that values each action where values are shown.
-    """
-
-    def frame() -> Frame:
-        return frame_of(episode, network if shows_values(provenance, episode) else None)
-
-    frames = [frame()]
-    for action in actions:
-        episode.step(action)
-        frames.append(frame())
-    return frames
-
-
 def best_flight(task: TaskConfig, seed: int) -> BestFlight:
     """A best flight over a map: a job of a worker process.
 
@@ -218,9 +161,33 @@ def best_flight(task: TaskConfig, seed: int) -> BestFlight:
     )
 
 
-def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) -> tuple[list[int], str]:
-    """All actions of an agent's flight, and its frames as a JSON array. Arguments and errors as `plan`."""
-    first = 0 if provenance.parent is None else provenance.parent.step
-    actions = plan(start.copy(), provenance.pilot, actions, first)
-    network = job_context().networks.shown_network(provenance.pilot, start.task)
-    return actions, to_json(frames_of(start, provenance, actions, network)).decode()
+def frames_of(start: Episode, actions: Sequence[int], network: PathQNetAgent | None) -> list[Frame]:
+    """The frames of a flight from its start, frame 0 included."""
+    episode = start.copy()
+    frames = [frame_of(episode, network)]
+    for action in actions:
+        episode.step(action)
+        frames.append(frame_of(episode, network))
+    return frames
+
+
+def network_beside(networks: Networks, provenance: Provenance, episode: Episode) -> PathQNetAgent | None:
+    """The network whose values are shown: none to a person in flight who has not turned them on."""
+    hidden = provenance.pilot == HUMAN and not provenance.values_used and not episode.ended
+    return None if hidden else networks.shown_network(provenance.pilot, episode.task)
+
+
+def fly_agent(start: Episode, pilot: str) -> tuple[list[int], str]:
+    """All actions of an agent's flight, and its frames as a JSON array: a job of a worker process.
+
+    Raises:
+        UnsupportedTaskError: if there is no network for the task.
+        CheckpointError: if the network file cannot be used.
+        TooLargeError: if the map is too large for the pilot.
+    """
+    networks = job_context().networks
+    agent = networks.agent(pilot, start.task)
+    assert agent is not None
+    agent.reset(start.seed)
+    actions = [int(action) for action in rollout(start.copy(), agent.act).actions]
+    return actions, to_json(frames_of(start, actions, networks.shown_network(pilot, start.task))).decode()

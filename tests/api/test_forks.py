@@ -6,8 +6,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
-from drone_env.models import DIRECTIONS, Direction
-from tests.api.flying import ByHand, agent_start, directions, flown, label, start
+from drone_env.models import Direction
+from tests.api.flying import ByHand, directions, flown, label, start
 
 ADA = {"pilot": "human", "person": "Ada"}
 
@@ -39,20 +39,6 @@ def test_a_person_goes_on_with_a_flight_of_his_own_as_he_left_it(client: TestCli
     assert label(own) == "human with values"
     undone = ByHand(client, own).change("UNDO")
     assert (undone["frame"]["step"], undone["values_used"], undone["undo_used"]) == (3, True, True)
-
-
-def test_an_agent_goes_on_from_where_another_was(client: TestClient) -> None:
-    pilot, before = "greedy", flown("hard", "random")
-    expected = directions(flown("hard", pilot, start=flown("hard", "random", 12)))
-    (shown,) = start(client, pilot, task="hard", fork=fork(before, 12, "random"))
-    assert label(shown) == f"{pilot} from step 12 of random"
-    assert [frame["action"] for frame in shown["frames"][1:]] == expected
-    # Its moves are known to be its own where a link has brought them.
-    brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": {"pilot": "random"}}
-    assert start(client, pilot, task="hard", fork=brought) == [shown]
-    wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
-    body = {**agent_start(shown), "actions": [*expected[:14], wrong]}
-    assert "step 15 of the fork" in client.post("/flights/agent", json=body).json()["detail"]
 
 
 @pytest.mark.parametrize("by_hand", [True, False], ids=["flown here", "only linked"])

@@ -23,7 +23,7 @@ from drone_env.flights.record import fly_directions, record_of
 from drone_env.flights.sessions import Session
 from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
-from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, shows_values
+from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, network_beside
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.flight import CallerDep
 from drone_env.server.routes.replay import FLIGHT_ERRORS
@@ -56,7 +56,7 @@ class Fork(StrictModel):
 class Start(StrictModel):
     """One map and one to eight pilots, of which one may be a person.
 
-    With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions.
+    With a fork, the person starts after its actions.
     """
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "pilots": ["greedy"]}]})
@@ -70,8 +70,10 @@ class Start(StrictModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.fork is not None and self.seed is None:
-            raise ValueError("a fork needs the seed of its map")
+        if self.fork is not None:
+            flies = self.pilots[-1:] if self.fork.step else self.pilots
+            if self.seed is None or HUMAN not in flies:
+                raise ValueError(f"a fork needs the seed of its map, and as the last pilot {HUMAN!r}")
         if self.pilots.count(HUMAN) > 1:
             raise ValueError("one person flies")
         return self
@@ -93,13 +95,12 @@ class StartedFlights(StrictModel):
 class AgentStart(StrictModel):
     """An agent's flight, as `/flights` has begun it."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "by": {"pilot": "greedy"}}]})
+    model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "pilot": "greedy"}]})
 
     task: str = Field(max_length=100, description="Id or short name of the task.")
     seed: Seed = Field(description="Number of the map.")
     reward_profile: str | None = Field(default=None, max_length=100)
-    by: Provenance = Field(description="Who flies.")
-    actions: list[Direction] = Field(default=[], max_length=MAX_UNITS, fail_fast=True, description="Those of a fork.")
+    pilot: PilotName
 
 
 class AgentFlight(StrictModel):
@@ -144,9 +145,13 @@ def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, 
 )
 async def fly_to_end(request: Request, app_state: AppStateDep, options: Annotated[AgentStart, Body()]) -> Response:
     """Fly an agent's flight to its end, and store it; one that is stored already stays one."""
-    start, actions = await run_in_threadpool(_begun, options, app_state)
-    actions, frames = await app_state.work(request, fly_agent, start, options.by, actions, task=start.task.id)
-    stored, _ = await run_in_threadpool(_store, app_state, start.copy().fly(actions), options.by)
+    start = await run_in_threadpool(_start, options.task, options.seed, options.reward_profile)
+    if options.pilot == HUMAN:
+        raise EpisodeError(f"{HUMAN!r} is no agent: fly by /flights/change")
+    app_state.networks.require(options.pilot, start.task)
+    actions, frames = await app_state.work(request, fly_agent, start, options.pilot, task=start.task.id)
+    provenance = Provenance(pilot=options.pilot)
+    stored, _ = await run_in_threadpool(_store, app_state, start.copy().fly(actions), provenance)
     return Response(f'{{"frames":{frames},"episode":"{stored}"}}', media_type="application/json")
 
 
@@ -164,9 +169,8 @@ def _change(app_state: AppState, session: Session, body: FlightChange) -> Change
     elif body.version != _version(session.flight_id, revision - 1) or not _is_made(session, body.change):
         raise NoSessionError("another page or client flies this session now: start a new flight")
     episode, by = session.episode, session.provenance
-    network = app_state.networks.shown_network(HUMAN, episode.task) if shows_values(by, episode) else None
     return ChangedFlight(
-        frame=frame_of(episode, network),
+        frame=frame_of(episode, network_beside(app_state.networks, by, episode)),
         version=version,
         values_used=by.values_used,
         undo_used=by.undo_used,
@@ -201,16 +205,6 @@ def _is_made(session: Session, change: Change) -> bool:
     return session.episode.actions[-1:] == [Action[change]]
 
 
-def _begun(options: AgentStart, app_state: AppState) -> tuple[Episode, list[int]]:
-    """The start of an agent's flight, and the actions of its fork."""
-    start = _start(options.task, options.seed, options.reward_profile)
-    if options.by.pilot == HUMAN:
-        raise EpisodeError(f"{HUMAN!r} is no agent: fly by /flights/change")
-    app_state.networks.require(options.by.pilot, start.task)
-    *_, flown = [start, *fly_directions(start.copy(), options.actions)]
-    return start, flown.actions
-
-
 def _start(task: str, seed: int | None, reward_profile: str | None) -> Episode:
     seed = secrets.randbelow(MAPS) if seed is None else seed
     return start_episode(ResetOptions(task_name=task, seed=seed, reward_profile=reward_profile), None)
@@ -222,18 +216,14 @@ def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Pr
     start = _start(options.task, options.seed, options.reward_profile)
     for pilot in pilots:
         app_state.networks.require(pilot, start.task)
-    flying = [
-        (Provenance(pilot=pilot).named(options.name if pilot == HUMAN else None), list[int]()) for pilot in pilots
-    ]
-    if fork is not None:
-        # The last pilot flies the fork; a person's own flight may be listed before others.
-        own = fork.step == 0 and HUMAN in pilots
-        forking = pilots.index(HUMAN) if own else len(pilots) - 1
-        by = fork.of.forked(fork.step, pilots[forking])
-        *_, flown = [start, *fly_directions(start.copy(), fork.actions)]
+    flying = [(Provenance(pilot=pilot), list[int]()) for pilot in pilots]
+    if HUMAN in pilots:
+        by, flown = Provenance(pilot=HUMAN), start
+        if fork is not None:
+            by = fork.of.forked(fork.step, HUMAN)
+            *_, flown = [start, *fly_directions(start.copy(), fork.actions)]
         # A finished flight is not credited to the visitor who opens its link.
-        is_own = by.pilot == HUMAN and not flown.ended
-        flying[forking] = by.named(options.name) if is_own else by, flown.actions
+        flying[pilots.index(HUMAN)] = by if flown.ended else by.named(options.name), flown.actions
     return start, flying
 
 
@@ -249,8 +239,7 @@ def _begin(
         version = _version(flight_id, 0)
         session = app_state.sessions.open(episode, provenance, owner=caller, flight_id=flight_id)
     opening = FlightHeader.at_start(start, provenance, session)
-    network = app_state.networks.shown_network(provenance.pilot, start.task)
-    frames = frames_of(start.copy(), provenance, actions, network)
+    frames = frames_of(start, actions, network_beside(app_state.networks, provenance, episode))
     return StartedFlight(opening=opening, frames=frames, version=version, episode=stored)
 
 

@@ -1,7 +1,6 @@
 """The routes that look at a flight: its frames, the regret of each move, what can still be reached from a moment."""
 
 import json
-from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -15,11 +14,11 @@ from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import MAX_UNITS, get_task
 from drone_env.errors import TooLargeError
-from drone_env.flights.record import EpisodeRecord, fly_directions, record_of, replay, replay_steps
+from drone_env.flights.record import EpisodeRecord, fly_directions, record_of, replay
 from drone_env.models import DIRECTIONS, Count, Direction, Position, Score, Seed, StrictModel
 from drone_env.results.analysis import Label, analyse_actions, analyse_flight, find_loops, plain, why_failed
 from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frame_of
+from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frames_of
 from drone_env.server.jobs import job_context
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.state import AppStateDep
@@ -167,12 +166,11 @@ async def values(request: Request, app_state: AppStateDep, flight: Annotated[Fli
 
 
 def _replayed(record: EpisodeRecord) -> str:
-    steps = replay_steps(record)
-    start = next(steps)
+    flown = replay(record)
+    start = Episode(flown.task, flown.reward_profile, flown.seed)
     header = FlightHeader.at_start(start, record.provenance)
     network = job_context().networks.shown_network(header.pilot, start.task)
-    frames = [frame_of(episode, network) for episode in chain([start], steps)]
-    return EpisodeView(opening=header, frames=frames).model_dump_json()
+    return EpisodeView(opening=header, frames=frames_of(start, flown.actions, network)).model_dump_json()
 
 
 def _solver_from(start: Episode) -> "Solver":

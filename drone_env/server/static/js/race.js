@@ -300,7 +300,7 @@ export class Race extends Emitter {
   async load(track) {
     if (!track.coming) return;
     const { task, seed, reward_profile } = track.opening;
-    const request = { task, seed, reward_profile, by: track.provenance, actions: track.actionsTo(track.steps) };
+    const request = { task, seed, reward_profile, pilot: track.pilot };
     const answer = await this.context.server.post("flights/agent", request, { signal: track.loading.signal });
     const { following } = this.stage.clock;
     track.fill(answer);
