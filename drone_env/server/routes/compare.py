@@ -91,25 +91,11 @@ class RunBoard(StrictModel):
     rows: list[Run]
 
 
-class UnrankedRun(StrictModel):
-    """A run that is not ranked."""
-
-    run: str = Field(description="Name of its folder.")
-    reason: str
-
-
 class RunBoards(StrictModel):
     """The evaluations and runs of models over a task."""
 
-    task: str = Field(description="Id of the task.")
     boards: list[RunBoard]
-    unranked: list[UnrankedRun]
-
-
-class AgentMaps(StrictModel):
-    """The maps of an agent, by number."""
-
-    maps: list[Result]
+    unranked: list[dict[str, str]] = Field(description="`run`, the folder, and `reason` of those that are not ranked.")
 
 
 class PairedMap(StrictModel):
@@ -169,19 +155,17 @@ async def run_boards(request: Request, app_state: AppStateDep, task_name: str) -
     boards = group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
     unranked = [entry for entry in entries if isinstance(entry, NotRanked)]
     return RunBoards(
-        task=(await run_in_threadpool(get_task, task_name)).id,
         boards=[RunBoard(maps=board.maps, rows=[_row(entry) for entry in board.rows]) for board in boards],
-        unranked=[UnrankedRun(run=run_name(entry.path), reason=entry.reason) for entry in unranked],
+        unranked=[{"run": run_name(entry.path), "reason": entry.reason} for entry in unranked],
     )
 
 
 @router.get("/leaderboard/{task_name}/maps", responses=ERRORS)
 async def agent_maps(
     request: Request, app_state: AppStateDep, task_name: str, agent: AgentQuery, run: RunQuery = None
-) -> AgentMaps:
-    """The maps of a task that an agent flew, with its results."""
-    flown = await _flown(request, app_state, task_name, agent, run)
-    return AgentMaps(maps=flown.rows())
+) -> dict[str, list[Result]]:
+    """The maps of a task that an agent flew, with its results, as `maps`."""
+    return {"maps": (await _flown(request, app_state, task_name, agent, run)).rows()}
 
 
 @router.get("/paired/{task_name}", responses=ERRORS)

@@ -53,7 +53,18 @@ class Fork(StrictModel):
         return self
 
 
-class Start(StrictModel):
+class OnTask(StrictModel):
+    """The task of a flight, and who pays."""
+
+    task: str = Field(max_length=100, description="Id or short name of the task.")
+    reward_profile: str | None = Field(default=None, max_length=100)
+
+    def start(self, seed: int) -> Episode:
+        """The episode of a map at its start."""
+        return start_episode(ResetOptions(task_name=self.task, seed=seed, reward_profile=self.reward_profile), None)
+
+
+class Start(OnTask):
     """One map and one to eight pilots, of which one may be a person.
 
     With a fork, the person starts after its actions.
@@ -61,10 +72,8 @@ class Start(StrictModel):
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "pilots": ["greedy"]}]})
 
-    task: str = Field(max_length=100, description="Id or short name of the task.")
     pilots: list[PilotName] = Field(min_length=1, max_length=MOST_FLIGHTS, description="Ids as in `/pilots`.")
     seed: Seed | None = Field(default=None, description="Number of the map; null for any.")
-    reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
     name: PersonName | None = Field(default=None, description="The person's name.")
 
@@ -92,14 +101,12 @@ class StartedFlights(StrictModel):
     flights: list[StartedFlight]
 
 
-class AgentStart(StrictModel):
+class AgentStart(OnTask):
     """An agent's flight, as `/flights` has begun it."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "pilot": "greedy"}]})
 
-    task: str = Field(max_length=100, description="Id or short name of the task.")
     seed: Seed = Field(description="Number of the map.")
-    reward_profile: str | None = Field(default=None, max_length=100)
     pilot: PilotName
 
 
@@ -145,7 +152,7 @@ def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, 
 )
 async def fly_to_end(request: Request, app_state: AppStateDep, options: Annotated[AgentStart, Body()]) -> Response:
     """Fly an agent's flight to its end, and store it; one that is stored already stays one."""
-    start = await run_in_threadpool(_start, options.task, options.seed, options.reward_profile)
+    start = await run_in_threadpool(options.start, options.seed)
     if options.pilot == HUMAN:
         raise EpisodeError(f"{HUMAN!r} is no agent: fly by /flights/change")
     app_state.networks.require(options.pilot, start.task)
@@ -205,15 +212,10 @@ def _is_made(session: Session, change: Change) -> bool:
     return session.episode.actions[-1:] == [Action[change]]
 
 
-def _start(task: str, seed: int | None, reward_profile: str | None) -> Episode:
-    seed = secrets.randbelow(MAPS) if seed is None else seed
-    return start_episode(ResetOptions(task_name=task, seed=seed, reward_profile=reward_profile), None)
-
-
 def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Provenance, list[int]]]]:
     """The episode at its start, and the provenance and the first actions of each flight."""
     fork, pilots = options.fork, options.pilots
-    start = _start(options.task, options.seed, options.reward_profile)
+    start = options.start(secrets.randbelow(MAPS) if options.seed is None else options.seed)
     for pilot in pilots:
         app_state.networks.require(pilot, start.task)
     flying = [(Provenance(pilot=pilot), list[int]()) for pilot in pilots]
