@@ -70,12 +70,6 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     at_its_end(page, seed, f"/?task={task}&seed={seed}&pilot=tournet")
     expect(page.locator(".by-hand dt")).to_have_text(["Your best", "Possible", "Best today"])
     assert figures(page) == {"Your best": score, "Possible": score, "Best today": score}
-    # The page rejects the names of other pilots and shows an error.
-    shared.expect("422")
-    over(page, 7, "/?task=easy&seed=7&pilot=human")
-    enter(field, "greedy")
-    expect(page.get_by_role("alert").filter(has_text="name of a pilot")).to_be_visible()
-    expect(entry).to_have_count(0)
 
 
 def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_of_yesterday(

@@ -88,12 +88,6 @@ def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[f
     return {event.name.lower(): (table[event, 1:2] if event in STAYING else table[event]).tolist() for event in events}
 
 
-class TaskList(StrictModel):
-    """All tasks."""
-
-    tasks: list[TaskInfo]
-
-
 class OneTask(StrictModel):
     """One task and its pilots."""
 
@@ -136,9 +130,9 @@ class Health(StrictModel):
 
 
 @router.get("/tasks")
-async def tasks() -> TaskList:
-    """All tasks with all their numbers."""
-    return TaskList(tasks=[TaskInfo.of(task) for task in TASKS.values()])
+async def tasks() -> dict[str, list[TaskInfo]]:
+    """All tasks with all their numbers, as `tasks`."""
+    return {"tasks": [TaskInfo.of(task) for task in TASKS.values()]}
 
 
 @router.get("/tasks/{task_name}", responses=error_responses(404, 422))

@@ -157,7 +157,6 @@ class PathHistory(StrictModel):
     seed: Seed = Field(description="Number of the map.")
     step_count: Count = Field(description="Steps flown.")
     path: list[PathPoint] = Field(description="All steps, in order.")
-    path_history: list[PathPoint] = Field(description="Same as `path`.")
 
 
 class ModelInfo(StrictModel):
@@ -243,8 +242,7 @@ def grade(session: SessionDep, task_name: str) -> Grade:
 def path_history(session: SessionDep) -> PathHistory:
     """The flight of the session's episode so far."""
     flown = DroneState.of(session.episode)
-    path = flown.path_history
-    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
+    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)

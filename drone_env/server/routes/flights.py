@@ -95,12 +95,6 @@ class StartedFlight(EpisodeView):
     episode: str | None = Field(description="Id of the stored flight; null before the end, and for agents.")
 
 
-class StartedFlights(StrictModel):
-    """One flight per pilot."""
-
-    flights: list[StartedFlight]
-
-
 class AgentStart(OnTask):
     """An agent's flight, as `/flights` has begun it."""
 
@@ -137,11 +131,16 @@ class ChangedFlight(StrictModel):
 
 
 @router.post("/flights", responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
-def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> StartedFlights:
-    """Start to fly one map with several pilots. A person's flight is a session; `/flights/agent` flies an agent's."""
+def flights(
+    request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]
+) -> dict[str, list[StartedFlight]]:
+    """Start to fly one map with several pilots, as `flights`.
+
+    A person's flight is a session; `/flights/agent` flies an agent's.
+    """
     start, flying = _choose(options, app_state)
     caller = caller_address(request)
-    return StartedFlights(flights=[_begin(app_state, caller, start, *flight) for flight in flying])
+    return {"flights": [_begin(app_state, caller, start, *flight) for flight in flying]}
 
 
 @router.post(

@@ -104,12 +104,6 @@ class MapWorth(StrictModel):
     optimum: BestFlight | None = Field(description="A best flight; null if the map is too large to be solved.")
 
 
-class CityFile(StrictModel):
-    """The file of a city."""
-
-    toml: str = Field(description="Its text.")
-
-
 @router.get("/{task_name}/{seed}", response_model=DrawnMap, responses=error_responses(404, 422, 503))
 async def drawn_map(
     request: Request, app_state: AppStateDep, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
@@ -119,9 +113,9 @@ async def drawn_map(
 
 
 @router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def file_as_map(request: Request, app_state: AppStateDep, file: Annotated[CityFile, Body()]) -> Response:
+async def file_as_map(request: Request, app_state: AppStateDep, toml: Annotated[str, Body(embed=True)]) -> Response:
     """The file of a city as a drawing; its map 0 if the city generates maps."""
-    return await app_state.json(request, _file_as_map, file.toml)
+    return await app_state.json(request, _file_as_map, toml)
 
 
 @router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
