@@ -47,12 +47,6 @@ def shared_address(scope: Scope) -> str | None:
     return client[0]
 
 
-def is_stranger(scope: Scope, host: str) -> bool:
-    """Return whether a caller may be on another machine; a proxy forwards such callers."""
-    client = (scope.get("client") or ("unknown",))[0].lower()
-    return _comes_through_proxy(scope) or not (is_local_name(client) and listens_on_loopback(scope, host))
-
-
 def _comes_through_proxy(scope: Scope) -> bool:
     """Return whether a request came through a proxy. Proxies that add no header use HTTP/1.0."""
     names = Headers(scope=scope).keys()

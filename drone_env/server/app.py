@@ -30,7 +30,6 @@ from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import (
-    annotate,
     catalogue,
     compare,
     flight,
@@ -39,10 +38,7 @@ from drone_env.server.routes import (
     maps,
     openenv,
     page,
-    predict,
     replay,
-    runs,
-    values,
 )
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
@@ -112,14 +108,10 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     for routes in (
         flight,
         flights,
-        predict,
         catalogue,
         history,
         compare,
-        runs,
         replay,
-        annotate,
-        values,
         maps,
         page,
         openenv,

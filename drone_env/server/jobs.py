@@ -20,7 +20,6 @@ from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.files import MAPS
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.exceptions import FAILED, RequestError
-from drone_env.server.model_runs import StoredRuns
 from drone_env.server.networks import Networks
 from drone_env.server.settings import Settings
 
@@ -38,7 +37,7 @@ Registered = tuple[dict[str, TaskConfig], dict[str, RewardProfile]]
 
 
 class JobContext:
-    """State that the jobs of a process share: networks, runs, and the maps solved last.
+    """State that the jobs of a process share: networks, and the maps solved last.
 
     Args:
         settings: The settings of the server.
@@ -46,7 +45,6 @@ class JobContext:
 
     def __init__(self, settings: Settings) -> None:
         self.networks = Networks(settings.weights, settings.data)
-        self.runs = StoredRuns(settings.data)
         self.is_new = True
         """Whether this process runs its first job."""
         self._solver_of = lru_cache(CACHED_SOLVERS)(_solve)

@@ -10,7 +10,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from drone_env.server.addresses import host_name, is_local_name, listens_on_loopback
 from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.logs import RequestLog
-from drone_env.server.page_files import is_file
 from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
@@ -101,7 +100,7 @@ class Security:
             raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
         if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
             raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
-        if self.expected is None or scope["path"] in OPEN_PATHS or is_file(scope["path"]):
+        if self.expected is None or scope["path"] in OPEN_PATHS or scope["path"].startswith("/static/"):
             return
         if not hmac.compare_digest(_sent_token(scope), self.expected):
             detail = "this server requires a token: send Authorization: Bearer TOKEN"

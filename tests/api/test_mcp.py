@@ -107,7 +107,9 @@ def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_cli
         assert (state["episode_id"], state["step_count"], state["reward_profile"]) == ("mine", 2, "score")
         socket.send_json({"type": "reset", "data": {"seed": 7}})
         socket.receive_json()
-        socket.send_json({"type": "step", "data": {"route": [int(action) for action in solve("easy", 7).actions]}})
+        socket.send_json(
+            {"type": "step", "data": {"direction": " ".join(action.name for action in solve("easy", 7).actions)}}
+        )
         assert socket.receive_json()["data"]["done"]
         assert shared_client.get("/analyse/easy").json()
         closed = post(shared_client, "openenv/session/close", session_id=session)

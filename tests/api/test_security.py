@@ -171,7 +171,7 @@ class TestToken:
             for path in ("/health", "/", f"{edition}/js/main.js"):
                 assert client.get(path).status_code == 200
             assert client.get("/favicon.ico").headers["content-type"] == "image/svg+xml"  # browsers send it no token
-            beside = (f"{edition}/../../tasks", "/static/../tasks", "/static/splits", "/staticx")
+            beside = (f"{edition}/../../tasks", "/static/../tasks", "/staticx")
             for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere", *beside):
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
                     answer = client.get(path, headers=headers)

@@ -6,10 +6,8 @@ import re
 
 import httpx
 import pytest
-from starlette.testclient import TestClient
 
 from drone_env.server.logs import KEPT, RequestLog
-from drone_env.server.routes.history import FOLLOWERS
 from tests.api.raw import WHOLE, connected
 from tests.api.serving import Server
 from tests.tools import PATIENCE
@@ -54,8 +52,3 @@ def test_followers_of_the_requests_skip_what_is_not_kept_any_more() -> None:
         assert numbers(await anext(reader)) == [*range(log.count - KEPT + 1, log.count + 1)]
 
     asyncio.run(asyncio.wait_for(follow(), PATIENCE))
-
-
-def test_there_is_room_for_so_many_followers(client: TestClient) -> None:
-    client.app.state.shared.requests.followers = FOLLOWERS  # pyright: ignore
-    assert client.get("/terminal_logs", headers={"Accept": "text/event-stream"}).status_code == 503

@@ -1,7 +1,7 @@
 // Compare: boards of pilots, pairs, the newest flights, how to add results, and training curves.
 import { announce, el, keepFocus, snippet } from "./dom.js";
 import { Flights } from "./flights.js";
-import { counted, title, variants, who } from "./format.js";
+import { counted, inWords, title, variants, who } from "./format.js";
 import { mapsOf, ranking, unflown } from "./rankings.js";
 import { mountTraining } from "./training.js";
 
@@ -58,7 +58,7 @@ function boardsOf(context, { rows, forks }, { boards, unranked }) {
     name: "Flights on this server",
     caption: "Leaderboard, smallest loss first",
     note: forks ? `${own} Flights that continue another flight do not count (${forks}).` : own,
-    rows: rows.map((row) => ({ ...row, key: row.agent, remark: row.kind === "model" ? " language model" : "" })),
+    rows: rows.map((row) => ({ ...row, key: row.agent, pilot: row.by.pilot, name: inWords(context, row.by) })),
   };
   return [...runs, flown];
 }

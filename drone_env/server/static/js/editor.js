@@ -114,7 +114,7 @@ export function mount(root, context) {
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
     /** Only what the board reads. @type {any} */
-    const start = { opening: { pilot: "", forked_at: null }, frames };
+    const start = { opening: { pilot: "" }, frames };
     const track = Object.assign(new Track(context, start), { colour: "--accent" });
     /** @type {any} */
     const world = { task: { short_name: "drawing", attribution: map.attribution }, seed: 0, width, height };
@@ -128,7 +128,7 @@ export function mount(root, context) {
   function drawBest() {
     if (stage.track) {
       /** @type {any} */
-      const best = worth.answer?.optimum ? { optimal_path: worth.answer.optimum.path, moves: [] } : null;
+      const best = worth.answer?.optimum ? { optimum: worth.answer.optimum, moves: [] } : null;
       stage.track.annotation = best;
       board.refresh();
     }

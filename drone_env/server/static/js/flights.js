@@ -1,6 +1,6 @@
 // The newest flights of a task, by all pilots or one.
 import { el, keepFocus } from "./dom.js";
-import { flightName, moment, outcome, points, shortened } from "./format.js";
+import { flightName, inWords, moment, outcome, points, shortened } from "./format.js";
 import { grid, named } from "./rankings.js";
 
 const PAGE = 50;
@@ -32,7 +32,7 @@ export class Flights {
   /** Offers the pilots of a leaderboard. @param {Answer<"LeaderboardRow">[]} rows */
   offer(rows) {
     const chosen = this.agent.value;
-    const known = rows.map(({ agent, name }) => el("option", { value: agent, text: shortened(name) }));
+    const known = rows.map(({ agent, by }) => el("option", { value: agent, text: shortened(inWords(this.context, by)) }));
     this.agent.replaceChildren(el("option", { value: "", text: "All" }), ...known);
     this.agent.value = chosen;
   }
@@ -68,7 +68,7 @@ export class Flights {
         href: `?episode=${e.id}`,
       });
     const columns = [
-      ["Pilot", (e) => named(this.context, e)],
+      ["Pilot", (e) => named(this.context, { pilot: e.pilot, name: inWords(this.context, e) })],
       ["Map", (e) => String(e.seed), true],
       ["Score", (e) => points(e.score), true],
       ["Lost", (e) => points(e.regret), true],

@@ -82,8 +82,8 @@ const open = (text, label, address) =>
   el("a.button.small", { text, "aria-label": label, href: linkOf({ view: "fly", ...address }).search });
 
 /** Whether a pilot of this page flew a row: it flies each map again. */
-const flies = (context, task, { pilot, kind = "pilot" }) =>
-  !["person", "model"].includes(kind) && context.pilots.some(({ id, tasks }) => id === pilot && tasks.includes(task.id));
+const flies = (context, task, { pilot, kind = "agent" }) =>
+  kind === "agent" && context.pilots.some(({ id, automatic, tasks }) => id === pilot && automatic && tasks.includes(task.id));
 
 /** The end of the flight of a row over a map, or the map for the visitor if the page cannot show it. */
 function flightOf(context, task, row, { id, seed, steps }, text = "Open") {
@@ -109,11 +109,7 @@ const unusable = ({ unusable_share: share, marked }) =>
 const FLIGHTS = ["Flights", (row) => thousands(row.flights), true];
 const NORMALISED = ["Random to optimum", (row) => percent(row.normalised), true];
 const RUN = ["Run", (row) => el("span.named", row.run)];
-const OF_MODELS = [
-  ["Errored", (row) => thousands(row.errored), true],
-  ["Unusable answers", unusable, true],
-  ["Tokens", (row) => (row.tokens !== null && row.without_usage ? "at least " : "") + thousands(row.tokens), true],
-];
+const UNUSABLE = ["Unusable answers", unusable, true];
 
 /** The number of people with few maps that are listed at first. */
 const PEOPLE = 3;
@@ -134,7 +130,7 @@ export function ranking(context, { name, caption, rows, note }, compare) {
     return opener(isOpen, `open ${row.key}`, () => compare.go(isOpen ? [] : [row.key]), named(context, row, row.remark));
   };
   const below = (row) => row.key === opened && compare.detail(row);
-  const people = rows.filter(({ kind, maps }) => kind === "person" && maps < ENOUGH);
+  const people = rows.filter(({ pilot, maps }) => pilot === "human" && maps < ENOUGH);
   const more = people.slice(PEOPLE).filter(({ key }) => !listed.has(key));
   const columns = [
     ["Pair", pick],
@@ -147,7 +143,7 @@ export function ranking(context, { name, caption, rows, note }, compare) {
     ...(rows.some(({ flights, maps }) => flights !== maps) ? [FLIGHTS] : []),
     ...(rows.some(({ run }) => run) ? [NORMALISED] : []),
     ...(rows.some(({ run }) => run !== rows[0].run) ? [RUN] : []),
-    ...(rows.some(({ prompt }) => prompt) ? OF_MODELS : []),
+    ...(rows.some(({ prompt }) => prompt) ? [UNUSABLE] : []),
   ];
   const pair = ticked.length > 1 && rows.some(({ key }) => key === ticked.at(-1)) && compare.pairing;
   return el(
@@ -165,7 +161,7 @@ const regret = ({ optimum, score }) => (optimum === null ? null : optimum - scor
 const WIDTHS = [0.5, 1, 2, 5, 10, 20];
 const BARS = 12;
 
-/** The maps of a row, below a histogram of losses whose bars select maps. @param {Answer<"AgentMap">[]} maps */
+/** The maps of a row, below a histogram of losses whose bars select maps. @param {Answer<"Result">[]} maps */
 export function mapsOf(context, task, row, maps) {
   const losses = maps.map((map) => (isLost(regret(map)) ? 100 * regret(map) : 0));
   const width = WIDTHS.find((one) => Math.max(...losses) / one < BARS - 1) ?? WIDTHS.at(-1);
@@ -212,16 +208,16 @@ const gap = (difference) => signed(difference === null ? null : difference * 100
 /** Two rows over their common maps. @param {Context} context @param {any} answer A `Pairing`, with its `both` rows. */
 function paired(context, task, answer) {
   const { both } = answer;
+  const pairs = answer.pairs.map((pair) => ({ ...pair, seed: pair.a.seed, optimum: pair.a.optimum }));
   const [a, b] = both.map(({ name }) => name);
   const head = el("h2", named(context, both[0]), " against ", named(context, both[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
   const together = { task: task.short_name, pilots: both.map(({ pilot }) => pilot) };
   const fly = ({ seed }) => open("Fly both", `Fly both over map ${seed}`, { ...together, seed });
-  const each = ({ seed, ...pair }) =>
-    both.map((row, i) => flightOf(context, task, row, { ...pair["ab"[i]], seed }, shortened(row.name)));
+  const each = (pair) => both.map((row, i) => flightOf(context, task, row, pair["ab"[i]], shortened(row.name)));
   const ours = both.every((row) => flies(context, task, row));
-  const most = Math.max(...answer.pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
+  const most = Math.max(...pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
   const bar = ({ difference }) => {
     const more = difference > 0;
     const style = { "--share": Math.abs(difference) / most, "--colour": colourOf(context, both[more ? 0 : 1]) };
@@ -246,7 +242,7 @@ function paired(context, task, answer) {
       fact("Equal", thousands(answer.ties)),
       fact(`${b} scores higher`, thousands(answer.losses)),
     ),
-    sortable(`${a} against ${b}`, columns, answer.pairs, "Difference"),
+    sortable(`${a} against ${b}`, columns, pairs, "Difference"),
   ];
 }
 
