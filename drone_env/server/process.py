@@ -94,7 +94,7 @@ def run(
             workers=settings.workers,
             log_config=LOGGING,
             access_log=False,
-            log_level="warning",  # at "info" uvicorn logs two lines for each WebSocket
+            log_level="error",  # uvicorn logs a line for each WebSocket and for each invalid request otherwise
             server_header=False,
             ws_max_size=LARGE,
             ws_per_message_deflate=False,
