@@ -1,7 +1,7 @@
 """Limits of each connection, on top of uvicorn's protocols.
 
 uvicorn bounds neither the head of a request nor the time for it, and refuses new connections while unused ones are
-open. It parses all received frames at once, and answers pings to clients that do not read.
+open. It parses all received requests and frames at once, and answers pings to clients that do not read.
 """
 
 import asyncio
@@ -21,14 +21,15 @@ REQUEST_SECONDS = 30.0
 """Time for a whole request to arrive."""
 HEAD_BYTES, HEADERS = 16_384, 100
 """Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that. What
-arrives with the end of a request is not counted; the buffer of the kernel bounds it.
+arrives in one piece with the end of a request is not counted.
 """
 INVALID = 400, "this is not a valid HTTP request"
 TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
+END_OF_HEAD = b"\r\n\r\n"
 FRAGMENTS = 100
 """Most frames of a WebSocket message."""
-PIECE = 1024
-"""Bytes of a WebSocket that are parsed at once: up to 170 frames."""
+PIECE = 512
+"""Bytes of a WebSocket that are parsed at once: up to 85 frames."""
 POLICY_VIOLATION = 1008
 
 
@@ -41,6 +42,7 @@ class Http(HttpToolsProtocol):
         """Accept the connection, or refuse it if there are too many."""
         super().connection_made(transport)
         self._deadline: asyncio.TimerHandle | None = None
+        self._unread = bytearray()
         self._in_head = True
         self._head_bytes = 0
         self._refusal = INVALID
@@ -61,16 +63,13 @@ class Http(HttpToolsProtocol):
     def answering(self) -> bool:
         """Whether a whole request has arrived, and its response is not complete."""
         cycle: Any = self.cycle
-        return cycle is not None and not cycle.more_body and not cycle.response_complete
+        return bool(self.pipeline) or (cycle is not None and not cycle.more_body and not cycle.response_complete)
 
     def data_received(self, data: bytes) -> None:
-        """Parse data."""
+        """Parse data, or buffer it during a response."""
         self._used_at = time.monotonic()
-        self._head_bytes += len(data)
-        super().data_received(data)
-        if self._head_bytes > HEAD_BYTES and not self.transport.is_closing():
-            self._end(*TOO_LARGE)
-        self._limit_time()
+        self._unread += data
+        self._read()
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Add a header; trailers are ignored.
@@ -100,6 +99,11 @@ class Http(HttpToolsProtocol):
         self._head_bytes = 0
         super().on_message_complete()
 
+    def on_response_complete(self) -> None:
+        """Continue with the next request, which may have arrived already."""
+        super().on_response_complete()
+        self._read()
+
     def send_400_response(self, msg: str) -> None:
         """Refuse a request that the parser does not understand."""
         self._end(*self._refusal)
@@ -107,6 +111,25 @@ class Http(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
         super().connection_lost(exc)
+        self._limit_time()
+
+    def _read(self) -> None:
+        """Parse data until a request is complete. The end of its response continues with the next."""
+        while self._unread and not self.answering and self.transport.get_protocol() is self:
+            if self.transport.is_closing():
+                return
+            # uvicorn would parse all further requests, too.
+            found = self._unread.find(END_OF_HEAD)
+            end = len(self._unread) if found < 0 else found + len(END_OF_HEAD)
+            piece = bytes(self._unread[:end])
+            del self._unread[:end]
+            self._head_bytes += len(piece)
+            super().data_received(piece)
+            if self._head_bytes > HEAD_BYTES and not self.transport.is_closing():
+                self._end(*TOO_LARGE)
+        # Without `flow`: whenever the application receives, uvicorn resumes what that has paused.
+        if not self.transport.is_closing():
+            self.transport.pause_reading() if self._unread else self.transport.resume_reading()
         self._limit_time()
 
     def _unsupported_upgrade_warning(self) -> None:
