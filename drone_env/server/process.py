@@ -35,22 +35,10 @@ OTHER_FILES = 128
 """Open files that are not connections: the store, logs, files of requests."""
 
 
-class _WithoutCancelled(logging.Filter):
-    """Drops traces of tasks that are cancelled when the server stops."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
-
-
-LOGGING = {
-    "version": 1,
-    "disable_existing_loggers": False,
-    "formatters": {"line": {"format": "%(levelname)s: %(message)s"}},
-    "filters": {"cancelled": {"()": _WithoutCancelled}},
-    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line", "filters": ["cancelled"]}},
-    "root": {"handlers": ["stderr"]},
-}
-"""Log to standard error only."""
+def is_news(record: logging.LogRecord) -> bool:
+    """Whether a line of uvicorn's log is not about a task that was cancelled because the server stops."""
+    cancelled = record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError)
+    return not (cancelled or record.getMessage().rstrip().endswith("CancelledError"))
 
 
 def run(
@@ -79,8 +67,8 @@ def run(
     for file in settings.reward_profiles:
         register_reward_file(file)
     import uvicorn
-
-    from drone_env.server.supervisor import Supervisor
+    from uvicorn.config import STARTUP_FAILURE
+    from uvicorn.supervisors import Multiprocess
 
     with listen(settings.host, settings.port) as listening:
         Store(settings.data).close()
@@ -92,7 +80,7 @@ def run(
             http="drone_env.server.protocols:Http",
             ws="drone_env.server.protocols:WebSockets",
             workers=settings.workers,
-            log_config=LOGGING,
+            log_config=None,
             access_log=False,
             log_level="error",  # uvicorn logs a line for each WebSocket and for each invalid request otherwise
             server_header=False,
@@ -107,18 +95,15 @@ def run(
         # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):
             if settings.workers > 1:
-                Supervisor(config, [listening]).run()
+                first = Multiprocess(config, [listening])
+                first.run()
+                failed = any(process.exitcode == STARTUP_FAILURE for process in first.processes)
             else:
                 server = uvicorn.Server(config)
-                try:
-                    server.run([listening])
-                finally:
-                    if server.force_exit:  # a second Ctrl-C; the interpreter would wait for threads that never end
-                        for child in multiprocessing.active_children():
-                            child.kill()
-                        os._exit(0)
-                if not server.started:
-                    sys.exit(1)
+                server.run([listening])
+                failed = not server.started
+            if failed:
+                sys.exit(1)
 
 
 def leave_ctrl_c() -> None:

@@ -22,6 +22,17 @@ WITHOUT_HINTS = re.compile(
 )
 """The paths of a server that withholds hints. All others, such as `/values`, may show a better flight."""
 POLICY_VIOLATION = 1008
+HEADERS = [
+    (
+        b"content-security-policy",
+        b"default-src 'self'; object-src 'none'; base-uri 'none'; img-src 'self' data: blob:; "
+        b"frame-ancestors 'self' https://huggingface.co https://*.hf.space",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+]
+"""Headers of every response. Hugging Face may show the page in a frame."""
 
 
 class Security:
@@ -32,7 +43,7 @@ class Security:
 
     Args:
         app: The wrapped application.
-        settings: The allowed hosts, origins and frame ancestors, and the token.
+        settings: The allowed hosts and origins, and the token.
         log: The request log.
     """
 
@@ -44,17 +55,6 @@ class Security:
         self.listens = settings.host.lower()
         self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
-        framing = " ".join(settings.frame_ancestors) or "'none'"
-        policy = (
-            f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
-            "img-src 'self' data: blob:"
-        )
-        self.headers = [
-            (b"content-security-policy", policy.encode("latin-1")),
-            (b"x-content-type-options", b"nosniff"),
-            (b"referrer-policy", b"no-referrer"),
-            (b"cross-origin-resource-policy", b"same-origin"),
-        ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on an allowed request. A refused WebSocket is closed before it opens."""
@@ -70,7 +70,7 @@ class Security:
                 status = 101
             elif message["type"] == "http.response.start":
                 status = message["status"]
-                headers = [*message.get("headers", ()), *self.headers]
+                headers = [*message.get("headers", ()), *HEADERS]
                 if not any(name.lower() == b"cache-control" for name, _ in headers):
                     # Browsers must revalidate the page, so that users see an update of the package at once.
                     is_page = path in ("/", "/docs") or path.startswith("/static/")
