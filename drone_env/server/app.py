@@ -23,6 +23,7 @@ with needs("server", __name__):
     from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins, register_reward_file
+from drone_env.server import mcp
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
@@ -121,10 +122,10 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         maps,
         page,
         openenv,
+        mcp,
     ):
         app.include_router(routes.router)
-    for path in ("/ws", "/mcp"):
-        app.router.routes.append(WebSocketRoute(path, socket))
+    app.router.routes.append(WebSocketRoute("/ws", socket))
     _add_page(app)
     return app
 

@@ -1,4 +1,4 @@
-"""OpenEnv's WebSocket protocols, `/ws` and `/mcp`: one session per connection.
+"""OpenEnv's WebSocket protocol, `/ws`: one session per connection.
 
 OpenEnv's own server is not used: a list as a frame ends its session, it reads 16 MiB, drops unknown options silently,
 does not close idle sockets, and validates every observation twice in a thread. The frames are equal, and the tests
@@ -21,7 +21,7 @@ from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError,
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
-from drone_env.server.mcp import rpc, step_as_tool
+from drone_env.server.mcp import step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.state import AppState, caller_address
@@ -31,8 +31,7 @@ log = logging.getLogger(__name__)
 NORMAL, GOING_AWAY, POLICY_VIOLATION = 1000, 1001, 1008
 LARGEST_FRAME = 2 * SMALL
 """Limit of a frame in bytes: enough for a list with the longest route."""
-ALLOWED_TYPES = "reset, step, state, close, mcp"
-PARSE_ERROR = -32700
+ALLOWED_TYPES = "reset, step, state, close"
 
 
 class RefusedError(Exception):
@@ -99,13 +98,12 @@ class OpenEnvSocket:
         return session
 
     async def _serve(self, socket: WebSocket, session: OpenEnvSession) -> None:
-        answer_to = self._mcp_answer if socket.scope.get("path") == "/mcp" else self._answer
         async for data in received(socket, LARGEST_FRAME):
             if socket not in self.touched:
                 return  # closed because it was idle
             self.touched[socket] = self._clock()
             try:
-                answer = await answer_to(session, data)
+                answer = await self._answer(session, data)
             except RefusedError as refusal:
                 answer = refusal.frame
             if answer is None:
@@ -115,14 +113,6 @@ class OpenEnvSocket:
                 return
             await socket.send_text(answer)
             self.touched[socket] = self._clock()
-
-    async def _mcp_answer(self, session: OpenEnvSession, data: bytes | None) -> str:
-        """Return the response to a request of MCP."""
-        try:
-            return to_json(await rpc(self.app_state, parse_json(data), session)).decode()
-        except InvalidValueError as error:
-            problem = {"code": PARSE_ERROR, "message": str(error)}
-            return to_json({"jsonrpc": "2.0", "id": None, "error": problem}).decode()
 
     async def _answer(self, session: OpenEnvSession, received: bytes | None) -> str | None:
         """Return the response to a frame; None if the client closes the session.
@@ -162,8 +152,6 @@ class OpenEnvSocket:
             raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None
         if kind == "close":
             return None
-        if kind == "mcp":
-            return _frame("mcp", to_json(await rpc(self.app_state, data, session)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
     async def close_idle(self) -> None:

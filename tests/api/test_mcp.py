@@ -1,4 +1,4 @@
-"""MCP over HTTP and WebSocket: the session that a call flies, and calls that are invalid."""
+"""MCP over HTTP: the session that a call flies, and calls that are invalid."""
 
 import json
 from pathlib import Path
@@ -6,11 +6,9 @@ from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
-from starlette.websockets import WebSocketDisconnect
 
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.openenv import LARGEST_FRAME
 from drone_env.server.schemas import MAX_ROUTE
 from drone_env.server.settings import Settings
 
@@ -52,46 +50,25 @@ WRONG: list[tuple[Any, int]] = [
 def test_an_invalid_request_is_an_error_and_the_flight_goes_on(
     shared_client: TestClient, wrong: Any, code: int
 ) -> None:
-    session = opened(shared_client)
     start, look = request("tools/call", name="reset", arguments={"seed": 7}), request("tools/call", name="look")
-    headers = {"Mcp-Session-Id": session}
-    over_http, over_socket = (list[Any](), list[Any]())
-    with shared_client.websocket_connect("/mcp") as socket:
-        for call in (start, look, wrong, look):
-            over_http.append(shared_client.post("/mcp", json=call, headers=headers).json())
-            socket.send_json(call)
-            over_socket.append(socket.receive_json())
-    assert over_socket[2]["error"]["code"] == code
+    headers = {"Mcp-Session-Id": opened(shared_client)}
+    answers = [shared_client.post("/mcp", json=call, headers=headers).json() for call in (start, look, wrong, look)]
     if wrong in [request("tools/call", **call) for call in CALLS]:
-        # For a client of MCP it is a result, which a model reads.
-        (told,) = over_http[2].pop("result").pop("content")
-        assert told == {"type": "text", "text": over_socket[2].pop("error")["message"]}
-    assert over_http == over_socket
-    assert over_http[1] == over_http[3]
+        # For a client of MCP it is a result, which a model reads; for OpenEnv's, which name the session, an error.
+        assert answers[2]["result"]["isError"]
+        wrong["params"]["session_id"] = headers["Mcp-Session-Id"]
+        answers[2] = shared_client.post("/mcp", json=wrong).json()
+    assert answers[2]["error"]["code"] == code
+    assert answers[1] == answers[3]
 
 
-@pytest.mark.parametrize("path", ["/mcp", "/ws"])
-def test_a_call_before_the_first_reset_is_an_error(shared_client: TestClient, path: str) -> None:
-    with shared_client.websocket_connect(path) as socket:
+def test_a_call_before_the_first_reset_is_an_error(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
         for name, arguments in (("look", {}), ("fly", {"route": "UP"})):
-            call = request("tools/call", name=name, arguments=arguments)
-            socket.send_json(call if path == "/mcp" else {"type": "mcp", "data": call})
-            answer = socket.receive_json()
-            error = (answer if path == "/mcp" else answer["data"])["error"]
-            assert (error["code"], error["message"]) == (-32603, "no episode yet: call reset() first")
-
-
-def test_a_frame_that_is_not_json_is_an_error_and_a_large_one_closes(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/mcp") as socket:
-        for text in ("", "{", '{"id": NaN}', "9" * 5000):
-            socket.send_text(text)
-            assert socket.receive_json()["error"]["code"] == -32700
-        socket.send_bytes(b"{}")
-        assert socket.receive_json()["error"]["code"] == -32700
-        socket.send_text(json.dumps(request("ping")).ljust(LARGEST_FRAME + 1))
-        with pytest.raises(WebSocketDisconnect) as closed:
-            socket.receive_text()
-    assert closed.value.code == 1009
+            call = {"type": "call_tool", "tool_name": name, "arguments": arguments}
+            socket.send_json({"type": "step", "data": call})
+            error = socket.receive_json()["data"]["observation"]["error"]
+            assert error == {"error_type": "execution_error", "message": "no episode yet: call reset() first"}
 
 
 def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_client: TestClient) -> None:
@@ -184,8 +161,7 @@ def test_a_call_without_a_session_and_a_stream_are_refused(shared_client: TestCl
     assert "Mcp-Session-Id" in answer.json()["error"]["message"]
     assert shared_client.delete("/mcp").status_code == 400
     assert shared_client.post("/mcp/", json=request("ping"), follow_redirects=False).status_code == 200
-    stream = shared_client.get("/mcp", headers={"Accept": "text/event-stream"})
-    assert (stream.status_code, stream.headers["Allow"]) == (405, "DELETE, POST")
+    assert shared_client.get("/mcp", headers={"Accept": "text/event-stream"}).status_code == 405
     foreign = {"Origin": "https://elsewhere.example"}
     assert shared_client.post("/mcp", json=request("ping"), headers=foreign).status_code == 403
 
