@@ -21,7 +21,7 @@ from drone_env.server import workers
 from drone_env.server.exceptions import RequestError
 from drone_env.server.settings import Settings
 from drone_env.server.state import AppState
-from drone_env.server.workers import Job, Workers
+from drone_env.server.workers import Workers
 from tests.tools import eventually
 from tests.toy import TOY
 
@@ -110,24 +110,13 @@ def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Pat
     notes = tmp_path / "notes"
     first = pool.submit(wait_at, gate, caller="a")
     eventually(first.running)
-    submitted: dict[str, Job] = {
-        text: pool.submit(note, notes, text, caller=text[0]) for text in ("a1", "a2", "a3", "b1", "c1", "b2")
-    }
+    submitted = {text: pool.submit(note, notes, text, caller=text[0]) for text in ("a1", "a2", "a3", "b1", "c1", "b2")}
     assert submitted["c1"].cancel()
     gate.write_text("")
     first.result()
     submitted["a3"].result()
     assert notes.read_text() == "a1b1a2b2a3"
     assert submitted["c1"].cancelled()
-
-
-def test_a_running_job_is_dropped_with_its_worker(pool: Workers, gate: Path) -> None:
-    job = pool.submit(wait_at, gate, caller="a")
-    eventually(lambda: job.worker is not None)
-    job.cancel()
-    with pytest.raises(RequestError, match="nobody waits"):
-        job.result()
-    assert pool.submit(abs, -3, caller="a").result() == 3
 
 
 def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None:
@@ -157,10 +146,10 @@ def test_too_many_jobs_are_refused_by_caller_and_in_all(
 def test_closing_drops_everything(gate: Path, tmp_path: Path) -> None:
     pool = Workers(Settings(data=tmp_path / "data"))
     running, waiting = (pool.submit(wait_at, gate, caller="a") for _ in range(2))
-    eventually(running.running)
-    pool.close()
+    with gate.open("w"):  # once the worker reads
+        pool.close()
     assert waiting.cancelled()
-    with pytest.raises(RequestError, match="nobody waits"):
+    with pytest.raises(RequestError, match="was stopped"):
         running.result()
     with pytest.raises(RequestError, match="stopping"):
         pool.submit(abs, -3, caller="a")
@@ -187,8 +176,8 @@ def test_a_job_is_dropped_when_its_caller_leaves(tmp_path: Path, gate: Path) -> 
 
     async def ask() -> None:
         request = Request({"type": "http", "client": ("10.0.0.1", 1)}, receive)
-        asked = asyncio.create_task(shared.work(request, wait_at, gate))
-        while not shared.workers._running:
+        asked = asyncio.create_task(shared.work(request, note, tmp_path / "notes", "flown"))
+        while "10.0.0.1" not in shared.workers._waiting[False]:
             await asyncio.sleep(0)
         gone.set()
         with pytest.raises(RequestError, match="has left"):
@@ -196,7 +185,12 @@ def test_a_job_is_dropped_when_its_caller_leaves(tmp_path: Path, gate: Path) -> 
 
     shared.open()
     try:
+        running = shared.workers.submit(wait_at, gate, caller="b")
+        eventually(running.running)
         asyncio.run(ask())
-        eventually(lambda: not shared.workers._running)
+        gate.write_text("")
+        running.result()
+        assert shared.workers.submit(abs, -3, caller="b").result() == 3
+        assert not (tmp_path / "notes").exists()
     finally:
         shared.close()
