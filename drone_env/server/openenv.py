@@ -6,7 +6,6 @@ compare both servers.
 """
 
 import asyncio
-import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,9 +25,7 @@ from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.state import AppState, caller_address
 
-log = logging.getLogger(__name__)
-
-NORMAL, GOING_AWAY, POLICY_VIOLATION = 1000, 1001, 1008
+NORMAL, GOING_AWAY = 1000, 1001
 LARGEST_FRAME = 2 * SMALL
 """Limit of a frame in bytes: enough for a list with the longest route."""
 ALLOWED_TYPES = "reset, step, state, close"
@@ -71,31 +68,18 @@ class OpenEnvSocket:
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept()
             capacity = self.app_state.settings.capacity
-            try:
-                own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
-                if not in_share(own, len(self.touched), capacity):
-                    taken = f"{len(self.touched)} of {capacity} sessions are open, {own} of this address"
-                    message = f"{taken}, which is the limit: try again later"
-                    raise RefusedError("CAPACITY_REACHED", message)
-                self.touched[socket] = self._clock()
-                await self._serve(socket, await self._open(socket))
-            except RefusedError as refusal:
+            own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
+            if not in_share(own, len(self.touched), capacity):
+                taken = f"{len(self.touched)} of {capacity} sessions are open, {own} of this address"
+                refusal = RefusedError("CAPACITY_REACHED", f"{taken}, which is the limit: try again later")
                 await socket.send_text(refusal.frame)
-                full = refusal.code == "CAPACITY_REACHED"
-                await socket.close(TRY_LATER if full else POLICY_VIOLATION, str(refusal)[:120])
+                await socket.close(TRY_LATER, str(refusal)[:120])
+                return
+            self.touched[socket] = self._clock()
+            try:
+                await self._serve(socket, OpenEnvSession(self.app_state))
             finally:
                 self.touched.pop(socket, None)
-
-    async def _open(self, socket: WebSocket) -> OpenEnvSession:
-        """Return the session of a connection: its own, or the stored one that the URL names."""
-        stored = socket.query_params.get("session_id")
-        session = OpenEnvSession(self.app_state, stored)
-        if stored is not None:
-            try:
-                await session.look()
-            except DroneEnvError as error:
-                raise RefusedError("SESSION_ERROR", str(error)) from None
-        return session
 
     async def _serve(self, socket: WebSocket, session: OpenEnvSession) -> None:
         async for data in received(socket, LARGEST_FRAME):
@@ -160,14 +144,9 @@ class OpenEnvSocket:
         idle = [socket for socket, touched in self.touched.items() if touched < limit]
         for socket in idle:
             del self.touched[socket]
-        # Concurrently, because each waits for the close frame of its client, which may take seconds.
-        await asyncio.gather(*map(self._close_idle, idle))
-
-    async def _close_idle(self, socket: WebSocket) -> None:
-        try:
-            await socket.close(GOING_AWAY, f"idle for {self.app_state.settings.idle_seconds:g} s: connect again")
-        except (RuntimeError, WebSocketDisconnect, OSError):
-            log.debug("an idle socket was closed already")
+        reason = f"idle for {self.app_state.settings.idle_seconds:g} s: connect again"
+        # Concurrently, because each waits until its client has read; some have closed already.
+        await asyncio.gather(*[socket.close(GOING_AWAY, reason) for socket in idle], return_exceptions=True)
 
 
 def _frame(kind: str, data: str) -> str:

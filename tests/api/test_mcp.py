@@ -71,33 +71,27 @@ def test_a_call_before_the_first_reset_is_an_error(shared_client: TestClient) ->
             assert error == {"error_type": "execution_error", "message": "no episode yet: call reset() first"}
 
 
-def test_a_session_is_that_of_http_and_of_a_socket_until_it_is_closed(shared_client: TestClient) -> None:
+def test_a_session_is_that_of_http_until_it_is_closed(shared_client: TestClient) -> None:
     session = opened(shared_client)
-    with shared_client.websocket_connect(f"/ws?session_id={session}") as socket:
-        socket.send_json({"type": "reset", "data": {"task_name": "easy", "seed": 7, "episode_id": "mine"}})
-        assert socket.receive_json()["type"] == "observation"
-        assert shared_client.post("/step", json={"direction": "UP"}, headers={"X-Session-Id": session}).json()
-        flown = post(shared_client, "tools/call", name="fly", arguments={"route": "DOWN"}, session_id=session)
-        assert flown["result"]["data"]["flown"] == 1
-        socket.send_json({"type": "state"})
-        state = socket.receive_json()["data"]
-        assert (state["episode_id"], state["step_count"], state["reward_profile"]) == ("mine", 2, "score")
-        socket.send_json({"type": "reset", "data": {"seed": 7}})
-        socket.receive_json()
-        socket.send_json({"type": "step", "data": {"route": [int(action) for action in solve("easy", 7).actions]}})
-        assert socket.receive_json()["data"]["done"]
-        assert shared_client.get("/analyse/easy").json()
-        closed = post(shared_client, "openenv/session/close", session_id=session)
-        assert closed["result"] == {"session_id": session, "closed": True}
-        socket.send_json({"type": "state"})
-        assert socket.receive_json()["data"]["code"] == "EXECUTION_ERROR"
-    assert shared_client.post("/mcp", json=request("none")).json()["error"]["code"] == -32601
+    named = {"X-Session-Id": session}
+
+    def call(tool: str, **arguments: Any) -> dict[str, Any]:
+        return post(shared_client, "tools/call", name=tool, arguments=arguments, session_id=session)["result"]["data"]
+
+    call("reset", task_name="easy", seed=7)
+    assert shared_client.post("/step", json={"direction": "UP"}, headers=named).json()
+    assert call("fly", route="DOWN")["flown"] == 1
+    state = shared_client.get("/state", headers=named).json()
+    assert (state["step_count"], state["reward_profile"]) == (2, "score")
+    call("reset", seed=7)
+    assert call("fly", route=[int(action) for action in solve("easy", 7).actions])["done"]
+    closed = post(shared_client, "openenv/session/close", session_id=session)
+    assert closed["result"] == {"session_id": session, "closed": True}
+    assert shared_client.get("/state", headers=named).status_code == 410
     for gone in (session, "none", "\ud800", "", 7):
         body = json.dumps(request("openenv/session/close", session_id=gone))
         answer = shared_client.post("/mcp", content=body, headers={"Content-Type": "application/json"})
         assert answer.status_code == 400 if gone == "\ud800" else answer.json()["error"]["code"] == -32602
-    with shared_client.websocket_connect("/ws?session_id=none") as socket:
-        assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
 
 
 LOOK = request("tools/call", name="look", arguments=None)
