@@ -27,20 +27,20 @@ def opened(client: TestClient) -> str:
 
 NO_TOOLS: list[dict[str, Any]] = [
     {},
-    *({"name": name, "arguments": {}} for name in ("none", ["fly"], None, "x" * 5000)),
+    *({"name": name, "arguments": {}} for name in ("none", ["fly"])),
 ]
 CALLS: list[dict[str, Any]] = [
     {"name": "fly"},
-    *({"name": "fly", "arguments": arguments} for arguments in ([], {}, {"route": "UP", "more": 1}, {"x": 1}, None)),
-    *({"name": "fly", "arguments": {"route": route}} for route in (None, "SIDEWAYS", "", [], ["UP"] * (MAX_ROUTE + 1))),
+    *({"name": "fly", "arguments": arguments} for arguments in ([], {}, {"route": "UP", "more": 1})),
+    *({"name": "fly", "arguments": {"route": route}} for route in (None, "SIDEWAYS", ["UP"] * (MAX_ROUTE + 1))),
     {"name": "look", "arguments": {"x": 1}},
-    *({"name": "reset", "arguments": {"seed": seed}} for seed in (2**53, 1e9, "7", -1)),
+    *({"name": "reset", "arguments": {"seed": seed}} for seed in (2**53, "7")),
     *({"name": "reset", "arguments": arguments} for arguments in ({"task_name": "none"}, {"prompt": "minimal"})),
 ]
 WRONG: list[tuple[Any, int]] = [
     *((wrong, -32600) for wrong in ([], None, {"jsonrpc": "2.0"}, {"jsonrpc": 2, "method": "ping"})),
     ({"jsonrpc": "2.0", "method": ["ping"]}, -32600),
-    *((request(method), -32601) for method in ("tools/none", "x" * 5000)),
+    *((request(method), -32601) for method in ("tools/none",)),
     ({"jsonrpc": "2.0", "method": "tools/call", "params": []}, -32602),
     *((request("tools/call", **call), -32602) for call in (*NO_TOOLS, *CALLS)),
 ]
@@ -108,13 +108,10 @@ def headers(session: str | None = None, version: str | None = None) -> dict[str,
         (LOOK, None, 200),
         (LOOK | {"id": "a"}, "2025-06-18", 200),
         ({"jsonrpc": "2.0", "id": 1, "method": "ping", "params": None}, "2025-03-26", 200),
-        ({"jsonrpc": "2.0", "method": "notifications/initialized"}, "2025-11-25", 202),
         ({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 1}}, None, 202),
-        ({"jsonrpc": "2.0", "id": 1, "result": {}}, None, 202),
         ({"jsonrpc": "2.0", "id": 1, "error": {"code": -32601, "message": "no roots"}}, None, 202),
         (request("server/discover"), "2026-07-28", 400),
         (LOOK, "1999-01-01", 400),
-        (LOOK, "", 400),
     ],
 )
 def test_a_session_of_mcp_is_found_until_it_is_deleted(

@@ -43,29 +43,18 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
         ('{"type": "reset", "data": {"seed": NaN}}', "INVALID_JSON"),
         ("[]", "VALIDATION_ERROR"),
         ({"type": "reset", "data": []}, "VALIDATION_ERROR"),
-        ({"type": "reset", "extra": 1}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"colour": "red"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"task_name": "none"}}, "VALIDATION_ERROR"),
-        ({"type": "step"}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": {"UP": 1}}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": "UP UP SIDEWAYS"}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": []}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"route": ["UP"] * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": "UP " * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"route": ["UP", True]}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP", 5]}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"route": ["UP", -1]}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP", 1.0]}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"route": "UP", "direction": "UP"}}, "VALIDATION_ERROR"),
         ('{"type": "step", "data": %s}' % ("9" * 4000), "VALIDATION_ERROR"),
-        ({"type": "step", "data": None}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": ""}, "VALIDATION_ERROR"),
         ({"type": "step", "data": "<think>" * 900}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"prompt": "none"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"prompt": "../prompts/minimal-2.toml"}}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"prompt": 1}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
-        ({"type": ["step"]}, "UNKNOWN_TYPE"),
         ({"data": {}}, "UNKNOWN_TYPE"),
     ],
 )
@@ -197,7 +186,7 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
 
 
 @pytest.mark.parametrize(
-    "action", ["UP up WAIT", "[UP, UP, WAIT]", 0, {"direction": 0}, {"route": ["UP", 0, 4]}, {"route": "UP UP WAIT"}]
+    "action", ["UP up WAIT", 0, {"direction": 0}, {"route": ["UP", 0, 4]}, {"route": "UP UP WAIT"}]
 )
 def test_an_action_is_a_number_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
     episode = Episode("easy", "tiered", 7)
