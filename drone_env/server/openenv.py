@@ -69,15 +69,17 @@ class OpenEnvSocket:
             await socket.accept()
             capacity = self.app_state.settings.capacity
             own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
-            if not in_share(own, len(self.touched), capacity):
-                taken = f"{len(self.touched)} of {capacity} sessions are open, {own} of this address"
-                refusal = RefusedError("CAPACITY_REACHED", f"{taken}, which is the limit: try again later")
+            try:
+                if not in_share(own, len(self.touched), capacity):
+                    taken = f"{len(self.touched)} of {capacity} sessions are open, {own} of this address"
+                    raise RefusedError("CAPACITY_REACHED", f"{taken}, which is the limit: try again later")
+                self.touched[socket] = self._clock()
+                # OpenEnv's tool client names the session that it has opened over `/mcp`.
+                session = OpenEnvSession(self.app_state, socket.query_params.get("session_id"))
+                await self._serve(socket, session)
+            except RefusedError as refusal:
                 await socket.send_text(refusal.frame)
                 await socket.close(TRY_LATER, str(refusal)[:120])
-                return
-            self.touched[socket] = self._clock()
-            try:
-                await self._serve(socket, OpenEnvSession(self.app_state))
             finally:
                 self.touched.pop(socket, None)
 

@@ -28,8 +28,8 @@ TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} byte
 END_OF_HEAD = b"\r\n\r\n"
 FRAGMENTS = 100
 """Most frames of a WebSocket message."""
-PIECE = 512
-"""Bytes of a WebSocket that are parsed at once: up to 85 frames."""
+PIECE = 256
+"""Bytes of a WebSocket that are parsed at once: up to 42 frames."""
 POLICY_VIOLATION = 1008
 
 
