@@ -95,13 +95,23 @@ def run(
         # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):
             if settings.workers > 1:
+                # A thread receives Ctrl-C, and no process that this one starts: it tells them to stop.
+                threading.Thread(target=threading.Event().wait, name="drone_env-ctrl-c", daemon=True).start()
+                leave_ctrl_c()
                 first = Multiprocess(config, [listening])
                 first.run()
                 failed = any(process.exitcode == STARTUP_FAILURE for process in first.processes)
             else:
                 server = uvicorn.Server(config)
-                server.run([listening])
+                try:
+                    server.run([listening])
+                finally:
+                    if server.force_exit:  # a second Ctrl-C; the interpreter would wait for threads that never end
+                        for child in multiprocessing.active_children():
+                            child.kill()
+                        os._exit(0)
                 failed = not server.started
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C once more, at the very end, changes no status
             if failed:
                 sys.exit(1)
 
