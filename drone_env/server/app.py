@@ -11,6 +11,8 @@ import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 
+import tyro
+
 from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
 
@@ -27,7 +29,7 @@ from drone_env.server import mcp
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
-from drone_env.server.process import end_with_parent, is_news
+from drone_env.server.process import end_with_parent, is_news, run
 from drone_env.server.routes import (
     annotate,
     catalogue,
@@ -161,14 +163,15 @@ async def _sweep(app_state: AppState, socket: OpenEnvSocket) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Serve until stopped, as `drone-env serve`.
+    """Serve until stopped. Options override environment variables.
 
     Args:
         arguments: The options; None for those of the command line.
     """
-    from drone_env.cli import main as command
-
-    sys.exit(command(["serve", *(sys.argv[1:] if arguments is None else arguments)]))
+    try:
+        tyro.cli(run, prog="server", args=arguments)
+    except (DroneEnvError, OSError) as error:
+        sys.exit(f"server: {error}")
 
 
 app: FastAPI

@@ -42,9 +42,13 @@ def is_news(record: logging.LogRecord) -> bool:
 
 
 def run(
-    host: str | None, port: int | None, workers: int | None, data: Path | None, reward_profiles: Sequence[Path] = ()
+    host: str | None = None,
+    port: int | None = None,
+    workers: int | None = None,
+    data: Path | None = None,
+    reward_profiles: Sequence[Path] = (),
 ) -> None:
-    """Serve until stopped. Arguments that are None come from the environment.
+    """Serve until stopped. Defaults come from the environment: DRONE_ENV_HOST and so on.
 
     Args:
         host: Address to listen on.
