@@ -23,7 +23,6 @@ HEAD_BYTES, HEADERS = 16_384, 100
 """Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that. What
 arrives in one piece with the end of a request is not counted.
 """
-INVALID = 400, "this is not a valid HTTP request"
 TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
 END_OF_HEAD = b"\r\n\r\n"
 FRAGMENTS = 100
@@ -45,7 +44,7 @@ class Http(HttpToolsProtocol):
         self._unread = bytearray()
         self._in_head = True
         self._head_bytes = 0
-        self._refusal = INVALID
+        self._refusal = 400, "this is not a valid HTTP request"
         self.address = "" if self.client is None else self.client[0]
         """The address of the other side."""
         self._used_at = time.monotonic()

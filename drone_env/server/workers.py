@@ -39,7 +39,6 @@ PROCESSES = max(2, (os.cpu_count() or 1) // 2)
 """Number of workers. Half of them run only quick jobs, so that a slow map does not delay other callers."""
 WAITING = 64
 """Most waiting jobs of each kind: quick, and others."""
-END_SECONDS = 2
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 OUT_OF_TIME = -signal.SIGXCPU if sys.platform != "win32" else None
 
@@ -119,7 +118,7 @@ class Workers:
         for worker in self._workers:
             if worker.process is not None:
                 worker.process.terminate()
-            worker.join(END_SECONDS)  # one that is starting a process may take longer; threads are daemons
+            worker.join(2)  # one that is starting a process may take longer; threads are daemons
 
     def _next(self, quick: bool) -> Job | None:
         """Wait for the next job; None when the pool is closed."""
