@@ -65,7 +65,7 @@ class AppState:
             TooLargeError: if the job takes too much time or memory.
             DroneEnvError: as the function.
         """
-        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), task=task))
+        job = asyncio.wrap_future(self.workers.submit(function, *arguments, caller=caller_address(request), task=task))
         left = asyncio.create_task(_disconnected(request))
         try:
             await asyncio.wait((job, left), return_when=asyncio.FIRST_COMPLETED)

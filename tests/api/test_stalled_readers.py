@@ -1,4 +1,4 @@
-"""Clients that stop reading block no other client, and use bounded memory."""
+"""The request log as a stream."""
 
 import asyncio
 import json
@@ -8,18 +8,8 @@ import httpx
 import pytest
 
 from drone_env.server.logs import KEPT, RequestLog
-from tests.api.raw import WHOLE, connected
 from tests.api.serving import Server
 from tests.tools import PATIENCE
-
-
-def test_readers_of_the_requests_that_do_not_read_hold_up_nobody(server: Server) -> None:
-    with connected(("127.0.0.1", int(server.url.rpartition(":")[2]))) as listener:
-        listener.sendall(WHOLE.replace(b"/", b"/terminal_logs", 1)[:-2] + b"Accept: text/event-stream\r\n\r\n")
-        with httpx.Client(base_url=server.url, timeout=PATIENCE) as http:
-            for _ in range(2 * KEPT):
-                assert http.get("/nowhere/" + "x" * 190).status_code == 404
-        server.assert_well()
 
 
 @pytest.mark.feature("H9")
