@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.flights.record import EpisodeRecord, read_records, record_of, replay
+from drone_env.flights.record import EpisodeRecord, read_records, record_of
 from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import Prompt
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
@@ -90,10 +90,8 @@ def _flown_again(
                 # An errored flight does not count, so the transcript must contain its failed call.
                 missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
                 raise InvalidValueError(f"call {key} {missing}, but the status of the flight is {result.status}")
-        if record_of(run.episode, config.model) != record:
-            replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
-        elif FlightResult.of(run) == result:
-            return run
+        if (record_of(run.episode, config.model), FlightResult.of(run)) != (record, result):
+            raise InvalidValueError("its record and result do not follow from the model's answers")
     except DroneEnvError as error:
         raise InvalidValueError(f"flight {result.flight}: {error}") from None
-    raise InvalidValueError(f"flight {result.flight} does not follow from the model's answers")
+    return run

@@ -1,6 +1,5 @@
 """Flights that a server follows, and the store of the data folder."""
 
-import asyncio
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -13,7 +12,7 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.flights.store import FILE_NAME, Store
 from drone_env.llm.budget import Options
-from drone_env.llm.follow import following
+from drone_env.llm.on_server import repeat_on_server
 from tests.api.serving import serving
 from tests.tools import reserved_port
 
@@ -22,10 +21,6 @@ from .stored_run import Scripted, fly
 
 
 def test_a_server_follows_flights_of_the_same_rules(endpoint: Start, tmp_path: Path) -> None:
-    async def follow(episode: Episode) -> None:
-        with following(server.url, "mine") as on_step:
-            await on_step(episode)
-
     with serving(tmp_path / "data", ("-m", "drone_env.cli", "serve")) as server:
         done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
         assert (done.status, done.turns) == (0, {"ok": 3}), done.err
@@ -33,7 +28,7 @@ def test_a_server_follows_flights_of_the_same_rules(endpoint: Start, tmp_path: P
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # Here the battery is smaller than the server's.
         with pytest.raises(InvalidValueError, match=r"other rules: map 14, step 0: battery_steps.* is 60, must be 25"):
-            asyncio.run(follow(Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14)))
+            repeat_on_server(server.url, Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14), "mine")
 
 
 def test_the_store_contains_each_finished_flight_once(tmp_path: Path) -> None:
