@@ -1,4 +1,4 @@
-"""`build_dataset`: write flights as rows of steps, as a Minari dataset, as conversations and as pairs of these."""
+"""`build_dataset`: write flights as rows of steps, and as conversations."""
 
 # pyarrow declares no types.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
@@ -7,13 +7,11 @@ import json
 import math
 import shutil
 from collections.abc import Callable, Generator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pyarrow
@@ -22,16 +20,16 @@ import pyarrow.parquet
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.datasets.chat import COLUMNS as CHAT
-from drone_env.datasets.chat import row_writer
+from drone_env.datasets.chat import COLUMNS as CHAT_COLUMNS
+from drone_env.datasets.chat import chat_rows
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
-from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
+from drone_env.errors import InvalidValueError
 from drone_env.files import locked
 from drone_env.results.pages import render
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
-PARQUET_FILE, MINARI_FOLDER = "steps.parquet", "minari"
+PARQUET_FILE, CHAT_FILE = "steps.parquet", "chat.jsonl"
 ROWS_PER_GROUP = 1 << 14
 """Minimum number of rows in memory before they are written."""
 
@@ -62,8 +60,7 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
         The number of rows.
 
     Raises:
-        InvalidValueError: if the folder is not empty or cannot be made, or no two flights of `preference` differ.
-        MissingPackageError: if a format's package is not installed.
+        InvalidValueError: if the folder is not empty or cannot be made.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
@@ -91,12 +88,11 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
 
 def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) -> int:
     """Write all flights, whole ones in each row group, and return the number of rows."""
-    writers: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]]
-    writers = {"parquet": _parquet_writer, "minari": _minari_writer}
-    writers |= {name: partial(row_writer, name) for name in CHAT}
     rows, batch = 0, list[Trajectory]()
     with ExitStack() as stack:
-        writes = [stack.enter_context(writers[name](folder, config)) for name in dict.fromkeys(config.formats)]
+        writes = [stack.enter_context(_parquet_writer(folder, config))]
+        if config.prompt is not None:
+            writes.append(stack.enter_context(_chat_writer(folder, config)))
         for seed in config.seeds:
             batch += fly_map(config, seed)
             steps = sum(len(trajectory.actions) for trajectory in batch)
@@ -117,10 +113,9 @@ def _readme(config: DatasetConfig, rows: int) -> str:
         columns=columns(config.task),
         rows=rows,
         parquet=PARQUET_FILE,
-        minari=MINARI_FOLDER,
-        chat={name: meanings for name, meanings in CHAT.items() if name in config.formats},
-        dataset_id=config.minari_id,
-        about=json.dumps(config.as_json(), indent=2),
+        chat_file=CHAT_FILE,
+        chat_columns=CHAT_COLUMNS,
+        about=config.as_json(),
     )
 
 
@@ -204,60 +199,9 @@ def _parquet_writer(folder: Path, config: DatasetConfig) -> Generator[Write, Non
 
 
 @contextmanager
-def _minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
-    """Write a Minari dataset into `minari/<dataset id>`; each call of the yielded function appends flights.
-
-    `minari.load_dataset` finds it if the environment variable `MINARI_DATASETS_PATH` names that `minari` folder.
-    `infos` have T + 1 entries, one for each observation, as those of Minari's own collector.
-    """
-    with needs("data"):
-        import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari imports it only when it writes
-        import minari
-        from minari.data_collector import EpisodeBuffer
-        from minari.dataset.minari_storage import MinariStorage
-    # Declared with lists, but arrays are written faster.
-    buffer: Any = EpisodeBuffer
-    # Without Gymnasium's limit: as a plain number in JSON it would truncate flights of the recovered environment.
-    env = gymnasium.make(config.task.gym_id, max_episode_steps=-1, reward_profile=config.reward_profile)
-    # Minari resolves a relative path against itself when it adds up sizes.
-    home = folder.resolve() / MINARI_FOLDER / config.minari_id
-    home.mkdir(parents=True)
-    storage = MinariStorage.new(
-        home / "data",
-        observation_space=env.observation_space,
-        action_space=env.action_space,
-        env_spec=env.spec,
-        data_format="hdf5",
-        jpeg_encoding=False,
-    )
-    about = config.as_json()
-    storage.update_metadata(
-        {
-            "dataset_id": config.minari_id,
-            "minari_version": minari.__version__,
-            "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
-            "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
-            "requirements": [f"{DISTRIBUTION}>={about['package_version']}"],
-            "drone_env": about,
-        }
-    )
-
-    def episode(flight: Trajectory) -> Any:
-        parts = {name: getattr(flight, name) for name in ("seed", "observations", "actions", "rewards", "infos")}
-        return buffer(
-            id=flight.number, terminations=flight.terminated, truncations=np.zeros_like(flight.terminated), **parts
+def _chat_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
+    """Write `chat.jsonl`; each call of the yielded function appends the rows of whole flights."""
+    with (folder / CHAT_FILE).open("w", encoding="utf-8") as file:
+        yield lambda flights: file.writelines(
+            f"{json.dumps(row)}\n" for flight in flights for row in chat_rows(config, flight)
         )
-
-    def write(trajectories: Sequence[Trajectory]) -> None:
-        storage.update_episodes(map(episode, trajectories))
-        metadata = [
-            {
-                "agent": flight.agent,
-                "final_score": float(flight.infos["score"][-1]),
-                "optimal_score": float(flight.infos["value"][0]),
-            }
-            for flight in trajectories
-        ]
-        storage.update_episode_metadata(metadata, [flight.number for flight in trajectories])
-
-    yield write

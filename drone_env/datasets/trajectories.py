@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +17,12 @@ from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
+from drone_env.llm.prompt import get_prompt
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
 from drone_env.results.evaluate import episodes_key
 
 FORMAT = "drone_env/dataset"
-CONVERSATIONS = ("chat", "preference")
-FORMATS = ("parquet", "minari", *CONVERSATIONS)
 
 
 @dataclass(frozen=True)
@@ -38,16 +36,12 @@ class DatasetConfig:
         agents: The agents, in this order on each map.
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: The reward profile.
-        formats: One or more of `FORMATS`.
-        turns: In conversations: the `plan` in one answer, or a tool call for each `step`, or for each `route` to a
-            parcel.
-        prompt: In conversations with a plan: the prompt.
+        prompt: The prompt of conversations; None to write none.
 
     Raises:
         UnknownNameError: if there is no such split, agent, reward profile or prompt.
         InvalidValueError: if the seeds are empty, out of range or outside the split, the agents are empty or repeated,
-            epsilon is not in [0, 1], a format is unknown, none is named, conversations are not of the split `train`, or
-            their prompt does not ask for a route.
+            or epsilon is not in [0, 1].
     """
 
     task: TaskConfig
@@ -56,41 +50,19 @@ class DatasetConfig:
     agents: Sequence[str] = ("optimal", "greedy", "random")
     epsilon: float = 0.1
     reward_profile: str = DEFAULT_PROFILE
-    formats: Sequence[str] = ("parquet", "minari")
-    turns: Literal["plan", "step", "route"] = "plan"
-    prompt: str = "plan"
+    prompt: str | None = None
 
     def __post_init__(self) -> None:
         if not self.agents or len(set(self.agents)) < len(self.agents):
             raise InvalidValueError(f"agents must be one name or more, each once; got {list(self.agents)}")
         if not 0 <= self.epsilon <= 1:
             raise InvalidValueError(f"epsilon must be a probability, 0 to 1; got {self.epsilon!r}")
-        if not self.formats or set(self.formats) - set(FORMATS):
-            got = ", ".join(self.formats)
-            raise InvalidValueError(f"formats must be one or more of {', '.join(FORMATS)}; got {got}")
-        if self.conversations and self.split != "train":
-            raise InvalidValueError(f"{' and '.join(CONVERSATIONS)} are data to train on: choose the split train")
         self.as_json()  # raises if another value is invalid
 
     @property
     def episodes(self) -> int:
         """The number of flights."""
         return len(self.seeds) * len(self.agents)
-
-    @property
-    def minari_id(self) -> str:
-        """The id of the dataset in Minari."""
-        return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
-
-    @property
-    def conversations(self) -> bool:
-        """Whether any format contains conversations."""
-        return not set(CONVERSATIONS).isdisjoint(self.formats)
-
-    @property
-    def text_prompt(self) -> Prompt:
-        """The prompt of conversations."""
-        return plan_prompt(self.prompt) if self.turns == "plan" else tools_prompt()
 
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as JSON values, with the version of this package."""
@@ -108,9 +80,9 @@ class DatasetConfig:
             "task_digest": self.task.digest,
             "package_version": __version__,
         }
-        if self.conversations:
-            prompt = self.text_prompt
-            config |= {"turns": self.turns, "prompt": prompt.id, "prompt_digest": prompt.digest}
+        if self.prompt is not None:
+            prompt = get_prompt(self.prompt)
+            config |= {"prompt": prompt.id, "prompt_digest": prompt.digest}
         return json.loads(json.dumps(config, default=str))
 
 
