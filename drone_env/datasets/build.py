@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow
 import pyarrow.parquet
 
@@ -95,7 +94,7 @@ def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) ->
             writes.append(stack.enter_context(_chat_writer(folder, config)))
         for seed in config.seeds:
             batch += fly_map(config, seed)
-            steps = sum(len(trajectory.actions) for trajectory in batch)
+            steps = sum(map(_length, batch))
             if seed == config.seeds[-1] or steps >= ROWS_PER_GROUP:
                 for write in writes:
                     write(batch)
@@ -134,36 +133,40 @@ def columns(task: TaskConfig) -> list[Column]:
     score = "graded score after the step, provisional before the end"
     best = "Q*: highest score that can be reached after each action"
 
-    def state(name: str) -> Callable[[Trajectory], Any]:
-        return lambda flight: flight.infos[name][:-1]
-
-    def returns_to_go(flight: Trajectory) -> npt.NDArray[np.float64]:
-        return np.cumsum(flight.rewards[::-1])[::-1]
+    def step(name: str, dtype: str, shape: tuple[int, ...], text: str) -> Column:
+        return Column(name, dtype, shape, text, lambda flight: flight.steps[name])
 
     return [
         Column("episode", "int64", (), "number of the flight, from 0", lambda f: f.number),
         Column("task", "string", (), "id of the task", lambda _: task.id),
-        Column("task_version", "int32", (), "version of the task", lambda _: task.version),
         Column("seed", "int64", (), "number of the map", lambda f: f.seed),
         Column("agent", "string", (), "name of the agent", lambda f: f.agent),
-        Column("step", "int32", (), "number of earlier steps, from 0", lambda f: np.arange(len(f.actions))),
-        Column("grid", "uint8", grid, f"cell ids: {cells}", lambda f: f.observations["grid"][:-1]),
-        Column("telemetry", "float32", (task.telemetry_size,), telemetry, lambda f: f.observations["telemetry"][:-1]),
-        Column("action_mask", "int8", per_action, "0 for each action that would bump", state("action_mask")),
-        Column("action", "int8", (), flown, lambda f: f.actions),
-        Column("agent_action", "int8", (), "the agent's action; a random one may replace it", state("agent_action")),
-        Column("reward", "float64", (), "reward of the step, by the reward profile", lambda f: f.rewards),
-        Column("return_to_go", "float64", (), "undiscounted sum of the rewards from here on", returns_to_go),
-        Column("terminated", "bool", (), "whether the step ended the flight", lambda f: f.terminated),
-        Column("event", "string", (), "event of the step", lambda f: names[f.infos["event"][1:]]),
-        Column("score", "float64", (), score, lambda f: f.infos["score"][1:]),
-        Column("final_score", "float64", (), "graded score of the flight", lambda f: f.infos["score"][-1]),
-        Column("optimal_score", "float64", (), optimum, lambda f: f.infos["value"][0]),
-        Column("value", "float64", (), "V*: highest score that can still be reached", state("value")),
-        Column("q_values", "float64", per_action, best, state("q_values")),
-        Column("regret", "float64", (), "V* - Q* of the action: score lost for good", state("regret")),
-        Column("optimal_actions", "bool", per_action, "whether each action reaches V*", state("optimal_actions")),
+        Column("step", "int32", (), "number of earlier steps, from 0", lambda f: np.arange(_length(f))),
+        step("grid", "uint8", grid, f"cell ids: {cells}"),
+        step("telemetry", "float32", (task.telemetry_size,), telemetry),
+        step("action_mask", "int8", per_action, "0 for each action that would bump"),
+        step("action", "int8", (), flown),
+        step("agent_action", "int8", (), "the agent's action; a random one may replace it"),
+        step("reward", "float64", (), "reward of the step, by the reward profile"),
+        Column(
+            "terminated",
+            "bool",
+            (),
+            "whether the step ended the flight",
+            lambda f: np.arange(_length(f)) == _length(f) - 1,
+        ),
+        Column("event", "string", (), "event of the step", lambda f: names[f.steps["event"]]),
+        step("score", "float64", (), score),
+        Column("optimal_score", "float64", (), optimum, lambda f: f.optimal_score),
+        step("value", "float64", (), "V*: highest score that can still be reached"),
+        step("q_values", "float64", per_action, best),
+        step("regret", "float64", (), "V* - Q* of the action: score lost for good"),
+        step("optimal_actions", "bool", per_action, "whether each action reaches V*"),
     ]
+
+
+def _length(flight: Trajectory) -> int:
+    return len(flight.steps["action"])
 
 
 @contextmanager
@@ -182,7 +185,7 @@ def _parquet_writer(folder: Path, config: DatasetConfig) -> Generator[Write, Non
 
     def array(column: Column, trajectories: Sequence[Trajectory]) -> Any:
         kind = schema.field(column.name).type
-        parts = [(len(trajectory.actions), column.values(trajectory)) for trajectory in trajectories]
+        parts = [(_length(flight), column.values(flight)) for flight in trajectories]
         values = np.concatenate([np.full(steps, part) if np.ndim(part) == 0 else part for steps, part in parts])
         if not column.shape:
             return pyarrow.array(values, kind)

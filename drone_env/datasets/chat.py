@@ -33,15 +33,10 @@ def chat_rows(config: DatasetConfig, flight: Trajectory) -> Iterator[dict[str, A
 
     The answer to one step is the agent's action, also if a random one is flown instead.
     """
-    prompt, episode, steps = (
-        get_prompt(config.prompt or ""),
-        Episode(config.task, seed=flight.seed),
-        len(flight.actions),
-    )
-    values, best = flight.infos["value"], flight.infos["optimal_actions"]
-    regrets = values[:, None] - flight.infos["q_values"]
-    answers = flight.actions if prompt.plan else flight.infos["agent_action"]
-    for turn in [slice(0, steps)] if prompt.plan else [slice(step, step + 1) for step in range(steps)]:
+    prompt, episode, steps = get_prompt(config.prompt or ""), Episode(config.task, seed=flight.seed), flight.steps
+    regrets = steps["value"][:, None] - steps["q_values"]
+    answers, length = steps["action" if prompt.plan else "agent_action"], len(regrets)
+    for turn in [slice(0, length)] if prompt.plan else [slice(step, step + 1) for step in range(length)]:
         names = [Action(action).name for action in answers[turn]]
         yield {
             "messages": [*prompt.messages(episode), {"role": "assistant", "content": _answer(prompt, names)}],
@@ -49,14 +44,14 @@ def chat_rows(config: DatasetConfig, flight: Trajectory) -> Iterator[dict[str, A
             "seed": flight.seed,
             "step": turn.start,
             "agent": flight.agent,
-            "score": float(values[-1]),
-            "optimal_score": float(values[0]),
-            "regret": float(values[0] - values[-1]),
+            "score": flight.score,
+            "optimal_score": flight.optimal_score,
+            "regret": flight.optimal_score - flight.score,
             "actions": names,
-            "optimal_actions": [[DIRECTIONS[i] for i in np.flatnonzero(row)] for row in best[turn]],
+            "optimal_actions": [[DIRECTIONS[i] for i in np.flatnonzero(row)] for row in steps["optimal_actions"][turn]],
             "regrets": regrets[turn].tolist(),
         }
-        episode.fly(flight.actions[turn])
+        episode.fly(steps["action"][turn])
 
 
 def _answer(prompt: Prompt, names: Sequence[str]) -> str:

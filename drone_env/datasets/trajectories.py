@@ -87,33 +87,26 @@ class DatasetConfig:
 
 
 class Trajectory(NamedTuple):
-    """One flight: T steps, T + 1 states.
+    """One flight of T steps.
 
     Attributes:
         number: The number of the flight in the dataset, from 0.
         seed: The map.
         agent: The name of the agent.
-        observations: `grid`, uint8[T + 1, H, W], and `telemetry`, float32[T + 1, telemetry_size].
-        actions: int64[T].
-        rewards: float64[T].
-        infos: Arrays [T + 1, ...]. Of each state: `action_mask`, `score`, the `event` that led to it (`Event`), and
-            `value`, the highest score that can still be reached. Of the action in each state: `q_values` (the highest
-            score after each action), `regret`, `optimal_actions`, and `agent_action` before random actions replace
-            some. In the last state these are NaN, False or -1.
+        score: Its graded score.
+        optimal_score: The highest score that any flight over the map gets.
+        steps: Arrays [T, ...]. Before each step: `grid`, `telemetry`, `action_mask`, `value`, the highest score that
+            can still be reached, and `q_values`, that after each action. Of the step: `action`, `agent_action` before
+            random actions replace some, `reward`, `event` (`Event`), `regret`, `optimal_actions`, and the `score` after
+            it.
     """
 
     number: int
     seed: int
     agent: str
-    observations: dict[str, npt.NDArray[Any]]
-    actions: npt.NDArray[np.int64]
-    rewards: npt.NDArray[np.float64]
-    infos: dict[str, npt.NDArray[Any]]
-
-    @property
-    def terminated(self) -> npt.NDArray[np.bool_]:
-        """bool[T]: whether the step ended the flight."""
-        return np.arange(1, len(self.actions) + 1) == len(self.actions)
+    score: float
+    optimal_score: float
+    steps: dict[str, npt.NDArray[Any]]
 
 
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
@@ -144,31 +137,19 @@ def random_actions(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
-    act = begin(make_agent(name, episode.task), name, episode)
-    states, q_rows, agent_actions = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
+    act, rows = begin(make_agent(name, episode.task), name, episode), list[dict[str, Any]]()
     for choice, (share, action) in zip(choices(episode, act), random_actions(name, episode.seed), strict=False):
-        q_rows.append(solver.q_values(episode))
-        agent_actions.append(int(choice))
-        episode.step(action if share < epsilon else choice)
-        states.append(_state(episode))
-    grids, telemetry, action_masks, scores, events = map(np.array, zip(*states, strict=True))
-    values = np.append(np.max(q_rows, axis=1), episode.score)
-    q_values = np.array([*q_rows, np.full(N_ACTIONS, np.nan)])
-    actions = np.array(episode.actions, np.int64)
-    infos = {
-        "action_mask": action_masks,
-        "score": scores,
-        "event": events.astype(np.int8),
+        row: dict[str, Any] = {**episode.observation(), "action_mask": episode.action_mask()}
+        row |= {"q_values": solver.q_values(episode), "agent_action": int(choice)}
+        row["action"] = action if share < epsilon else int(choice)
+        row["reward"] = episode.step(row["action"])
+        rows.append({**row, "event": int(episode.event), "score": episode.score})
+    steps = {column: np.array([row[column] for row in rows]) for column in rows[0]}
+    q_values = steps["q_values"]
+    values = q_values.max(axis=1)
+    steps |= {
         "value": values,
-        "q_values": q_values,
-        "regret": values - q_values[np.arange(len(values)), np.append(actions, 0)],
+        "regret": values - q_values[np.arange(len(rows)), steps["action"]],
         "optimal_actions": q_values == values[:, None],
-        "agent_action": np.array([*agent_actions, -1], np.int8),
     }
-    observations = {"grid": grids, "telemetry": telemetry}
-    return Trajectory(number, episode.seed, name, observations, actions, np.array(episode.rewards), infos)
-
-
-def _state(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32], npt.NDArray[np.int8], float, int]:
-    obs = episode.observation()
-    return obs["grid"], obs["telemetry"], episode.action_mask(), episode.score, episode.event
+    return Trajectory(number, episode.seed, name, episode.score, float(values[0]), steps)

@@ -127,18 +127,6 @@ def tools_prompt() -> Prompt:
     return read_prompt(FOLDER / "tools" / "fly-3.toml")
 
 
-def plan_prompt(name: str) -> Prompt:
-    """A prompt that asks for the whole route, as `get_prompt` finds it.
-
-    Raises:
-        InvalidValueError: if it asks for one action.
-    """
-    prompt = get_prompt(name)
-    if not prompt.plan:
-        raise InvalidValueError(f"prompt {prompt.id} asks for one action: choose one for a route, such as plan")
-    return prompt
-
-
 def read_prompt(path: Path) -> Prompt:
     """Read a prompt from its file.
 

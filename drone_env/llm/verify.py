@@ -1,6 +1,6 @@
 """Verify a run folder: fly every flight again from the model's own answers."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,27 +43,21 @@ def verified_run(path: Path) -> VerifiedRun:
     calls = list(read_calls(path / TRANSCRIPT))
     answers = {call.key: call for call in calls if call.answer is not None}
     prompt, known, used = config.load_prompt(), {call.key: call for call in calls} | answers, set[CallKey]()
+    numbers = [result.flight for result in results]
     try:
-        _check_numbers(config, results, records, answers)
+        if len(results) != len(records):
+            raise InvalidValueError(f"it contains {len(records)} records for {len(results)} flights")
+        if numbers != sorted({number for number in numbers if number < config.flights}):
+            raise InvalidValueError(f"the numbers of the flights are not those of {config.flights} flights")
+        if lost := {key.flight for key in answers} - set(numbers):
+            # A run without its worst flights would look better than it is.
+            raise InvalidValueError(f"flight {min(lost)} was begun but is not among the results: resume the run")
         flights = [_flown_again(config, prompt, *flown, known, used) for flown in zip(results, records, strict=True)]
         if used != answers.keys():
             raise InvalidValueError(f"{len(answers.keys() - used)} answers belong to no flight")
     except DroneEnvError as error:
         raise InvalidValueError(f"{path}: {error}") from None
     return VerifiedRun(path, config, results, flights, calls)
-
-
-def _check_numbers(
-    config: RunConfig, results: Sequence[FlightResult], records: Sequence[EpisodeRecord], answers: Iterable[CallKey]
-) -> None:
-    numbers = [result.flight for result in results]
-    if len(results) != len(records):
-        raise InvalidValueError(f"it contains {len(records)} records for {len(results)} flights")
-    if numbers != sorted(set(numbers)) or (numbers and numbers[-1] >= config.flights):
-        raise InvalidValueError(f"the numbers of the flights are not those of {config.flights} flights")
-    if lost := {key.flight for key in answers} - set(numbers):
-        # A run without its worst flights would look better than it is.
-        raise InvalidValueError(f"flight {min(lost)} was begun but is not among the results: resume the run")
 
 
 def _flown_again(
