@@ -61,7 +61,9 @@ def test_what_passes_is_told_and_tried_again(endpoint: Start, fault: object) -> 
 
 def test_an_address_without_a_server_stops_the_run_after_the_last_try(endpoint: Start) -> None:
     address = f"127.0.0.1:{reserved_port()}"
-    done = endpoint().infer("--base-url", f"http://{address}/v1", "--episodes", "9", "--tries", "2")
+    done = endpoint().infer(
+        "--base-url", f"http://{address}/v1", "--episodes", "9", "--tries", "2", "--concurrency", "1"
+    )
     assert (done.status, len(done.flights)) == (2, 1)
     assert done.err.count("attempt 1 of 2 failed: no answer: ") == 1
     assert f"stopped: {address} gives no answer: {address} takes no connection (" in done.err

@@ -22,7 +22,6 @@ GOLDEN = {
     "coordinates-2": "49a7eea102f85558",
     "grid-2": "7d1e1e615ff25b2c",
     "minimal-2": "3587f3cddd66dce6",
-    "original-1": "dae768b6ecd6d669",
     "plan-2": "458cb8ee7f1beb94",
     "think-1": "7d787407cec46442",
     "think-plan-1": "d7e663d4b716d17a",

@@ -133,8 +133,7 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     evaluate = ("evaluate", "--task", "easy", "--agents")
     assert main([*evaluate, "random", "greedy", "--repeats", "3", "--seeds", "14:18", "--out", str(agents)]) == 0
     assert main([*evaluate, "greedy", "--seeds", "14:19", "--out", str(elsewhere)]) == 0
-    waiting = put_run(tmp_path, "waiting", "WAIT", range(14, 18))
-    again = put_run(tmp_path, "again", "WAIT", range(14, 18))
+    waiting, again = (put_run(tmp_path, name, "WAIT", range(14, 18)) for name in ("waiting", "again"))
     short = tmp_path / "llm" / "short"
     fly(Scripted(), short, Options(concurrency=1, max_calls=5), seeds=(14, 18))
     found = boards(capsys, *sorted((tmp_path / "llm").iterdir()), agents, elsewhere)
@@ -158,9 +157,12 @@ def test_folders_that_cannot_be_ranked_are_named(tmp_path: Path, capsys: pytest.
     empty, nowhere = str(tmp_path / "empty"), str(tmp_path / "nowhere")
     none = "no results in it; give a folder of evaluate --out or infer --out"
     for arguments, status, told in (
-        (("leaderboard", other), 0, f"not ranked: {other}: no flights yet: it is running, or was killed"),
         (("leaderboard", nowhere), 1, ": no such folder; give a folder of evaluate --out or infer --out"),
         (("leaderboard", empty), 1, none),
     ):
         assert main([*arguments]) == status
         assert told in " ".join(capsys.readouterr().err.split())
+    for name in ("episodes.jsonl", "flights.jsonl"):
+        (Path(other) / name).unlink()
+    assert main(["leaderboard", other]) == 0
+    assert f"not ranked: {other}: no flights yet: it is running, or was killed" in capsys.readouterr().err
