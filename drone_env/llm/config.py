@@ -28,12 +28,7 @@ class InferenceSettings(BaseSettings):
     """Settings from the environment or `.env`. The environment takes precedence; names are in capitals there."""
 
     model_config = SettingsConfigDict(
-        env_file=".env",
-        env_file_encoding="utf-8",
-        env_ignore_empty=True,
-        frozen=True,
-        extra="ignore",
-        protected_namespaces=(),
+        env_file=".env", env_file_encoding="utf-8", env_ignore_empty=True, extra="ignore", protected_namespaces=()
     )
 
     hf_token: SecretStr | None = Field(default=None, description="Token for Hugging Face; sent to its hosts alone.")
