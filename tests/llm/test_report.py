@@ -150,19 +150,14 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
 
 
 def test_folders_that_cannot_be_ranked_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = str(put_run(tmp_path, "other", "WAIT", range(14, 17)))
-    for name in ("episodes.jsonl", "flights.jsonl"):
-        (Path(other) / name).unlink()
+    killed = put_run(tmp_path, "killed", "WAIT", range(14, 17))
+    (killed / "episodes.jsonl").unlink()
+    (killed / "flights.jsonl").unlink()
     (tmp_path / "empty").mkdir()
-    empty, nowhere = str(tmp_path / "empty"), str(tmp_path / "nowhere")
-    none = "no results in it; give a folder of evaluate --out or infer --out"
-    for arguments, status, told in (
-        (("leaderboard", nowhere), 1, ": no such folder; give a folder of evaluate --out or infer --out"),
-        (("leaderboard", empty), 1, none),
+    for folder, status, told in (
+        (killed, 0, f"not ranked: {killed}: no flights yet: it is running, or was killed"),
+        (tmp_path / "nowhere", 1, ": no such folder; give a folder of evaluate --out or infer --out"),
+        (tmp_path / "empty", 1, "no results in it; give a folder of evaluate --out or infer --out"),
     ):
-        assert main([*arguments]) == status
+        assert main(["leaderboard", str(folder)]) == status
         assert told in " ".join(capsys.readouterr().err.split())
-    for name in ("episodes.jsonl", "flights.jsonl"):
-        (Path(other) / name).unlink()
-    assert main(["leaderboard", other]) == 0
-    assert f"not ranked: {other}: no flights yet: it is running, or was killed" in capsys.readouterr().err
