@@ -121,7 +121,7 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     ]
     (unranked,) = answer["unranked"]
     assert unranked["run"] == "forged"
-    assert "does not fit its flight" in unranked["reason"]
+    assert "do not follow from the model's answers" in unranked["reason"]
     assert str(data) not in json.dumps(answer)
     # What has been checked is not checked again.
     monkeypatch.setattr("drone_env.llm.report.verified_run", None)
