@@ -50,15 +50,10 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     names = standings(page).get_by_role("rowheader")
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     expect(names).to_have_text(list(NAMES.values()))
-    page.keyboard.press("q")  # hides the arrows of the network, which have the colour of its pilot
-    # Brackets in the colour of the pilot that is looked at surround its target.
-    for number, agent in enumerate(NAMES, 1):
-        page.keyboard.press(str(number))
-        until(page, lambda agent=agent: painted(boards, *colours.values()) == [colours[agent]])
-    for at in (1, 2):
-        press(page, "Step")
-        expect_ranked(at)
+    press(page, "Step")
+    expect_ranked(1)
     fly(page, "Resume")
+    page.keyboard.press("4")
     expect_place()
     expect_ranked(60)
     page.keyboard.press("Home")
@@ -70,9 +65,10 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(name)
         for label, count in annotations[agent]["counts"].items():
             expect(page.locator(f"#moves button[data-label={label}]")).to_have_count(count)
-    # Alone, too, a pilot keeps its colour.
+    # Alone, too, a pilot keeps its colour: brackets in it surround the target.
     pilot(page, "Random").click()
     expect(page.locator("#standings")).to_be_hidden()
+    page.keyboard.press("q")  # hides the arrows of the network, which have the colour of its pilot
     until(page, lambda: painted(boards, *colours.values()) == [colours["random"]])
     expect(page.locator(".pilot", has_text="Random")).to_have_attribute("style", f"--lane: var({colours['random']});")
     page.keyboard.press("q")
@@ -134,24 +130,16 @@ def test_while_a_race_is_on_parcels_count_not_promises(page: Page, server: Serve
         early = -next(at for at in range(step + 1) if parcels(name, at) == done)
         return done, flights[name][-1]["score"] if done == 5 else early
 
-    over(page, 7, "/?task=hard&seed=7&pilots=random,greedy,pathqnet,optimal&step=999")
+    over(page, 7, f"/?task=hard&seed=7&pilots={','.join(NAMES)}&step=999")
     ended(page)
     names, seen = standings(page).get_by_role("rowheader"), set[str]()
-    listed = ["Random", "Greedy", "PathQNet", "Optimal"]
-    for step in (0, 5, 10, 15, 20, 30, 40, 50, len(flights["Greedy"])):
+    listed = [*NAMES.values()]
+    for step in (0, 10, 20, 40, len(flights["Greedy"])):
         slider(page).fill(str(step))
         ranked = sorted(listed, key=lambda name: rank(name, step), reverse=True)
         expect(names).to_have_text(ranked)
         seen.add(" ".join(ranked))
     assert len(seen) > 2, seen
-    # A pilot that has not moved could still score most, but ranks behind one that has delivered.
-    over(page, SEED, f"/?task=easy&seed={SEED}&pilots=human,optimal")
-    expect(names).to_have_text(["You", "Optimal"])
-    fly(page)
-    expect(names).to_have_text(["Optimal", "You"])
-    expect(page.locator("#standings-note")).to_have_text(
-        "Ranked by parcels delivered, then by who was first; at the end by score."
-    )
 
 
 def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
@@ -189,13 +177,6 @@ def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
         "random",
     }
     assert tab.evaluate("localStorage['drone-env-best']") is None
-    # A moment of it, too.
-    tab.keyboard.press("Home")
-    tab.keyboard.press("ArrowRight")
-    expect(tab).to_have_url(f"{link.removesuffix(f'&ended={last}')}&step=1&ended={last}")
-    tab.reload()
-    expect_step(tab, 1, len(best))
-    expect(tab.locator("#standings-note")).to_contain_text("At the end: 1st of 2")
 
 
 def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, server: Server) -> None:
@@ -210,11 +191,6 @@ def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, serv
     expect_step(page, 7, 100, other)
     flight = "".join(action[0] for action in (*record.actions[:6], other))
     link = f"{server.url}/?episode={id_}&task=medium&seed=9&pilot=human&profile=tiered&fork=6&of=me&actions={flight}"
-    expect(page).to_have_url(link)
-    press(page, "Step")
-    expect(standing(page, "me").first).to_have_text("8")
-    expect(standing(page, "You from step 6").first).to_have_text("7")
-    press(page, "Last step")
     expect(page).to_have_url(link)
     page.reload()
     expect_step(page, 7, 100, other)

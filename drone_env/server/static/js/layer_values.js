@@ -1,9 +1,7 @@
-// Layers per cell: the best moves, the network's mistakes, and the range of the battery.
-import { colourOf, font } from "./base.js";
+// Layers per cell: the best moves, and the range of the battery.
+import { colourOf } from "./base.js";
 import { middle, pointTo, STEP } from "./layer_flights.js";
 
-/** The minimum size of a cell in CSS pixels that shows the units left there. */
-const WRITTEN = 32;
 /** The opacity of the colour of a cell that loses nothing, and what the largest loss adds: the map stays visible. */
 const WASH = [0.1, 0.3];
 /** The sides of a cell: its neighbour, and the two corners. */
@@ -39,18 +37,6 @@ export function drawValues(ctx, { stage, layout }) {
   });
 }
 
-export function drawNetwork(ctx, { stage, layout }) {
-  const cells = stage.values?.answer?.cells;
-  const { cell, left, top, scale } = layout;
-  ctx.lineWidth = Math.max(1.5, 2 * scale);
-  ctx.strokeStyle = ctx.fillStyle = colourOf("--bad");
-  eachCell(cells?.disagree, (errs, x, y) => {
-    if (!errs) return;
-    ctx.strokeRect(left + (x + 0.08) * cell, top + (y + 0.08) * cell, cell * 0.84, cell * 0.84);
-    drawMove(ctx, layout, cells.network_actions[y][x], x, y);
-  });
-}
-
 /** An arrow in a cell; a dot for WAIT. */
 function drawMove(ctx, layout, action, x, y) {
   const { cell } = layout;
@@ -64,8 +50,8 @@ function drawMove(ctx, layout, action, x, y) {
   ctx.fill();
 }
 
-/** An outline between the cells in reach and the others, with the battery units left there unless a visitor flies. */
-export function drawRange(ctx, { stage, world, track, layout, names }) {
+/** An outline between the cells in reach and the others. */
+export function drawRange(ctx, { stage, world, layout, names }) {
   const range = stage.values?.answer?.range;
   if (!range) return;
   const { cell, left, top, scale } = layout;
@@ -86,10 +72,4 @@ export function drawRange(ctx, { stage, world, track, layout, names }) {
   };
   stroke(5, "--map-ground");
   stroke(2.5, "--range");
-  if (track.byHand || cell < WRITTEN * scale) return;
-  ctx.fillStyle = colourOf("--ink");
-  ctx.font = font(Math.round(cell * 0.26));
-  ctx.textAlign = "right";
-  ctx.textBaseline = "bottom";
-  eachCell(range, (units, x, y) => ctx.fillText(String(units), left + (x + 0.94) * cell, top + (y + 0.98) * cell));
 }

@@ -4,8 +4,6 @@ import { Emitter, nextFrame } from "./base.js";
 /** @param {Answer<"FlightHeader">} opening @param {Answer<"TaskInfo">[]} tasks @returns {World} */
 export const worldOf = (opening, tasks) => ({ ...opening, task: tasks.find(({ id }) => id === opening.task) });
 
-/** Steps a second that can be chosen. */
-export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
 /** If the picture is more steps behind, it jumps instead of gliding. */
 const LEAP = 4;
 /** Milliseconds between two looks for a flight that the server still computes. */
@@ -18,6 +16,7 @@ export class Clock {
     this.stage = stage;
     this.cursor = this.position = 0;
     this.playing = false;
+    /** Steps a second. */
     this.speed = 6;
     this.timer = 0;
   }
@@ -32,10 +31,6 @@ export class Clock {
     return last(this.stage.followed);
   }
 
-  moved() {
-    this.stage.tell("cursor");
-  }
-
   /** Whether nothing newer has been flown. */
   get following() {
     return this.cursor === this.newest();
@@ -43,7 +38,7 @@ export class Clock {
 
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
-    this.moved();
+    this.stage.tell("cursor");
   }
 
   goTo(step) {
@@ -58,7 +53,7 @@ export class Clock {
     if (again) this.seek(0);
     this.playing = true;
     this.tick(again ? 1000 / this.speed : 0);
-    this.moved();
+    this.stage.tell("cursor");
   }
 
   tick(wait = 1000 / this.speed) {
@@ -78,16 +73,11 @@ export class Clock {
     else this.seek(cursor + 1);
   }
 
-  setSpeed(speed) {
-    this.speed = speed;
-    this.moved();
-  }
-
   stop() {
     clearTimeout(this.timer);
     if (!this.playing) return;
     this.playing = false;
-    this.moved();
+    this.stage.tell("cursor");
   }
 
   /** Moves `position` towards the cursor. @returns {boolean} Whether it has not arrived. */

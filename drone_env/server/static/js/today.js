@@ -1,14 +1,11 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
 import { recall, remember } from "./base.js";
-import { copyText, el, fact, setText, toast } from "./dom.js";
+import { copyText, el, fact, toast } from "./dom.js";
 import { counted, percent, points } from "./format.js";
 import { linkOf } from "./router.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
-export const UNLISTED = "Flights with Undo, values or a fork are not listed and not kept as your best.";
-const ABOUT = "Shown to all in the list of the map of the day.";
-const REFUSED = "Use at most 20 letters, digits, _ and -, without spaces. Your next flight has no name.";
 /** Maps whose best score is kept. */
 const KEPT = 1000;
 const SHOWN = 7;
@@ -19,7 +16,7 @@ const dayOf = (day) => day.toLocaleDateString("en-GB", { day: "numeric", month: 
 /** The name that the visitor chose, or null. The server accepts no other form. */
 export const nameOf = () => recall(NAME)?.match(/^[\p{L}\p{N}_-]{1,20}$/u)?.[0] ?? null;
 
-/** The visitor's best results: lists of map, score, optimum, pilot of the network and its score; oldest first. */
+/** The visitor's best results: lists of map, score and optimum; oldest first. */
 function results() {
   try {
     return JSON.parse(recall(BEST)).filter(([map, score]) => typeof map === "string" && score <= 1);
@@ -65,37 +62,31 @@ function ownDays() {
 export function mountByHand(root, context, race, acts) {
   const { api, stage } = context;
   let [today, best, drawn] = [null, null, ""];
-  root.append(document.getElementById("by-hand").content);
-  const head = root.querySelector("h2");
-  const figures = root.querySelector("dl");
-  const [record, unlisted, about] = root.querySelectorAll("p");
-  const list = root.querySelector("ol");
+  const [head, figures, record, unlisted, list] = root.querySelectorAll("h2, dl, .own-days, #unlisted, ol");
+  const refused = root.querySelector("#refused-name");
   const field = root.querySelector("input");
   field.value = nameOf() ?? "";
   field.addEventListener("change", rename);
-  unlisted.textContent = UNLISTED;
-  about.textContent = ABOUT;
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
 
   function rename() {
     field.value = field.value.trim();
     const fits = field.checkValidity();
-    about.role = fits ? null : "alert";
-    setText(about, fits ? ABOUT : REFUSED);
+    refused.hidden = fits;
     // An invalid name is no name, rather than the one before.
     remember(NAME, field.value);
     // A refused one stays in sight, to be corrected.
     if (fits) field.blur();
     if (race.mine?.steps === 0) acts.reset();
     else if (fits) toast("Used from your next flight on.");
-    if (!fits) about.scrollIntoView({ block: "nearest" });
+    if (!fits) refused.scrollIntoView({ block: "nearest" });
   }
 
   /** Keeps the result of a flight without values, undo and forks. */
   function keep({ annotation, plain, brought }) {
     if (!annotation || brought || !plain || best?.[1] >= annotation.score) return;
-    best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
+    best = [map(), annotation.score, annotation.optimal_score];
     remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }
 
@@ -106,13 +97,11 @@ export function mountByHand(root, context, race, acts) {
     if (root.hidden) return;
     if (race.own) keep(race.own);
     unlisted.hidden = !race.own || race.own.plain;
-    const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${dayOf(new Date(day.date))}` : "By hand";
     const shown = [
       [race.own?.name, race.own?.annotation?.score],
       ["Your best", best?.[1]],
-      ["Possible", optimum ?? best?.[2]],
-      [context.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
+      ["Possible", track.annotation?.optimal_score ?? best?.[2]],
       ["Best today", day?.best[0]?.score],
     ];
     const now = JSON.stringify([title, shown, day?.best]);
