@@ -167,9 +167,6 @@ def test_a_message_moves_nothing_and_covers_no_button_of_a_flight(beside: Callab
 def test_the_range_of_the_battery_is_an_outline_and_the_signs_keep_their_strength(page: Page) -> None:
     show(page, "/?task=skyline_hard&seed=7&pilot=greedy&step=12")
     expect_step(page, 12, 160)
-    for name in ("Best flight", "Best moves"):
-        if box(page, name).is_visible():
-            box(page, name).uncheck()
     cells = page.locator("#boards .map-cells")
     inked = "canvas => { const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
         return data.filter((value, i) => i % 4 === 3 && value > 0).length / (canvas.width * canvas.height); }"

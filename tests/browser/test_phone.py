@@ -7,7 +7,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.conftest import lent
 from tests.browser.shown import box, expect_step, measured, pictures
-from tests.browser.stage import at_its_end, ended, enter, fly, show, standings, view
+from tests.browser.stage import at_its_end, ended, fly, show, standings, view
 from tests.browser.tabs import NARROW, Tabs
 
 PIXELS_PER_PIXEL = 2
@@ -117,17 +117,6 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
 
 
-def test_a_name_that_is_refused_stays_in_sight(phone: Page) -> None:
-    show(phone, "/?task=easy&seed=5&pilot=human")
-    expect_step(phone, 0, 60)
-    name = phone.locator("#name")
-    enter(name, "two words")
-    expect(phone.get_by_role("alert").filter(has_text="at most 20 letters")).to_be_in_viewport(ratio=1)
-    expect(name).to_be_focused()
-    enter(name, "Ada")
-    expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
-
-
 def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) -> None:
     def place() -> tuple[float, float, float]:
         """Left, top and width of the city."""
@@ -161,12 +150,3 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
     phone.evaluate("scrollTo(0, 0)")
     assert place() == whole
-
-
-def test_a_city_fills_its_place_above_its_attribution(phone: Page) -> None:
-    show(phone, "/?task=city_small&seed=142&pilot=human")
-    expect_step(phone, 0, 160)
-    expect(phone.get_by_role("button", name="Zoom out")).to_be_disabled()  # all parcels are in view
-    city, credit = box(phone, "#boards .map-air"), box(phone, ".credit a")
-    assert min(city.width, city.height) > 300
-    assert credit.top >= city.top + city.height

@@ -9,7 +9,7 @@ from drone_env.core.episode import Episode
 from drone_env.flights.record import record_of
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
-from tests.browser.flights import fill, flown, frames, get, posted
+from tests.browser.flights import fill, flown, get, posted
 from tests.browser.shown import expect_step, lost, painted, points
 from tests.browser.stage import ended, fly, keys, over, pilot, press, show, slider, standings, until
 
@@ -115,31 +115,6 @@ def test_a_fork_has_its_values_and_link(page: Page, beside: Callable[..., Page],
     expect(page).to_have_url(f"{link}&ended=23")
     page.reload()
     expect(standing(page, "PathQNet").first).to_have_text("23")
-
-
-def test_while_a_race_is_on_parcels_count_not_promises(page: Page, server: Server) -> None:
-    flights = {NAMES[agent]: frames(server, flown("hard", 7, agent)) for agent in NAMES}
-
-    def parcels(name: str, step: int) -> int:
-        flight = flights[name]
-        return flight[min(step, len(flight) - 1)]["deliveries_done"]
-
-    def rank(name: str, step: int) -> tuple[float, ...]:
-        """Parcels, then the score of a flight that delivered them all, else how early it had them."""
-        done = parcels(name, step)
-        early = -next(at for at in range(step + 1) if parcels(name, at) == done)
-        return done, flights[name][-1]["score"] if done == 5 else early
-
-    over(page, 7, f"/?task=hard&seed=7&pilots={','.join(NAMES)}&step=999")
-    ended(page)
-    names, seen = standings(page).get_by_role("rowheader"), set[str]()
-    listed = [*NAMES.values()]
-    for step in (0, 10, 20, 40, len(flights["Greedy"])):
-        slider(page).fill(str(step))
-        ranked = sorted(listed, key=lambda name: rank(name, step), reverse=True)
-        expect(names).to_have_text(ranked)
-        seen.add(" ".join(ranked))
-    assert len(seen) > 2, seen
 
 
 def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
