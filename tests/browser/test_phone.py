@@ -3,7 +3,7 @@
 from collections.abc import Generator
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 from tests.browser.conftest import lent
 from tests.browser.shown import box, expect_step, measured, pictures
@@ -150,3 +150,20 @@ def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) ->
     expect(phone.locator(".plan-bar")).to_be_in_viewport(ratio=1)
     phone.evaluate("scrollTo(0, 0)")
     assert place() == whole
+
+
+def test_nothing_moves_when_the_font_comes_late(shared: Tabs) -> None:
+    page, held = shared.open(viewport={"width": 844, "height": 390}), list[Route]()
+    page.route("**/*.woff2", lambda route, _: held.append(route))
+    page.goto("/", wait_until="commit")
+    expect_step(page, 0, 100)
+    for route in held:
+        route.continue_()
+    pictures(page)  # drawn with the font
+    shift: float = page.evaluate(
+        """() => new Promise(done => new PerformanceObserver(list => done(list.getEntries().map(({ value }) => value)))
+            .observe({ type: "layout-shift", buffered: true }) || setTimeout(done, 500, []))
+            .then(shifts => shifts.reduce((sum, value) => sum + value, 0))"""
+    )
+    assert (len(held) > 0, shift <= 0.02) == (True, True), shift
+    page.context.close()

@@ -5,12 +5,6 @@ import { el } from "./dom.js";
 /** The size of a figure on the sheet, in cells. */
 const FIELD = 1.8;
 const KEPT = 400;
-const CORNERS = [
-  [-1, -1],
-  [1, -1],
-  [-1, 1],
-  [1, 1],
-];
 
 /** The positions [x, y] of each kind on the sheet; a building has several. */
 const places = new Map();
@@ -72,7 +66,8 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
   ctx.lineWidth = Math.max(1.2, size * 0.05);
   const rotor = size * 0.23;
   ctx.beginPath();
-  for (const [sx, sy] of CORNERS) {
+  for (let corner = 0; corner < 4; corner++) {
+    const [sx, sy] = [corner % 2 ? 1 : -1, corner < 2 ? -1 : 1];
     const [cx, cy] = [sx * 0.3 * size, sy * 0.3 * size];
     const turn = spin * sx * sy;
     const [dx, dy] = [Math.cos(turn) * rotor * 0.8, Math.sin(turn) * rotor * 0.8];

@@ -13,23 +13,25 @@ export function mountMoves(root, context) {
   let shown = null;
   let annotation = null;
   let calls = null;
-  let announced = 0;
   /** The button of each step from 1 on; a loop has one for all its steps. @type {HTMLElement[]} */
   let buttons = [];
 
   function draw() {
     const { track, clock } = stage;
     const news = track?.annotation !== annotation || track?.calls !== calls;
-    if (track !== shown || news || (track && buttons.length > track.steps)) {
+    const anew = track !== shown || news || (track && buttons.length > track.steps);
+    if (anew) {
       shown = track;
       annotation = track?.annotation;
       calls = track?.calls;
       buttons = [];
       list.replaceChildren();
       summary.replaceChildren(...(annotation ? counts(track) : []));
-      announced = track?.steps ?? 0;
     }
     if (!track) return;
+    // The card announces the end of the flight, the map in words each move of the visitor.
+    const isNew = !anew && buttons.length < track.steps && track.live && !track.done && !track.byHand;
+    if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
     while (buttons.length < track.steps) {
       const frame = track.frames[buttons.length + 1];
       const loop = loopAt(track, frame.step);
@@ -37,10 +39,6 @@ export function mountMoves(root, context) {
       list.append(el(loop ? "li.loop" : "li", button));
       for (let step = frame.step; step <= (loop?.last ?? frame.step); step++) buttons.push(button);
     }
-    // The card announces the end of the flight, the map in words each move of the visitor.
-    const isNew = track.live && !track.done && !track.byHand && track.steps > announced;
-    if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
-    announced = track.steps;
     const step = Math.min(clock.cursor, track.steps);
     mark(buttons[step - 1] ?? null);
     setText(detail, describe(track, step));
