@@ -40,8 +40,8 @@ def save(page: Page, name: str) -> None:
     """Save a screenshot after the animations have ended."""
     page.wait_for_timeout(700)
     taken = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    # 256 colours cut the size to a third. MAXCOVERAGE keeps the rare colours of the pilots.
-    few = taken.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    # 256 colours cut the size to a third. MAXCOVERAGE would give light grounds a pink cast.
+    few = taken.quantize(256, method=Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE)
     few.save(IMAGES / f"dashboard-{name}.png", optimize=True)
 
 

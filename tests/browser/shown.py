@@ -125,18 +125,16 @@ def notes(page: Page) -> list[list[str]]:
     return [text.split("\n") for text in texts]
 
 
-def painted(canvas: Locator, *names: str, across: float | None = None) -> list[str]:
-    """Those of some colours of the style sheet that a canvas shows, or one column of its pixels does."""
+def painted(canvas: Locator, *names: str) -> list[str]:
+    """Those of some colours of the style sheet that a canvas shows."""
     return canvas.evaluate(
-        """async (canvas, [names, across]) => {
+        """async (canvas, names) => {
             for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
             const { width, height } = canvas;
             const picture = (...size) => new OffscreenCanvas(...size).getContext("2d", { willReadFrequently: true });
             const copy = picture(width, height);
             copy.drawImage(canvas, 0, 0);
-            // A graph has a margin of two pixels.
-            const part = across === null ? [0, 0, width] : [Math.round(2 + across * (width - 4)), 0, 1];
-            const there = new Set(new Uint32Array(copy.getImageData(...part, height).data.buffer));
+            const there = new Set(new Uint32Array(copy.getImageData(0, 0, width, height).data.buffer));
             const pen = picture(1, 1);
             const style = getComputedStyle(document.documentElement);
             return names.filter(name => {
@@ -145,5 +143,5 @@ def painted(canvas: Locator, *names: str, across: float | None = None) -> list[s
                 return there.has(new Uint32Array(pen.getImageData(0, 0, 1, 1).data.buffer)[0]);
             });
         }""",
-        [list(names), across],
+        list(names),
     )

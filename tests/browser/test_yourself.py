@@ -10,7 +10,7 @@ from drone_env.flights.record import record_of
 from drone_env.planning.optimal import solve
 from tests.api.serving import Server
 from tests.browser.flights import frames, newest
-from tests.browser.shown import at, box, counter, expect_flying, expect_frame, expect_step, notes, painted, pictures
+from tests.browser.shown import at, box, counter, expect_flying, expect_frame, expect_step, pictures
 from tests.browser.stage import (
     FASTEST,
     along,
@@ -25,7 +25,6 @@ from tests.browser.stage import (
     press,
     slider,
     standings,
-    until,
 )
 from tests.browser.test_several import KEYS
 
@@ -61,13 +60,11 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     expect_frame(page, next(flight), 60)
     # Outside the buttons, which react to the space bar themselves.
     page.locator("#step-counter").click()
-    for name in ("ArrowDown", "d", " "):
+    for name in ("ArrowDown", "d", " ", "ArrowUp"):
         page.keyboard.press(name)
         expect_frame(page, next(flight), 60)
     # Nobody else flies, so there is no speed to choose.
     expect(page.locator("#speed")).to_be_hidden()
-    page.keyboard.press("ArrowUp")
-    expect_frame(page, next(flight), 60)
     # After a click on the graph, the arrows still fly.
     slider(page).click(position=at(slider(page), 0.99))
     page.keyboard.press("ArrowRight")
@@ -80,8 +77,6 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     expect_flying(page, "You")
     along(page, "Random").press(" ")
     other, person = (standings(page).filter(has_text=name) for name in ("Random", "You"))
-    expect(other.get_by_role("cell").nth(3)).to_have_text("0.0")
-    expect(page.locator(".plan-choices")).to_be_visible()
     expect(page.locator(".hint")).to_contain_text("Press Start (Enter) to start the race.")
     press(page, "Step")
     expect(standings(page).get_by_role("rowheader")).to_have_text(["You", "Random"])
@@ -97,11 +92,12 @@ def test_others_move_along_with_a_person_who_can_still_win_all_and_end_by_themse
     page.keyboard.press("ArrowLeft")
     expect_step(page, 2, 60, "LEFT")
     expect(speed).to_have_value("6")
-    # Once the others have ended, no pilot is left that flies by itself.
+    # Who has delivered ranks before a flight that could still score most. At last no pilot flies by itself.
     at_speed(page, FASTEST)
     page.locator("#step-counter").click()
     page.keyboard.press("Enter")
     expect(page.locator("#start")).to_be_hidden()
+    expect(standings(page).get_by_role("rowheader")).to_have_text(["Random", "You"])
 
 
 def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Server) -> None:
@@ -133,7 +129,7 @@ def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Ser
     assert counter(page) == len(way)
     for key in set(way):
         page.keyboard.up(key)
-    # One wait too many does not replay the flight, until the visitor does something else.
+    # One wait too many does not replay the flight.
     page.keyboard.press(" ")
     pictures(page)
     assert counter(page) == len(way)
@@ -157,11 +153,7 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     expect(moves(page)).to_have_count(1)
     choices(page)
     map_number(page).fill("99")
-    for ask in (
-        lambda: page.keyboard.press("Enter"),
-        lambda: pilot(page, "Greedy").click(),
-        lambda: page.keyboard.press("n"),
-    ):
+    for ask in (lambda: page.keyboard.press("Enter"), lambda: pilot(page, "Greedy").click()):
         ask()
         question(page).get_by_role("button", name="Keep flying").click()
         expect(question(page)).to_be_hidden()
@@ -171,10 +163,6 @@ def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Pag
     keys(page, *way[1:])
     expect(ended(page)).to_contain_text("You: All parcels delivered.")
     assert newest(server, 8)["agent"] == "human with undo"
-    # A flight that has ended is stored: the page does not ask.
-    page.keyboard.press("n")
-    expect_step(page, 0, 60)
-    expect(map_number(page)).not_to_have_value(re.compile("^8?$"))
 
 
 def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_could_be_won(page: Page) -> None:
@@ -200,29 +188,11 @@ def test_an_empty_battery_is_explained_and_the_flight_goes_on_from_where_it_coul
     press(page, "Try again from step 6")
     expect_step(page, 6, 60, "RIGHT")
     expect(page).to_have_url(re.compile("pilot=human&of=human~~u&actions=LRLRLR$"))
+    assert side.evaluate("side => side.scrollTop") == 0
     keys(page, *["ArrowLeft", "ArrowRight"] * 3)
     ended(page)
-    side.evaluate("side => side.scrollTo(0, 999)")
-    page.locator("#start-over").dispatch_event("click")
-    expect_step(page, 0, 60)
-    expect(page).to_have_url(re.compile("pilot=human$"))
-    assert side.evaluate("side => side.scrollTop") == 0
-    keys(page, *["ArrowLeft", "ArrowRight"] * 6)
     at_speed(page, FASTEST)
     press(page, "Watch Tournet")
     expect_flying(page, "Tournet")
     ended(page)
     expect(page.locator("#watch, #start-over, #undoes").filter(visible=True)).to_have_count(0)
-
-
-def test_cells_show_what_they_cost_beside_the_drone_and_under_the_pointer(page: Page) -> None:
-    over(page, 152, "/?task=skyline_easy&seed=152&pilot=human")
-    expect_step(page, 0, 60)
-    # Beside the drone are a pad and an obstacle.
-    air = page.locator("#boards .map-air")
-    until(page, lambda: painted(air, "--good", "--bad") == ["--bad"])
-    words = {line for lines in notes(page) for line in lines}
-    assert {"Pad: costs 1 unit, each wait charges 4", "Obstacle: closed", "Road: costs 1 unit"} <= words
-    # The charge is marked only above the pad.
-    page.keyboard.press("ArrowLeft")
-    until(page, lambda: painted(air, "--good") == ["--good"])

@@ -10,11 +10,19 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
     ? HTMLElementTagNameMap[Tag]
     : HTMLElement;
 
+/** What scripts look for by class or id is HTML. */
+interface ParentNode {
+  querySelector<Name extends keyof HTMLElementTagNameMap>(selector: Name): HTMLElementTagNameMap[Name] | null;
+  querySelector(selector: string): HTMLElement | null;
+  querySelectorAll<Name extends keyof HTMLElementTagNameMap>(selector: Name): NodeListOf<HTMLElementTagNameMap[Name]>;
+  querySelectorAll<Found extends HTMLElement = HTMLElement>(selector: string): NodeListOf<Found>;
+}
+
 /** The elements of index.html. */
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
   getElementById(
-    id: "api" | "by-hand" | "calls" | "draw" | "lessons" | "pad" | "plan" | "playback" | "thinking",
+    id: "api" | "calls" | "draw" | "fly" | "lessons" | "plan",
   ): HTMLTemplateElement;
   getElementById(
     id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
@@ -135,13 +143,9 @@ interface Layer {
 /** What a start flies. */
 interface Start {
   setup: Partial<Address>;
-  /** Finished flights to show beside them. */
+  /** Flights to show beside them: finished ones, and in a fork those of its pilots. */
   beside: Track[];
-  /** The pilots of the setup that still fly. */
-  flown: string[];
   /** The visitor's first changes: moves, `UNDO` and `VALUES`. */
   moves: string[];
 }
 
-/** `play`: whether to play at once. */
-type StartOptions = Partial<Omit<Start, "setup">> & { play?: boolean };

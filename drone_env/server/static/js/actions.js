@@ -1,7 +1,6 @@
 // The actions of Fly, for buttons and keys.
 import { ask, leaveFocus, toast } from "./dom.js";
 import { variants } from "./format.js";
-import { SPEEDS } from "./stage.js";
 
 /** @param {Context} context @param {Race} race */
 export function actionsOf(context, race) {
@@ -21,17 +20,8 @@ export function actionsOf(context, race) {
     const past = world && !race.shown && { task: world.task.short_name, seed: world.seed, profile: world.reward_profile, pilots };
     return givingUp(() => race.start({ ...past, ...change }, how), yes);
   }
-  const acts = {
-    /** The label of the start button, and whether something plays. @returns {[string, boolean]} */
-    word() {
-      if (clock.playing) return ["Pause", true];
-      if (!stage.goesOn) return ["Replay", false];
-      return [clock.cursor > 0 ? "Resume" : "Start", false];
-    },
-    toggle() {
-      if (clock.playing) clock.stop();
-      else clock.play();
-    },
+  return {
+    toggle: () => (clock.playing ? clock.stop() : clock.play()),
     first: () => clock.goTo(0),
     back: () => clock.goTo(clock.cursor - 1),
     last: () => clock.goTo(clock.newest()),
@@ -44,16 +34,13 @@ export function actionsOf(context, race) {
     reset: () => start({ ghost: race.setup.ghost }, { beside: race.setup.ghost ? race.newest.beside : [] }, "Start over"),
     newMap: () => variants(stage.world?.task) && start({ seed: null }),
     start,
-    fork(options) {
+    /** Leaves the selected flight at the present step, by this action if there is one. */
+    fork(action = null) {
       const { track } = stage;
       if (!track || race.atHand || track.frameAt(clock.cursor).done) return;
       // The next key is for the drone, not for the pressed button.
       leaveFocus();
-      givingUp(() => race.fork(track, Math.min(clock.cursor, track.steps), options));
-    },
-    faster(by) {
-      const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];
-      if (speed) clock.setSpeed(speed);
+      givingUp(() => race.fork(track, Math.min(clock.cursor, track.steps), action));
     },
     /** Shows or hides a layer. If the visitor flies, the record notes that values were shown. */
     flick(layer) {
@@ -66,5 +53,4 @@ export function actionsOf(context, race) {
       if (shown && layer.needsValues) race.help();
     },
   };
-  return acts;
 }

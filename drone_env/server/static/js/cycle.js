@@ -1,32 +1,27 @@
-// After a flight over a standard task, the next task starts by itself unless the visitor stays.
+// After the flights of pilots over a standard task, the next task starts by itself unless the visitor stays.
 import { nextFrame, recall, remember } from "./base.js";
-import { announce, el, leaveFocus, setText } from "./dom.js";
+import { announce, setText } from "./dom.js";
 import { title } from "./format.js";
 import { nextTask } from "./results.js";
 
-/** Keys of the visitor's choices: "on" or "off" after flights of pilots, and after flights by hand. */
-const PILOTS = "drone-env-cycle-pilots";
-const PEOPLE = "drone-env-cycle-people";
+/** Key of the visitor's choice: "on" or "off". */
+const CYCLE = "drone-env-cycle-pilots";
 const SECONDS = 5;
 
 /** @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountCycle(root, context, race) {
   const { stage, router } = context;
-  const tasks = context.families.get("standard") ?? [];
-  const text = el("span.note");
-  const button = el("button.button.small", { id: "stay", press: choose });
-  root.append(text, button);
+  const [text, button] = root.children;
   let left = 0;
   let timer = 0;
 
-  const byHand = () => race.human >= 0;
-  const isOn = () => (byHand() ? recall(PEOPLE) === "on" : recall(PILOTS) !== "off");
+  const isOn = () => recall(CYCLE) !== "off";
   const next = () => nextTask(context.families, stage.world.task);
   /** Whether the flights on the stage have just been flown here, and the visitor looks at their end. */
   function isOver() {
     const { clock, over, world } = stage;
-    const flown = race.shown && over && race.setup.fork === null && !race.tracks.some(({ brought }) => brought);
-    return flown && tasks.includes(world.task) && !race.starting && !router.address.lesson && !clock.playing && clock.following;
+    const flown = race.shown && over && race.human < 0 && !race.starting && !race.tracks.some(({ brought }) => brought);
+    return flown && world.task.family === "standard" && !router.address.lesson && !clock.playing && clock.following;
   }
 
   function count(seconds) {
@@ -41,22 +36,18 @@ export function mountCycle(root, context, race) {
     if (!isOver() || !shown) count(0);
     // A hidden page waits for its visitor.
     else if (left > 1 || document.hidden) count(document.hidden ? left : left - 1);
-    else flyNext();
+    else {
+      const task = next();
+      count(0);
+      const pilots = race.setup.pilots.filter((id) => race.flies(id, task));
+      race.start({ task: task.short_name, seed: null, pilots }, { play: true });
+    }
   }
 
-  function flyNext() {
-    const task = next();
-    const pilots = race.setup.pilots.filter((id) => race.flies(id, task));
-    if (byHand()) leaveFocus();
-    count(0);
-    race.start({ task: task.short_name, seed: null, pilots }, { play: !byHand() });
-  }
-
-  function choose() {
-    const on = !isOn();
-    remember(byHand() ? PEOPLE : PILOTS, on ? "on" : "off");
-    count(on ? SECONDS : 0);
-  }
+  button.addEventListener("click", () => {
+    remember(CYCLE, isOn() ? "off" : "on");
+    count(isOn() ? SECONDS : 0);
+  });
 
   function draw() {
     root.hidden = !isOver() || (isOn() && !left);

@@ -1,7 +1,7 @@
 // Draw: a map editor. The server computes the optimum, stores the map as a task and writes its file.
 import { ApiError, tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
-import { mountBoards } from "./boards.js";
+import { mountBoard } from "./board.js";
 import { Camera } from "./camera.js";
 import { add } from "./context.js";
 import { download, el, icon, onPress, setText, toast } from "./dom.js";
@@ -63,7 +63,7 @@ export function mount(root, context) {
   root.classList.add("draw");
   /** @type {HTMLElement} */
   const middle = root.querySelector(".middle");
-  const board = mountBoards(middle, own);
+  const board = mountBoard(middle, own);
   /** @type {HTMLElement} */
   const grid = middle.querySelector(".boards");
   Object.assign(grid, { id: "drawing", tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });

@@ -5,12 +5,6 @@ import { el } from "./dom.js";
 /** The size of a figure on the sheet, in cells. */
 const FIELD = 1.8;
 const KEPT = 400;
-const CORNERS = [
-  [-1, -1],
-  [1, -1],
-  [-1, 1],
-  [1, 1],
-];
 
 /** The positions [x, y] of each kind on the sheet; a building has several. */
 const places = new Map();
@@ -72,7 +66,8 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
   ctx.lineWidth = Math.max(1.2, size * 0.05);
   const rotor = size * 0.23;
   ctx.beginPath();
-  for (const [sx, sy] of CORNERS) {
+  for (let corner = 0; corner < 4; corner++) {
+    const [sx, sy] = [corner % 2 ? 1 : -1, corner < 2 ? -1 : 1];
     const [cx, cy] = [sx * 0.3 * size, sy * 0.3 * size];
     const turn = spin * sx * sy;
     const [dx, dy] = [Math.cos(turn) * rotor * 0.8, Math.sin(turn) * rotor * 0.8];
@@ -87,35 +82,25 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
 
 /** Brackets around the current target. @param {number} breath In [0, 1], widens them. */
 export function drawTarget(ctx, x, y, cell, breath, colour) {
-  const half = cell * (0.47 + 0.07 * breath);
-  const end = half - cell * 0.2;
+  const side = cell * (0.94 + 0.14 * breath);
+  const corner = cell * 0.2;
   ctx.strokeStyle = colour;
   ctx.lineWidth = Math.max(1.5, cell * 0.08);
   ctx.lineCap = "square";
-  ctx.beginPath();
-  for (const [sx, sy] of CORNERS) {
-    ctx.moveTo(x + sx * half, y + sy * end);
-    ctx.lineTo(x + sx * half, y + sy * half);
-    ctx.lineTo(x + sx * end, y + sy * half);
-  }
-  ctx.stroke();
+  ctx.setLineDash([2 * corner, side - 2 * corner]);
+  ctx.lineDashOffset = corner;
+  ctx.strokeRect(x - side / 2, y - side / 2, side, side);
+  ctx.setLineDash([]);
 }
 
 export function drawArrow(ctx, x1, y1, x2, y2, width) {
   const length = Math.hypot(x2 - x1, y2 - y1);
   if (length < 1) return;
-  const head = Math.min(length, width * 2.2);
+  const neck = length - Math.min(length, width * 2.2);
   ctx.save();
   ctx.translate(x1, y1);
   ctx.rotate(Math.atan2(y2 - y1, x2 - x1));
-  ctx.beginPath();
-  for (const side of [-1, 1]) {
-    ctx.moveTo(0, 0);
-    ctx.lineTo(0, side * width * 0.35);
-    ctx.lineTo(length - head, side * width * 0.5);
-    ctx.lineTo(length - head, side * width * 1.25);
-    ctx.lineTo(length, 0);
-  }
-  ctx.fill();
+  const [tail, shaft, head] = [0.35, 0.5, 1.25].map((share) => share * width);
+  ctx.fill(new Path2D(`M0 ${-tail}L${neck} ${-shaft}V${-head}L${length} 0L${neck} ${head}V${shaft}L0 ${tail}z`));
   ctx.restore();
 }

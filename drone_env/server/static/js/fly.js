@@ -1,76 +1,78 @@
 // Fly: a map with live or finished flights; assembles plan, map, controls and instruments.
 import { actionsOf } from "./actions.js";
-import { mountBoards } from "./boards.js";
+import { mountBoard } from "./board.js";
 import { mountCalls } from "./calls.js";
+import { mountCellNote, mountTextMap } from "./cells.js";
 import { mountControls } from "./controls.js";
 import { mountCycle } from "./cycle.js";
 import { el } from "./dom.js";
-import { Race } from "./race.js";
 import { help } from "./help.js";
-import { mountHint } from "./hint.js";
-import { mountGauges, mountInstruments } from "./instruments.js";
+import { explain, FlightHistory, mountFiles, mountRecord } from "./history.js";
+import { mountGauges, mountInstruments, mountLivePoints } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
+import { mountLegend } from "./legend.js";
 import { mountLesson } from "./lessons.js";
-import { mountCellNote } from "./layer_costs.js";
-import { mountCredit } from "./legend.js";
-import { mountMapValues, mountSwitches } from "./map_values.js";
+import { mountMapValues, mountSwitches, mountThinking } from "./map_values.js";
 import { mountMoves } from "./moves.js";
-import { explain, mountFiles, mountRecord, FlightHistory } from "./history.js";
+import { mountPictures } from "./picture.js";
 import { mountPlan } from "./plan.js";
-import { mountLivePoints, mountMeaning } from "./points_bar.js";
+import { Race } from "./race.js";
+import { mountResults } from "./results.js";
 import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
-import { mountResults } from "./results.js";
-import { mountThinking } from "./thinking.js";
 import { mountByHand } from "./today.js";
 
-/** Fills an empty element, as every `mountX(root, context, ...)` does. @param {HTMLElement} root @param {Context} context */
+/** Fills an element, as every `mountX(root, context, ...)` does. @param {HTMLElement} root @param {Context} context */
 export function mountFly(root, context) {
   const { router, stage } = context;
   const race = new Race(context);
   const history = new FlightHistory(context);
   const acts = actionsOf(context, race);
 
-  const plan = el("section.plan", { "aria-label": "Flight plan" });
-  const bar = el("div.plan-bar", plan);
-  const middle = el("div.middle", bar);
-  const side = el("aside.side", { "aria-label": "Flight data" });
-  const below = (name, mount, ...more) => mounted(middle, `div.${name}`, mount, ...more);
-  const panel = (name, mount, ...more) => mounted(side, `section.panel.${name}`, mount, ...more);
-  function mounted(parent, tag, mount, ...more) {
-    const node = el(tag);
-    parent.append(node);
-    return mount(node, context, ...more);
-  }
-  root.replaceChildren(middle, side);
+  root.replaceChildren(document.getElementById("fly").content);
+  const bar = root.querySelector(".plan-bar");
+  const side = root.querySelector(".side");
+  const alert = root.querySelector(".problem");
+  /** Mounts one part of the view. */
+  const part = (selector, mount, ...more) => mount(root.querySelector(selector), context, ...more);
 
-  const choices = mountPlan(plan, context, race, acts);
-  mountFiles(choices, history, (message) => problem(message));
-  mounted(bar, "div.gauges", mountGauges);
-  mounted(side, "div.lesson-bar", mountLesson);
-  const problem = below("problems", mountProblem, race);
-  below("boards-panel", mountBoards);
-  mountCellNote(middle.querySelector(".map"), context);
-  mountCredit(context);
-  mountMeaning(context);
-  below("hint", mountHint, race);
-  panel("results", mountResults, race, acts);
-  mounted(side.lastElementChild, "div.results-next", mountCycle, race);
-  panel("human", mountHuman, race);
-  panel("live-points", mountLivePoints);
-  panel("controls-panel", mountControls, race, acts);
-  panel("by-hand-panel", mountByHand, race, acts);
-  panel("standings-panel", mountStandings);
-  panel("instruments", mountInstruments);
-  panel("layers-panel", mountSwitches, acts);
-  panel("thinking", mountThinking, race, acts);
-  panel("calls", mountCalls);
-  panel("moves-panel", mountMoves);
-  panel("record-panel", mountRecord);
+  const choices = part(".plan", mountPlan, race, acts);
+  mountFiles(choices, history, problem);
+  part(".gauges", mountGauges);
+  part(".lesson-bar", mountLesson);
+  part(".boards-panel", mountBoard);
+  part(".map", mountCellNote);
+  part(".hint", mountLegend, race);
+  part(".results", mountResults, race, acts);
+  part(".results-next", mountCycle, race);
+  part(".human", mountHuman, race);
+  part(".live-points", mountLivePoints);
+  part(".controls-panel", mountControls, race, acts);
+  part(".by-hand-panel", mountByHand, race, acts);
+  part(".standings-panel", mountStandings);
+  part(".instruments", mountInstruments);
+  part(".layers-panel", mountSwitches, acts);
+  part(".map-in-words", mountTextMap);
+  part(".buttons", mountPictures);
+  part(".thinking", mountThinking, race, acts);
+  part(".calls", mountCalls);
+  part(".moves-panel", mountMoves);
+  part(".record-panel", mountRecord);
   const show = () => help(context);
   mountKeys(context, race, acts, show);
   document.getElementById("help-button").addEventListener("click", show);
   mountMapValues(context);
+
+  /** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {string|null} message */
+  function problem(message) {
+    alert.hidden = message === null;
+    if (message === null) return;
+    // The open choices would cover it.
+    bar.querySelector("details").open = false;
+    const another = el("button.button.small", { text: "Fly another map", press: () => race.start({ seed: null }) });
+    alert.replaceChildren(message, " ", ...(stage.tracks.length ? [] : [another]));
+  }
+  race.on("refused", problem);
 
   /** Loads something else than the live flights, which pause. @returns {Promise<boolean>} Whether it succeeded. */
   async function open(load) {
@@ -158,7 +160,7 @@ export function mountFly(root, context) {
         if (address.ghost) base.colour = "--ink-3";
         // Both fly over one map, whatever the address says.
         const { task, seed } = base.opening;
-        race.start({ ...wanted, task: context.task(task).short_name, seed }, { beside: [base], flown: wanted.pilots.slice(-1) });
+        race.start({ ...wanted, task: context.task(task).short_name, seed }, { beside: [base] });
         explain(context, base);
       });
     }
@@ -177,21 +179,4 @@ export function mountFly(root, context) {
     root.classList.toggle("empty", !stage.track);
     if (isShown()) router.moment(present());
   });
-}
-
-/** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {HTMLElement} root @param {Context} context @param {Race} race */
-function mountProblem(root, { stage }, race) {
-  const text = el("p.problem", { role: "alert", hidden: true });
-  const another = el("button.button.small", { text: "Fly another map", press: () => race.start({ seed: null }) });
-  root.append(text);
-  /** @param {string|null} message */
-  function show(message) {
-    text.hidden = message === null;
-    if (message === null) return;
-    // The open choices would cover it.
-    root.parentElement.querySelector("details").open = false;
-    text.replaceChildren(message, " ", ...(stage.tracks.length ? [] : [another]));
-  }
-  race.on("refused", show);
-  return show;
 }

@@ -18,31 +18,25 @@ const FLY = {
 /** @param {Context} context @param {Race} race */
 export function mountKeys(context, race, acts, help) {
   const { camera, stage } = context;
-  const see = (by) => camera.nearer(by) && context.emit("camera");
-  const pan = (x, y) => {
-    camera.pan(-2 * x, -2 * y);
-    context.emit("camera");
-  };
   const KEYS = {
     " ": acts.toggle,
     Enter: acts.toggle,
     ".": acts.forward,
     n: acts.newMap,
     r: acts.reset,
-    f: acts.fork,
+    f: () => acts.fork(),
     u: acts.undo,
-    Backspace: acts.undo,
-    ">": () => acts.faster(1),
-    "<": () => acts.faster(-1),
-    "+": () => see(1),
-    "=": () => see(1),
-    "-": () => see(-1),
+    "+": () => context.emit("camera", camera.nearer(1)),
+    "-": () => context.emit("camera", camera.nearer(-1)),
     ArrowLeft: acts.back,
     ArrowRight: acts.forward,
     Home: acts.first,
     End: acts.last,
   };
-  for (const [arrow, way] of Object.entries(FLY)) if (STEP[way]) KEYS[`Shift${arrow}`] = () => pan(...STEP[way]);
+  for (const arrow of Object.keys(FLY).slice(0, 4)) {
+    const [x, y] = STEP[FLY[arrow]];
+    KEYS[`Shift${arrow}`] = () => context.emit("camera", camera.pan(-2 * x, -2 * y));
+  }
   for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
 
@@ -55,7 +49,7 @@ export function mountKeys(context, race, acts, help) {
     flown = "";
   });
   const leave = ({ target }, what) => pointed && target.matches(what) && target.blur();
-  document.addEventListener("click", (event) => leave(event, "input[type=radio], input[type=range]"));
+  document.addEventListener("click", (event) => leave(event, "input[type=range]"));
   document.addEventListener("focusin", () => (clicked = pointed));
   document.addEventListener("change", (event) => leave(event, "select"));
 
@@ -65,7 +59,7 @@ export function mountKeys(context, race, acts, help) {
     const flies = clicked && race.byHand && context.view === "fly";
     const { target } = event;
     // The speed box takes no arrow from the drone.
-    if (flies && (event.key === " " ? isPressed(event) : target instanceof HTMLSelectElement && event.key in FLY)) leaveFocus();
+    if (flies && (event.key === " " ? isPressed(target) : target instanceof HTMLSelectElement && event.key in FLY)) leaveFocus();
     else if (taken(event)) return;
     if (event.key === "?") {
       help();
@@ -86,39 +80,31 @@ export function mountKeys(context, race, acts, help) {
   });
 }
 
-const isPressed = ({ target }) => target.matches("button, summary, input[type=checkbox]");
+const isPressed = (target) => target.matches("button, summary, input[type=checkbox]");
 
 /** Whether the focused element handles the key. */
-function taken(event) {
-  const { target, key } = event;
+function taken({ target, key }) {
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
-  if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
-  if (target.matches("input[type=radio]")) return arrow || key === " ";
+  if (target.matches("input[type=range], .moves, pre")) return arrow;
   if (target.matches("a")) return key === "Enter";
-  return isPressed(event) && (key === " " || key === "Enter");
+  return isPressed(target) && (key === " " || key === "Enter");
 }
 
 const SWIPE = 24;
 
-/** The pad, for touch and mouse. @param {HTMLElement} root @param {Context} context @param {Race} race */
+/** The pad, for touch and mouse, and swipes on the map. @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountHuman(root, context, race) {
-  root.append(document.getElementById("pad").content);
-  for (const button of root.querySelectorAll("button")) {
-    button.addEventListener("click", () => race.fly(button.dataset.direction));
-  }
+  for (const button of root.querySelectorAll("button")) button.addEventListener("click", () => race.fly(button.dataset.direction));
 
   function update() {
     root.hidden = !race.mine;
     document.body.classList.toggle("human-flies", !root.hidden);
   }
-
   race.on("setup", update);
   context.stage.on("change", update);
-  listenToSwipes(document.getElementById("boards"), race);
-}
 
-function listenToSwipes(boards, race) {
+  const boards = document.getElementById("boards");
   let from = null;
   boards.addEventListener("pointerdown", (event) => {
     from = event.isPrimary && event.pointerType !== "mouse" ? [event.clientX, event.clientY] : null;

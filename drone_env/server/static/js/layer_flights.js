@@ -4,8 +4,6 @@ import { drawArrow, drawDrone, drawFigure, drawTarget } from "./figures.js";
 
 export const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
 const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
-/** The number of highlighted steps behind the selected drone. */
-const RECENT = 5;
 const SMALLEST_DRONE = 22;
 const LARGE_DRONE = 56;
 const SMALLEST_PARCEL = 18;
@@ -28,26 +26,15 @@ export function drawTrails(ctx, view) {
   const { layout, clock, track } = view;
   const { cell, scale } = layout;
   ctx.lineCap = ctx.lineJoin = "round";
+  ctx.lineWidth = Math.max(THIN * scale, 0.1 * cell);
+  ctx.globalAlpha = 0.55;
   inOrder(view).forEach((one, i) => {
-    const aside = one === track ? 0 : (i + 1) * ASIDE;
-    const end = Math.min(Math.floor(clock.position), one.steps);
-    const here = middle(layout, one.at(clock.position));
+    const aside = one === track ? 0 : (i + 1) * ASIDE * cell;
+    const at = { ...layout, left: layout.left + aside, top: layout.top + aside };
     ctx.strokeStyle = colourOf(one.colour);
-    ctx.globalAlpha = one === track ? 0.42 : 0.5;
-    // The path is in units of cells.
-    ctx.setTransform(cell, 0, 0, cell, layout.left + aside * cell, layout.top + aside * cell);
-    ctx.lineWidth = Math.max((THIN * scale) / cell, 0.09);
-    ctx.stroke(one.wayTo(end));
-    ctx.setTransform(1, 0, 0, 1, 0, 0);
-    if (one !== track) return;
     ctx.beginPath();
-    ctx.moveTo(...middle(layout, one.at(end)));
-    ctx.lineTo(...here);
-    ctx.stroke();
-    ctx.lineWidth = Math.max(THIN * scale, cell * 0.13);
-    ctx.beginPath();
-    for (let k = Math.max(0, end - RECENT); k <= end; k++) ctx.lineTo(...middle(layout, one.at(k)));
-    ctx.lineTo(...here);
+    for (const { x, y } of one.frames.slice(0, clock.position + 1)) ctx.lineTo(...middle(at, [x, y]));
+    ctx.lineTo(...middle(at, one.at(clock.position)));
     ctx.stroke();
   });
   ctx.globalAlpha = 1;

@@ -1,10 +1,8 @@
 // Layers per cell: the best moves, and the range of the battery.
-import { colourOf, font } from "./base.js";
+import { colourOf } from "./base.js";
 import { ARROWS } from "./format.js";
 import { middle, pointTo, STEP } from "./layer_flights.js";
 
-/** The minimum size of a cell in CSS pixels that shows the units left there. */
-const WRITTEN = 32;
 /** The opacity of the colour of a cell that loses nothing, and what the largest loss adds: the map stays visible. */
 const WASH = [0.1, 0.3];
 /** The actions in the order of the values. */
@@ -56,8 +54,8 @@ function drawMove(ctx, layout, action, x, y) {
   ctx.fill();
 }
 
-/** An outline between the cells in reach and the others, with the battery units left there unless a visitor flies. */
-export function drawRange(ctx, { stage, world, track, layout, names }) {
+/** An outline between the cells in reach and the others. */
+export function drawRange(ctx, { stage, world, layout, names }) {
   const range = stage.values?.answer?.range;
   if (!range) return;
   const { cell, left, top, scale } = layout;
@@ -78,10 +76,4 @@ export function drawRange(ctx, { stage, world, track, layout, names }) {
   };
   stroke(5, "--map-ground");
   stroke(2.5, "--range");
-  if (track.byHand || cell < WRITTEN * scale) return;
-  ctx.fillStyle = colourOf("--ink");
-  ctx.font = font(Math.round(cell * 0.26));
-  ctx.textAlign = "right";
-  ctx.textBaseline = "bottom";
-  eachCell(range, (units, x, y) => ctx.fillText(String(units), left + (x + 0.94) * cell, top + (y + 0.98) * cell));
 }

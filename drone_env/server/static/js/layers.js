@@ -1,9 +1,7 @@
 // The layers of a map, from the ground up. To add a layer, add an entry here.
-import { drawBlocks } from "./blocks.js";
 import { drawCity, drawSigns, isJoined } from "./layer_city.js";
-import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
-import { drawNames, drawScale } from "./layer_names.js";
+import { drawBlocks, drawNames, drawScale } from "./layer_places.js";
 import { drawRange, drawValues } from "./layer_values.js";
 
 /** @type {Layer[]} */
@@ -23,7 +21,7 @@ export const LAYERS = [
     id: "range",
     place: "cells",
     name: "Battery range",
-    hint: "The cells in reach of the battery, with the units left there",
+    hint: "An outline around the cells in reach of the battery",
     key: "b",
     on: ({ stage }) => stage.track?.byHand ?? false,
     when: ({ world }) => Boolean(world?.task.pads),
@@ -54,5 +52,4 @@ export const LAYERS = [
     draw: drawThoughts,
   },
   { id: "drones", place: "air", draw: drawDrones },
-  { id: "costs", place: "air", draw: drawCosts },
 ];

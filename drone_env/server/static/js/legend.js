@@ -1,20 +1,37 @@
-// What cells cost, below the map; the figures of the kinds of cells; and the attribution of a map's data.
-import { el } from "./dom.js";
+// Below the map: what cells cost, how to fly, and the attribution of its data; and the figures of the kinds of cells.
+import { TOUCH } from "./base.js";
+import { el, setText } from "./dom.js";
 import { drawFigure } from "./figures.js";
 import { isJoined } from "./layer_city.js";
 
 const SIDE = 24;
 const OPEN_STREET_MAP = "https://www.openstreetmap.org/copyright";
 const KINDS = ["road", "tree", "building", "obstacle"];
+const FLY = TOUCH ? " Swipe on the map to fly." : " Fly with the arrow keys.";
+const RACE = "Press Start (Enter) to start the race. Or just fly: then the others move when you move.";
 
-/** The numbers of a map's task: `road 1 · tree 2 · building 3 · barricade closed · pad +4 · any order`. @param {HTMLElement} root @param {Context} context */
-export function mountLegend(root, { stage }) {
-  const list = el("ul.legend", { "aria-label": "Battery units of a step" });
-  root.append(list);
-  stage.on("load", () => list.replaceChildren(...itemsOf(stage.world)));
+/** @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountLegend(root, { stage }, race) {
+  const [list, what, how] = root.children;
+  const credit = el("p.credit", { hidden: true });
+  document.querySelector(".boards-field").append(credit);
+  stage.on("load", () => {
+    const { attribution } = stage.world.task;
+    list.replaceChildren(...itemsOf(stage.world));
+    credit.hidden = !attribution;
+    const about = attribution.includes("OpenStreetMap");
+    credit.replaceChildren(about ? el("a", { href: OPEN_STREET_MAP, rel: "external", text: attribution }) : attribution);
+  });
+  stage.on("change", () => {
+    const waits = race.mine?.steps === 0;
+    setText(what, waits && stage.goesOn && !stage.clock.playing ? RACE : "");
+    setText(how, race.shown && race.human >= 0 ? FLY : "");
+    // It keeps its place: the map does not move at the first step.
+    how.classList.toggle("gone", !waits);
+  });
 }
 
-/** @param {World} world */
+/** The numbers of a map's task: `road 1 · tree 2 · building 3 · barricade closed · pad +4 · any order`. @param {World} world */
 function itemsOf(world) {
   const { drain, impassable, pads, charge_rate: charge } = world.task;
   const joined = isJoined(world);
@@ -27,18 +44,6 @@ function itemsOf(world) {
   });
   const costs = equal ? [item(`each step ${drain.road}`), item("buildings are scenery here")] : kinds;
   return [...costs, ...(pads ? [item(`pad +${charge}`, drawSign("pad"))] : []), item("any order", drawSign("parcel"))];
-}
-
-/** The attribution below the map. @param {Context} context */
-export function mountCredit({ stage }) {
-  const credit = el("p.credit", { hidden: true });
-  document.querySelector(".boards-field").append(credit);
-  stage.on("load", () => {
-    const { attribution } = stage.world.task;
-    credit.hidden = !attribution;
-    const about = attribution.includes("OpenStreetMap");
-    credit.replaceChildren(about ? el("a", { href: OPEN_STREET_MAP, rel: "external", text: attribution }) : attribution);
-  });
 }
 
 /** The figure of a kind of cell on a canvas of 24 by 24. */

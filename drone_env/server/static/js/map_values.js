@@ -1,11 +1,9 @@
-// The layers of the map: their switches, and the answers of `POST /values` for the present moment.
+// The answers of `POST /values` for the present moment: the layers of the map, and the table of moves.
 import { tried } from "./api.js";
 import { el, setText } from "./dom.js";
-import { points } from "./format.js";
+import { fixed, isLost, points } from "./format.js";
 import { spanOf } from "./layer_values.js";
 import { LAYERS } from "./layers.js";
-import { mountPictures } from "./picture.js";
-import { mountTextMap } from "./text_map.js";
 
 const KEPT = 60;
 /** Milliseconds between a new moment and its request. */
@@ -24,8 +22,7 @@ export function mountMapValues(context) {
     if (!track) return null;
     const range = context.shows("range");
     if (track.secret) return range ? "range" : null;
-    const values = LAYERS.some(({ id, needsValues }) => needsValues && context.shows(id));
-    if (track.provenance.values_used || track.forkedAt !== null || range || values) return "values";
+    if (track.provenance.values_used || track.forkedAt !== null || range || context.shows("values")) return "values";
     return frame.done || frame.value === null || clock.playing ? null : "moves";
   }
 
@@ -50,14 +47,13 @@ export function mountMapValues(context) {
       look();
       return;
     }
-    const { world, track, actions, moment: key } = stage;
+    const { world, actions, moment: key } = stage;
     const flight = { task: world.task.id, seed: world.seed, actions, only: what === "values" ? null : what };
     asking = true;
     const answer = await tried(() => api.post("values", flight)).finally(() => (asking = false));
     // A rejected request is not repeated.
     if (cached.size === KEPT) cached.delete(cached.keys().next().value);
     cached.set(`${what} ${key}`, answer);
-    if (answer && wanted() === what && stage.track === track && !stage.answer) show({ key, what, answer });
     look();
   }
 
@@ -75,17 +71,14 @@ export function mountMapValues(context) {
 /** The switches of the layers. @param {HTMLElement} root @param {Context} context */
 export function mountSwitches(root, context, acts) {
   const { stage } = context;
+  const [switches, scale, note] = root.querySelectorAll(".switches, .scale, #unsolved");
   const rows = LAYERS.filter(({ name }) => name).map((layer) => {
     const box = el("input", { type: "checkbox", id: `layer-${layer.id}`, on: { change: () => acts.flick(layer) } });
     const key = el("kbd", { text: layer.key.toUpperCase(), "aria-hidden": "true" });
     return { layer, box, node: el("label.switch", { title: layer.hint }, box, el("span", { text: layer.name }), key) };
   });
-  const note = el("p.note", { id: "unsolved", role: "status" });
-  const scale = el("p.scale", el("span"), el("i", { "aria-hidden": "true" }), el("span"));
-  root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), note);
+  switches.append(...rows.map(({ node }) => node));
   rows[0].node.after(scale);
-  mountTextMap(root, context);
-  mountPictures(root, context);
 
   function draw() {
     root.hidden = !stage.world;
@@ -97,12 +90,44 @@ export function mountSwitches(root, context, acts) {
     scale.hidden = !cells || !context.shows("values");
     if (!scale.hidden) {
       const { most, least } = spanOf(cells.values);
-      setText(scale.firstChild, `best cell ${points(most)}`);
-      setText(scale.lastChild, `worst ${points(least)}`);
+      setText(scale.firstElementChild, `best cell ${points(most)}`);
+      setText(scale.lastElementChild, `worst ${points(least)}`);
     }
     setText(note, unsolved ?? "");
   }
 
   stage.on("change", draw);
   context.on("layers", draw);
+}
+
+/** The table of the moves from here: the network's values, and the score that stays possible. @param {HTMLElement} root @param {Context} context @param {Race} race */
+export function mountThinking(root, { stage }, race, acts) {
+  const table = root.querySelector("table");
+  const rows = [...table.tBodies[0].rows];
+  const ask = root.querySelector("button");
+  ask.addEventListener("click", () => race.help());
+  // A move continues the visitor's own flight, or forks another one.
+  for (const { dataset, cells } of rows) {
+    cells[0].firstElementChild.addEventListener("click", () => (race.atHand ? race.fly(dataset.action) : acts.fork(dataset.action)));
+  }
+
+  stage.on("change", () => {
+    const { track, frame, answer } = stage;
+    root.hidden = !track;
+    if (!track) return;
+    const network = frame.q_values;
+    table.classList.toggle("unweighed", !track.weighed);
+    const exact = frame.done ? null : (answer?.q_values ?? null);
+    for (const { dataset, cells, classList } of rows) {
+      const [name, value, possible, loss] = cells;
+      const lost = exact && Math.max(...Object.values(exact)) - exact[dataset.action];
+      setText(value, network ? fixed(network[dataset.action], 3) : "–");
+      setText(possible, exact ? points(exact[dataset.action]) : "–");
+      setText(loss, exact ? (isLost(lost) ? points(lost) : "0") : "–");
+      value.classList.toggle("best", network !== null && network[dataset.action] === Math.max(...Object.values(network)));
+      classList.toggle("best", exact !== null && !isLost(lost));
+      name.querySelector("button").disabled = frame.done;
+    }
+    ask.hidden = !track.secret;
+  });
 }

@@ -9,30 +9,29 @@ const QUIET = new Set(["step", "wait", null]);
 /** @param {HTMLElement} root @param {Context} context */
 export function mountMoves(root, context) {
   const { stage } = context;
-  const summary = el("div.accuracy");
-  const list = el("ol.moves", { id: "moves", "aria-label": "Moves" });
-  const detail = el("p.note.move-detail", { id: "move-detail", "aria-live": "off" });
-  root.append(el("h2.eyebrow", { text: "Moves" }), summary, list, detail);
+  const [summary, list, detail] = root.querySelectorAll("div, ol, p");
   let shown = null;
   let annotation = null;
   let calls = null;
-  let announced = 0;
   /** The button of each step from 1 on; a loop has one for all its steps. @type {HTMLElement[]} */
   let buttons = [];
 
   function draw() {
     const { track, clock } = stage;
     const news = track?.annotation !== annotation || track?.calls !== calls;
-    if (track !== shown || news || (track && buttons.length > track.steps)) {
+    const anew = track !== shown || news || (track && buttons.length > track.steps);
+    if (anew) {
       shown = track;
       annotation = track?.annotation;
       calls = track?.calls;
       buttons = [];
       list.replaceChildren();
       summary.replaceChildren(...(annotation ? counts(track) : []));
-      announced = track?.steps ?? 0;
     }
     if (!track) return;
+    // The card announces the end of the flight, the map in words each move of the visitor.
+    const isNew = !anew && buttons.length < track.steps && track.live && !track.done && !track.byHand;
+    if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
     while (buttons.length < track.steps) {
       const frame = track.frames[buttons.length + 1];
       const loop = loopAt(track, frame.step);
@@ -40,10 +39,6 @@ export function mountMoves(root, context) {
       list.append(el(loop ? "li.loop" : "li", button));
       for (let step = frame.step; step <= (loop?.last ?? frame.step); step++) buttons.push(button);
     }
-    // The card announces the end of the flight.
-    const isNew = track.live && !track.done && track.steps > announced;
-    if (isNew && !QUIET.has(track.last.event)) announce(track.last.message);
-    announced = track.steps;
     const step = Math.min(clock.cursor, track.steps);
     mark(buttons[step - 1] ?? null);
     setText(detail, describe(track, step));
@@ -60,23 +55,20 @@ export function mountMoves(root, context) {
   }
 
   const moveButton = ({ step, action, event, message }, { label = "", mark = "" } = {}) =>
-    entry(step, { label, event }, `Step ${step}, ${action}${label && `, ${label}`}`, message, String(step), ARROWS[action] ?? action, mark);
+    entry(step, `Step ${step}, ${action}${label && `, ${label}`}`, { label, event }, message, step, ARROWS[action], mark);
 
   function loopButton({ first, last, actions, label, mark, words }) {
-    const rounds = counted((last - first + 1) / actions.length, "time");
-    const arrows = `${actions.map((action) => ARROWS[action]).join(" ")} × ${(last - first + 1) / actions.length}`;
-    const name = `Steps ${first} to ${last}, ${actions.join(", ")}, ${rounds}: ${words}`;
-    return entry(first, { label: label ?? "" }, name, words, `${first} to ${last}`, arrows, mark);
+    const rounds = (last - first + 1) / actions.length;
+    const name = `Steps ${first} to ${last}, ${actions.join(", ")}, ${counted(rounds, "time")}: ${words}`;
+    const arrows = `${actions.map((action) => ARROWS[action]).join(" ")} × ${rounds}`;
+    return entry(first, name, { label: label ?? "" }, words, `${first} to ${last}`, arrows, mark);
   }
 
-  const entry = (step, data, name, title, steps, arrows, mark) =>
-    el(
-      "button.move",
-      { data, "aria-label": name, title, press: () => stage.clock.goTo(step) },
-      el("span.move-step", { text: steps }),
-      el("span.move-arrow", { text: arrows }),
-      el("span.move-mark", { text: mark }),
-    );
+  /** The texts are the steps, the arrows and the mark. */
+  function entry(step, name, data, title, ...texts) {
+    const parts = ["step", "arrow", "mark"].map((part, i) => el(`span.move-${part}`, { text: texts[i] }));
+    return el("button.move", { data, "aria-label": name, title, press: () => stage.clock.goTo(step) }, ...parts);
+  }
 
   stage.on("change", draw);
 }

@@ -1,8 +1,7 @@
 // The map as an image, and its flights as a film.
-import { tried } from "./api.js";
 import { colourOf, font } from "./base.js";
 import { fitted } from "./camera.js";
-import { download, el, setText } from "./dom.js";
+import { download, el, onPress, setText } from "./dom.js";
 import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 
@@ -10,17 +9,14 @@ import { LAYERS } from "./layers.js";
 const IMAGE = { side: 1200, scale: 2 };
 const FILM = { side: 480, scale: 1 };
 const LINE = 20;
-/** Pictures of a film at most: longer flights skip steps. */
-const MOST = 240;
 const MILLISECONDS = 125;
 const REST = 2000;
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountPictures(root, context) {
   const { stage } = context;
-  const image = el("button.button.small", { id: "save-image", text: "Save image", press: () => tried(saveImage) });
-  const film = el("button.button.small", { id: "save-film", text: "Save film", press: () => tried(saveFilm) });
-  root.append(el("p.buttons", image, film));
+  const [image, film] = root.querySelectorAll("button");
+  onPress(root, { "save-image": saveImage, "save-film": saveFilm });
   let saving = false;
   const name = (suffix) => `drone-${stage.world.task.short_name}-${stage.world.seed}.${suffix}`;
 
@@ -44,15 +40,13 @@ export function mountPictures(root, context) {
       const palette = quantize(new Uint8Array([...draw(0), ...draw(steps)]), 255);
       const unchanged = palette.push([0, 0, 0]) - 1;
       const gif = GIFEncoder();
-      const every = Math.ceil(steps / MOST);
       let before = null;
-      for (let step = 0; ; step = Math.min(step + every, steps)) {
+      for (let step = 0; step <= steps; step++) {
         const now = applyPalette(draw(step), palette);
         const index = before ? now.map((colour, i) => (colour === before[i] ? unchanged : colour)) : now;
         const options = { transparent: Boolean(before), transparentIndex: unchanged, dispose: 1 };
         gif.writeFrame(index, width, height, { ...options, palette: before ? null : palette, delay: step < steps ? MILLISECONDS : REST });
         before = now;
-        if (step === steps) break;
         setText(film, `Film: ${Math.floor((100 * step) / steps)} %`);
         await new Promise((resolve) => setTimeout(resolve));
       }
@@ -76,8 +70,8 @@ export function mountPictures(root, context) {
 function painter(context, { side, scale }, layers) {
   const { stage } = context;
   const { world, track, tracks } = stage;
-  const lines = world.task.attribution ? 2 : 1;
-  const canvas = el("canvas", { width: side, height: side + (lines * LINE + 8) * scale });
+  const { attribution } = world.task;
+  const canvas = el("canvas", { width: side, height: side + ((attribution ? 3 : 2) * LINE + 8) * scale });
   const ctx = canvas.getContext("2d", { willReadFrequently: true });
   const size = { width: side, height: side, scale };
   const view = { size, stage, world, track, tracks, names: context.names, layout: fitted(world, size), spin: 0, breath: 0 };
@@ -87,8 +81,6 @@ function painter(context, { side, scale }, layers) {
   };
   const ground = el("canvas", { width: side, height: side });
   paint(ground.getContext("2d"), "ground");
-  const left = `${title(world.task.short_name)}, map ${world.seed}: ${track.name}`;
-
   function draw(step) {
     const clock = { cursor: step, position: step };
     ctx.setTransform(1, 0, 0, 1, 0, 0);
@@ -100,16 +92,15 @@ function painter(context, { side, scale }, layers) {
     ctx.globalAlpha = 1;
     ctx.font = font(13 * scale);
     ctx.textBaseline = "alphabetic";
-    const frame = track.frameAt(step);
-    const write = (text, align, line, colour) => {
-      ctx.fillStyle = colourOf(colour);
-      ctx.textAlign = align;
-      ctx.fillText(text, align === "left" ? 8 * scale : side - 8 * scale, side + line * LINE * scale, side / 2 - 12 * scale);
-    };
-    write(left, "left", 1, "--ink");
-    const { step: at, battery_units: units, deliveries_done: done } = frame;
-    write(`step ${at} · battery ${units} of ${world.battery_capacity} · ${done} of ${world.parcels.length} parcels`, "right", 1, "--ink");
-    if (lines > 1) write(world.task.attribution, "left", 2, "--ink-2");
+    ctx.textAlign = "left";
+    ctx.fillStyle = colourOf("--ink");
+    const { step: at, battery_units: units, deliveries_done: done } = track.frameAt(step);
+    const texts = [
+      `${title(world.task.short_name)}, map ${world.seed}: ${track.name}`,
+      `step ${at} · battery ${units} of ${world.battery_capacity} · ${done} of ${world.parcels.length} parcels`,
+      attribution,
+    ];
+    texts.forEach((text, i) => ctx.fillText(text, 8 * scale, side + (i + 1) * LINE * scale));
     return ctx.getImageData(0, 0, side, canvas.height).data;
   }
   return { canvas, draw };

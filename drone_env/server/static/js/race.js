@@ -5,7 +5,7 @@ import { toast } from "./dom.js";
 import { sentence } from "./format.js";
 import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
-import { nameOf, UNLISTED } from "./today.js";
+import { nameOf } from "./today.js";
 import { readProvenance, Track, unweighed, writeProvenance } from "./track.js";
 
 /** Key of the ids of the last flights that this visitor has flown by hand, and how many are kept. */
@@ -31,7 +31,7 @@ export class Race extends Emitter {
     this.stage = context.stage;
     const setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
     /** The last start that was answered. @type {Start} */
-    this.started = { setup, beside: [], flown: [], moves: [] };
+    this.started = { setup, beside: [], moves: [] };
     /** The start that waits for its answer, or null. @type {Start|null} */
     this.starting = null;
     /** The flights that this page has started. @type {Track[]} */
@@ -86,7 +86,7 @@ export class Race extends Emitter {
 
   /** Whether keys fly: in the flight that is shown, or in one that is starting. */
   get byHand() {
-    return this.starting ? this.starting.flown.includes(this.person.id) : this.mine !== null;
+    return this.starting ? this.setup.pilots.includes(this.person.id) : this.mine !== null;
   }
 
   /** The flight that is selected unless the address says otherwise. */
@@ -145,15 +145,15 @@ export class Race extends Emitter {
   }
 
   /**
-   * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped.
-   * @param {Partial<Address>} change @param {StartOptions} how
+   * Starts other flights: `change` replaces parts of the present setup; forks and moments are dropped. `play`: at once.
+   * @param {Partial<Address>} change @param {Partial<Start> & {play?: boolean}} how
    */
-  async start(change = {}, { play = false, beside = [], flown = null, moves = [] } = {}) {
+  async start(change = {}, { play = false, beside = [], moves = [] } = {}) {
     const { task, seed, profile, pilots } = this.setup;
     // If the server rejects the start, the present flights stay, paused.
     this.stage.clock.stop();
     const setup = this.complete({ task, seed, profile, pilots, ...change });
-    const start = (this.starting = { setup, beside, flown: flown ?? setup.pilots, moves: [...moves] });
+    const start = (this.starting = { setup, beside, moves: [...moves] });
     this.emit("setup");
     const { api, server } = this.context;
     /** @type {Track[]} */
@@ -174,7 +174,9 @@ export class Race extends Emitter {
 
   request() {
     const { task, seed, profile, fork, actions, of } = this.setup;
-    const request = { task, seed, reward_profile: profile, pilots: this.newest.flown, name: nameOf() };
+    // Pilots whose flights stay fly on.
+    const pilots = this.setup.pilots.slice(this.staying().length);
+    const request = { task, seed, reward_profile: profile, pilots, name: nameOf() };
     // The visitor's own flight continues as a fork in which all moves are the visitor's.
     if (fork === null && of === null) return request;
     const flown = [...(actions ?? "")].map((one) => LETTERS[one] ?? one);
@@ -195,30 +197,28 @@ export class Race extends Emitter {
     }
   }
 
-  /** Forks a flight at a step: `pilot` flies on beside it, starting with `action`. */
-  fork(track, step, { pilot = this.person.id, action = null } = {}) {
-    const { world } = this.stage;
-    // A fork of a fork is shown beside the flights of the first fork.
-    const kept = (one) => one !== track && (one.past || one.forkedAt === null);
-    const left = track === this.forked ? this.stage.tracks.filter(kept) : [track];
-    // Automatic pilots repeat their flights when the link is opened; any other flight must be stored.
-    const again = left.filter((one) => one.automatic && !one.past && one.forkedAt === null);
-    const along = again.filter((one) => !one.done);
-    const stored = left.find((one) => !again.includes(one));
-    const idsOf = (tracks) => [...tracks.map((one) => one.pilot), pilot];
+  /** The flights of pilots that stay beside a fork. A link to it contains them. */
+  staying({ setup, beside } = this.newest) {
+    return setup.fork === null ? [] : beside.filter((track) => track.again);
+  }
+
+  /** Leaves a flight at a step for a flight of the visitor, which is shown beside it. @param {string|null} action The first one. */
+  fork(track, step, action) {
+    const { world, tracks } = this.stage;
+    // A fork of a fork is also beside what the first one left.
+    const beside = [...(track === this.forked ? tracks.filter(({ forkedAt }) => forkedAt === null) : []), track];
+    const stored = beside.find((one) => one.episode && !one.again);
     const change = {
       task: world.task.short_name,
       seed: world.seed,
       profile: world.reward_profile,
-      pilots: idsOf([...again.filter((one) => one.done), ...along]),
-      episode: stored?.episode?.id ?? null,
+      pilots: [...beside.filter((one) => one.again).map(({ pilot }) => pilot), this.person.id],
+      episode: stored?.episode.id ?? null,
       fork: step,
       actions: track.lettersTo(step),
       of: writeProvenance(track.provenance),
     };
-    const play = this.context.pilot(pilot).automatic;
-    const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
-    this.start(change, { play, beside, flown: idsOf(along), moves: action ? [action] : [] });
+    this.start(change, { beside, moves: action ? [action] : [] });
   }
 
   /** Flies one move of the visitor, or takes one back; paused pilots take one step each. */
@@ -255,7 +255,7 @@ export class Race extends Emitter {
       const answer = await this.context.server.post("flights/change", { version: track.version, change }, { session });
       const { frame, version, values_used, undo_used, episode } = answer;
       if (!this.tracks.includes(track)) return;
-      if (change === "UNDO" && track.plain) toast(UNLISTED);
+      if (change === "UNDO" && track.plain) toast("Flights with Undo are not listed and not kept as your best.");
       Object.assign(track, { version, stored: episode });
       Object.assign(track.provenance, { values_used, undo_used });
       track.frames.splice(frame.step, Infinity, unweighed(frame));
@@ -282,8 +282,8 @@ export class Race extends Emitter {
     }
     track.opening.session = null;
     toast("The server has ended this flight. It starts again.");
-    const { setup, beside, flown } = this.newest;
-    this.start({ ...setup, ...this.linkParts }, { play: this.shown && this.stage.clock.playing, beside, flown, moves });
+    const { setup, beside } = this.newest;
+    this.start({ ...setup, ...this.linkParts }, { play: this.shown && this.stage.clock.playing, beside, moves });
   }
 
   tracksOf(flights) {
@@ -310,32 +310,30 @@ export class Race extends Emitter {
     this.weigh(track);
   }
 
-  unloaded(track, error) {
-    if (!this.tracks.includes(track)) return;
-    track.coming = false;
-    this.stage.changed(track);
-    this.emit("refused", worded(error));
-  }
-
   begin(tracks, play) {
-    const { setup, beside, flown, moves } = this.starting;
+    const { setup, beside, moves } = this.starting;
     const { fork, step, selected: chosen } = setup;
-    this.started = this.starting;
+    const staying = this.staying();
+    this.started = { setup, beside: beside.filter((track) => !staying.includes(track)), moves };
     this.starting = null;
-    this.leave(this.tracks);
-    this.tracks = tracks;
-    for (const track of beside) track.live = false;
+    this.leave(this.tracks.filter((track) => !staying.includes(track)));
+    this.tracks = [...staying, ...tracks];
+    for (const track of this.started.beside) track.live = false;
     const { seed, task } = tracks[0].opening;
     const { short_name } = this.context.task(task);
-    const rest = setup.pilots.slice(0, setup.pilots.length - flown.length);
-    Object.assign(setup, { seed, task: short_name, pilots: [...rest, ...tracks.map(({ pilot }) => pilot)] });
+    Object.assign(setup, { seed, task: short_name, pilots: this.tracks.map(({ pilot }) => pilot) });
     this.show(step, chosen - 1);
     this.emit("setup");
     this.emit("begun");
     this.noteEnds();
     for (const track of tracks) {
       if (!track.coming) this.weigh(track);
-      else this.load(track).catch((error) => this.unloaded(track, error));
+      else
+        this.load(track).catch((error) => {
+          track.coming = false;
+          this.stage.changed(track);
+          if (this.tracks.includes(track)) this.emit("refused", worded(error));
+        });
     }
     // A fork always shows values.
     if (fork !== null) this.help();

@@ -1,8 +1,8 @@
 // Mission Results: a card over the map at the end of a flight of this page, else the first panel beside it.
 import { nextFrame, TOUCH } from "./base.js";
-import { announce, bring, el, fact, icon, keepFocus, leaveFocus } from "./dom.js";
+import { announce, bring, el, fact, leaveFocus, onPress, setText } from "./dom.js";
 import { counted, fixed, optimumOf, outcome, percent, points, pointsBetween, signed, title } from "./format.js";
-import { pointsBar } from "./points_bar.js";
+import { drawPoints } from "./instruments.js";
 import { placeOf } from "./standings.js";
 import { writeProvenance } from "./track.js";
 
@@ -13,23 +13,26 @@ const ROOMY = matchMedia("(min-width: 1000px) and (min-height: 600px)");
 /** Widths of the card over the map, and its distance from the edge and from the last cell. */
 const [NARROWEST, WIDEST, GAP] = [260, 380, 12];
 const MOST_BUTTONS = 3;
-const CROSS = "M6 6l12 12M18 6L6 18";
-const UNDOES = "Trying again counts as Undo: not listed, not kept as your best.";
 
 /** @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountResults(root, context, race, acts) {
   const { stage } = context;
-  const first = el("div.results-first");
-  const rest = el("div.results-rest");
-  root.append(first, rest);
-  root.setAttribute("aria-labelledby", "results-name results-title");
+  const [heading, hero, best, parts, place, reason, worst, ways, undoes, efficiency, analysis] = root.querySelectorAll(
+    "h3, .hero-number, .hero-of, .score-parts, #place, .results-reason, #worst, .results-actions, #undoes, #efficiency-parts, #analysis",
+  );
+  const [again, watch, over, next] = ways.querySelectorAll("button");
   const view = document.getElementById("view-fly");
-  let figures = null;
-  let placed = { x: 0, y: 0, width: 0, height: 0 };
-  /** The flight whose card the visitor has closed. */
-  let closed = null;
+  /** The flight that the card has announced, and the one whose card the visitor has closed. */
+  let [met, closed] = [null, null];
   const isOver = () => root.classList.contains("over");
-  race.on("ended", (track) => track === stage.track && nextFrame(() => isOver() || bring(first)));
+  onPress(root, {
+    "close-results": dock,
+    worst: () => stage.clock.goTo(stage.track.worst.first - 1),
+    again: () => tryAgain(context, race, acts),
+    watch: () => acts.start({ pilots: race.able(stage.world.task).slice(0, 1) }, { play: true }),
+    "start-over": acts.reset,
+    next: () => goOn(context, race, acts),
+  });
 
   /** Puts the card beside the map for good. */
   function dock() {
@@ -41,125 +44,98 @@ export function mountResults(root, context, race, acts) {
   });
 
   /**
-   * Places the card over the map on the side of the last cell that has more room; without room it is beside the map.
-   * While the visitor looks back, it hides from a drone that is under it.
+   * Places the card over the map on the side of the last cell that has more room. Without room, and while the visitor
+   * looks back, it is beside the map.
    */
-  function put({ layout, size, track, clock }) {
+  context.on("drawn", ({ layout, size, track, clock }) => {
+    if (root.hidden) return;
     const map = document.getElementById("boards").getBoundingClientRect();
-    const column = clock.following ? track.last.x : track.at(clock.position)[0];
-    const left = (layout.left + column * layout.cell) / size.scale;
+    const left = (layout.left + track.last.x * layout.cell) / size.scale;
     const right = map.width - left - layout.cell / size.scale;
-    if (!clock.following && isOver()) {
-      const { x, width } = placed;
-      root.classList.toggle("away", x + width > map.left + left && x < map.right - right);
-      return;
-    }
     const width = Math.min(WIDEST, Math.max(left, right) - 2 * GAP);
-    const over = !track.brought && stage.over && closed !== track && ROOMY.matches && width >= NARROWEST;
-    root.classList.toggle("over", over);
-    root.classList.remove("away");
+    const ends = !track.brought && stage.over && clock.following && closed !== track;
+    root.classList.toggle("over", ends && ROOMY.matches && width >= NARROWEST);
     const x = left > right ? map.left + GAP : map.right - GAP - width;
-    placed = { x, y: map.top + GAP, width, height: map.height - 2 * GAP };
-    for (const [name, value] of Object.entries(placed))
-      root.style.setProperty(`--card-${name}`, `${Math.round(value)}px`);
-  }
-  context.on("drawn", (drawn) => root.hidden || put(drawn));
+    const card = { x, y: map.top + GAP, width, height: map.height - 2 * GAP };
+    for (const [name, value] of Object.entries(card)) root.style.setProperty(`--card-${name}`, `${Math.round(value)}px`);
+  });
 
-  function draw() {
+  stage.on("change", () => {
     const { track } = stage;
-    const hidden = !track || !(track.done || track.past);
-    if (root.hidden !== hidden) root.hidden = hidden;
-    if (hidden) return;
-    root.dataset.outcome = track.last.outcome;
-    const { annotation, unexplained, name, last } = track;
-    if (changed("reason", annotation) && annotation?.why) announce(annotation.why);
-    if (changed("head", track, annotation, unexplained, name, optimumOf(track), placeOf(stage)))
-      keepFocus(root, () => first.replaceChildren(...headOf(track), actionsOf(track), ...noteOf(track)));
-    const { task } = stage.world;
-    const told = figures?.task === task.id ? figures : null;
-    if (changed("rest", track, told))
-      rest.replaceChildren(efficiencyOf(last), ...(told ? [statistics(told, title(task.short_name))] : []));
-    if (changed("flight", track)) meet(track);
-  }
+    root.hidden = !track || !(track.done || track.past);
+    if (root.hidden) return;
+    const { annotation, name, last } = track;
+    const optimum = optimumOf(track);
+    root.dataset.outcome = last.outcome;
+    setText(heading, `${name}: ${outcome(last)}.`);
+    setText(hero, points(last.score));
+    setText(best, optimum === null ? "" : ` / ${points(optimum)} possible`);
+    drawPoints(parts, partsOf(last, optimum));
+    setText(place, placeOf(stage));
+    if (annotation?.why && reason.textContent !== whyOf(track)) announce(annotation.why);
+    setText(reason, whyOf(track));
+    worst.hidden = !track.worst;
+    if (track.worst) setText(worst, worstOf(annotation, track.frames[track.worst.first].action));
+    drawWays(track);
+    if (met !== track) meet(track);
+  });
 
-  /** Whether a part of the card depends on something else than when it was drawn: a pressed button must stay. */
-  const seen = {};
-  function changed(part, ...now) {
-    const same = seen[part]?.every((one, i) => one === now[i]);
-    seen[part] = now;
-    return !same;
+  /** At most three ways on, the first of which stands out. */
+  function drawWays(track) {
+    const { annotation, automatic, last, done, forkedAt } = track;
+    const delivered = last.outcome === "delivered";
+    const own = !automatic && forkedAt === null;
+    const after = nextTask(context.families, stage.world.task);
+    const step = stepToTry(track);
+    const verb = annotation?.why ? (automatic ? "Try it yourself" : "Try again") : "Try";
+    setText(again, `${verb} from ${step ? `step ${step}` : "the start"}`);
+    setText(next, `Next: ${title(after.short_name)}`);
+    const [pilot] = race.able(stage.world.task);
+    if (pilot) setText(watch, `Watch ${context.pilot(pilot).name}`);
+    // Another move in the document would take its focus away.
+    if (delivered !== (ways.firstElementChild === next)) ways.insertBefore(next, delivered ? again : null);
+    const offered = new Map([
+      [again, track.worst || (annotation?.unsolved && !delivered)],
+      [watch, own && pilot],
+      [over, own && (!annotation?.why || annotation.rescue_step)],
+      [next, done && after !== stage.world.task],
+    ]);
+    const shown = [...ways.querySelectorAll("button")].filter((way) => offered.get(way)).slice(0, MOST_BUTTONS);
+    for (const way of offered.keys()) {
+      way.hidden = !shown.includes(way);
+      way.classList.toggle("primary", way === shown[0]);
+    }
+    undoes.hidden = !(own && annotation?.rescue_step);
   }
 
   /** Announces the end of a flight, and asks for the statistics. */
   function meet(track) {
-    const { last, live, episode, done, brought } = track;
+    const { last, live, episode, done, brought, automatic, forkedAt } = track;
+    met = track;
+    efficiency.replaceChildren(...efficiencyOf(last));
+    if (analysis.dataset.task !== stage.world.task.id) analysis.replaceChildren();
     // The card takes the place of the pad: a tap that is on its way presses nothing.
-    if (TOUCH && isOwn(track) && !brought) {
+    if (TOUCH && !automatic && forkedAt === null && !brought) {
       view.inert = true;
       setTimeout(() => (view.inert = false), REST);
     }
     if (done && (live || episode)) announce(`Mission Results: ${outcome(last)}. Score ${points(last.score)}.`);
     if (!live) analyse();
   }
-  race.on("ended", analyse);
 
   async function analyse() {
-    const { id } = stage.world.task;
-    const failed = ({ message }) => ({ task: id, failed: message });
-    figures = await context.api.get(`analyse/${encodeURIComponent(id)}`).catch(failed);
-    draw();
+    const { task } = stage.world;
+    const failed = ({ message }) => ({ failed: message });
+    const answer = await context.api.get(`analyse/${encodeURIComponent(task.id)}`).catch(failed);
+    if (stage.world.task !== task) return;
+    analysis.dataset.task = task.id;
+    analysis.replaceChildren(...statistics(answer, title(task.short_name)));
   }
-
-  function headOf(track) {
-    const { last, annotation, worst } = track;
-    const best = optimumOf(track);
-    const look = () => {
-      dock();
-      stage.clock.goTo(worst.first - 1);
-    };
-    const close = { "aria-label": "Close (Esc)", title: "Close (Esc)", press: dock };
-    const see = { id: "worst", data: { key: "worst" }, title: "Show the step before it", press: look };
-    return [
-      el("div.panel-head", el("h2", { id: "results-name", text: "Mission Results" }), el("button.icon-button", close, icon(CROSS))),
-      el("h3", { id: "results-title", text: `${track.name}: ${outcome(last)}.` }),
-      el("p.hero", el("strong.hero-number", { text: points(last.score) }), best === null ? "" : el("span.hero-of", ` / ${points(best)} possible`)),
-      ...pointsBar(partsOf(last, best)),
-      el("p.note", { text: placeOf(stage) }),
-      el("p.results-reason", { text: whyOf(track) }),
-      worst && el("button.link", { ...see, text: worstOf(annotation, track.frames[worst.first].action) }),
-    ].filter(Boolean);
-  }
-
-  /** At most three ways on, the first of which stands out. */
-  function actionsOf(track) {
-    const { annotation, worst, automatic, last, done } = track;
-    const button = (id, text, press) => [el("button.button", { id, data: { key: id }, text, press })];
-    const step = stepToTry(track);
-    const verb = annotation?.why ? (automatic ? "Try it yourself" : "Try again") : "Try";
-    const after = nextTask(context.families, stage.world.task);
-    const next = after === stage.world.task ? [] : button("next", `Next: ${title(after.short_name)}`, () => goOn(context, race, acts));
-    const again = () => button("again", `${verb} from ${step ? `step ${step}` : "the start"}`, () => tryAgain(context, race, acts));
-    const [pilot] = race.able(stage.world.task);
-    const watch = () => button("watch", `Watch ${context.pilot(pilot).name}`, () => acts.start({ pilots: [pilot] }, { play: true }));
-    const delivered = last.outcome === "delivered";
-    const shown = [
-      ...(delivered ? next : []),
-      ...(worst || (annotation?.unsolved && !delivered) ? again() : []),
-      ...(isOwn(track) ? watch() : []),
-      ...(isOwn(track) && (!annotation?.why || annotation.rescue_step) ? button("start-over", "Start over", acts.reset) : []),
-      ...(delivered || !done ? [] : next),
-    ].slice(0, MOST_BUTTONS);
-    shown[0]?.classList.add("primary");
-    return el("div.results-actions", ...shown);
-  }
-
-  const isOwn = ({ automatic, forkedAt }) => !automatic && forkedAt === null;
-  const noteOf = (track) => (isOwn(track) && track.annotation?.rescue_step ? [el("p.note", { id: "undoes", text: UNDOES })] : []);
-
-  stage.on("change", draw);
+  race.on("ended", analyse);
+  race.on("ended", (track) => track === stage.track && nextFrame(() => isOver() || bring(root.firstElementChild)));
 }
 
-/** The parts of the final score, and what is lost of the optimum. @returns {import("./points_bar.js").Part[]} */
+/** The parts of the final score, and what is lost of the optimum. @returns {[string, number, string][]} */
 function partsOf({ score, deliveries_done: delivered, efficiency_parts }, optimum) {
   const [parcels, battery, steps] = efficiency_parts;
   const names = [delivered ? parcels.name : "lowest score", battery.name, steps.name, "lost"];
@@ -189,24 +165,20 @@ const stepToTry = ({ annotation, worst }) => (annotation?.why ? annotation.rescu
 
 function efficiencyOf({ efficiency, efficiency_parts: parts }) {
   const meter = (share) => el("span.gauge-bar", { "aria-hidden": "true" }, el("i", { style: { "--share": String(share) } }));
-  return el(
-    "div",
-    { id: "efficiency-parts" },
+  return [
     el("h3", { text: `Efficiency ${fixed(efficiency, 1)} of 100 (not the score)` }),
     ...parts.map(({ name, weight, share }) =>
       el("div.part", el("span", { text: title(name) }), meter(share), el("span", { text: `${fixed(weight * share, 1)} of ${weight}` })),
     ),
-  );
+  ];
 }
 
 /** The answer of `GET /analyse`: means, the trend, and a bar for each action. */
 function statistics({ episodes, success_trend: trend, action_distribution: shares, failed, ...means }, task) {
-  if (failed) return el("p.note", { text: `The statistics of this task could not be loaded: ${failed}` });
+  if (failed) return [el("p.note", { text: `The statistics of this task could not be loaded: ${failed}` })];
   const bar = ([action, share]) =>
     el("div.action-share", { style: { "--share": String(share) } }, el("i", { "aria-hidden": "true" }), `${action}\n${percent(share)}`);
-  return el(
-    "div",
-    { id: "analysis" },
+  return [
     el("h3", { text: `${counted(episodes, "flight")} of ${task} on this server` }),
     el(
       "dl.results-facts",
@@ -216,8 +188,9 @@ function statistics({ episodes, success_trend: trend, action_distribution: share
       fact("Success trend", trend === null ? "–" : `${signed(trend * 100, 0)} points`),
     ),
     el("div.action-shares", { role: "group", "aria-label": "Action distribution" }, ...Object.entries(shares).map(bar)),
-  );
+  ];
 }
+
 /** The next task of the family, or the last one again. Only the standard ones begin again: Easy, Medium, Hard, Easy. */
 export function nextTask(families, task) {
   const group = families.get(task.family);

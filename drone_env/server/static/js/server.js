@@ -2,7 +2,8 @@
 import { ApiError } from "./api.js";
 import { Emitter } from "./base.js";
 
-const WAITS = [500, 1000, 2000, 4000, 8000];
+/** Milliseconds between two looks for a server that is away. */
+const WAIT = 2000;
 /** Milliseconds between two questions for news. */
 const PAUSE = 3000;
 const EPISODES = 50;
@@ -32,7 +33,6 @@ export class Server extends Emitter {
     super();
     this.api = api;
     this.state = "open";
-    this.failures = 0;
     this.timer = 0;
     this.waiting = [];
     this.watching = new AbortController();
@@ -41,7 +41,7 @@ export class Server extends Emitter {
 
   open() {
     clearTimeout(this.timer);
-    this.timer = this.failures = 0;
+    this.timer = 0;
     if (this.state === "open") return;
     this.state = "open";
     this.emit("state", { state: "open", wait: 0 });
@@ -50,11 +50,9 @@ export class Server extends Emitter {
 
   away() {
     if (this.timer) return;
-    const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
-    this.failures += 1;
-    this.timer = setTimeout(() => this.look(), wait);
+    this.timer = setTimeout(() => this.look(), WAIT);
     this.state = "away";
-    this.emit("state", { state: "away", wait });
+    this.emit("state", { state: "away", wait: WAIT });
   }
 
   /** Asks at once whether the server is back. */

@@ -8,8 +8,6 @@ export function worldOf(opening, tasks) {
   return { ...opening, width, height, max_steps, battery_capacity, task };
 }
 
-/** Steps a second that can be chosen. */
-export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
 /** If the picture is more steps behind, it jumps instead of gliding. */
 const LEAP = 4;
 /** Milliseconds between two looks for a flight that the server still computes. */
@@ -22,6 +20,7 @@ export class Clock {
     this.stage = stage;
     this.cursor = this.position = 0;
     this.playing = false;
+    /** Steps a second. */
     this.speed = 6;
     this.timer = 0;
   }
@@ -36,10 +35,6 @@ export class Clock {
     return last(this.stage.followed);
   }
 
-  moved() {
-    this.stage.tell("cursor");
-  }
-
   /** Whether nothing newer has been flown. */
   get following() {
     return this.cursor === this.newest();
@@ -47,7 +42,7 @@ export class Clock {
 
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
-    this.moved();
+    this.stage.tell("cursor");
   }
 
   goTo(step) {
@@ -62,7 +57,7 @@ export class Clock {
     if (again) this.seek(0);
     this.playing = true;
     this.tick(again ? 1000 / this.speed : 0);
-    this.moved();
+    this.stage.tell("cursor");
   }
 
   tick(wait = 1000 / this.speed) {
@@ -82,16 +77,11 @@ export class Clock {
     else this.seek(cursor + 1);
   }
 
-  setSpeed(speed) {
-    this.speed = speed;
-    this.moved();
-  }
-
   stop() {
     clearTimeout(this.timer);
     if (!this.playing) return;
     this.playing = false;
-    this.moved();
+    this.stage.tell("cursor");
   }
 
   /** Moves `position` towards the cursor. @returns {boolean} Whether it has not arrived. */

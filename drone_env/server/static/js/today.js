@@ -1,14 +1,11 @@
 // Flights by hand: the visitor's name and best score over this map, and the list of the map of the day.
 import { recall, remember } from "./base.js";
-import { copyText, el, fact, setText, toast } from "./dom.js";
+import { copyText, el, fact, toast } from "./dom.js";
 import { counted, percent, points } from "./format.js";
 import { linkOf } from "./router.js";
 
 const NAME = "drone-env-name";
 const BEST = "drone-env-best";
-export const UNLISTED = "Flights with Undo, values or a fork are not listed and not kept as your best.";
-const ABOUT = "Shown to all in the list of the map of the day.";
-const REFUSED = "Use at most 20 letters, digits, _ and -, without spaces. Your next flight has no name.";
 /** Maps whose best score is kept. */
 const KEPT = 1000;
 const SHOWN = 7;
@@ -65,31 +62,25 @@ function ownDays() {
 export function mountByHand(root, context, race, acts) {
   const { api, stage } = context;
   let [today, best, drawn] = [null, null, ""];
-  root.append(document.getElementById("by-hand").content);
-  const head = root.querySelector("h2");
-  const figures = root.querySelector("dl");
-  const [record, unlisted, about] = root.querySelectorAll("p");
-  const list = root.querySelector("ol");
+  const [head, figures, record, unlisted, list] = root.querySelectorAll("h2, dl, .own-days, #unlisted, ol");
+  const refused = root.querySelector("#refused-name");
   const field = root.querySelector("input");
   field.value = nameOf() ?? "";
   field.addEventListener("change", rename);
-  unlisted.textContent = UNLISTED;
-  about.textContent = ABOUT;
 
   const map = () => `${stage.world.task.id} ${stage.world.seed}`;
 
   function rename() {
     field.value = field.value.trim();
     const fits = field.checkValidity();
-    about.role = fits ? null : "alert";
-    setText(about, fits ? ABOUT : REFUSED);
+    refused.hidden = fits;
     // An invalid name is no name, rather than the one before.
     remember(NAME, field.value);
     // A refused one stays in sight, to be corrected.
     if (fits) field.blur();
     if (race.mine?.steps === 0) acts.reset();
     else if (fits) toast("Used from your next flight on.");
-    if (!fits) about.scrollIntoView({ block: "nearest" });
+    if (!fits) refused.scrollIntoView({ block: "nearest" });
   }
 
   /** Keeps the result of a flight without values, undo and forks. */

@@ -79,7 +79,6 @@ export class Track {
     /** The calls of a language model by step, or null; a retry is one more call. */
     this.calls = null;
     this.forkedAt = parent?.step ?? null;
-    this.way = null;
   }
 
   get name() {
@@ -90,6 +89,11 @@ export class Track {
   get plain() {
     const { values_used, undo_used, parent } = this.provenance;
     return !values_used && !undo_used && !parent;
+  }
+
+  /** Whether the server would fly it again: the flight of a pilot that this page has started. */
+  get again() {
+    return this.automatic && !this.past && this.forkedAt === null;
   }
 
   /** Whether a visitor flies it. */
@@ -186,16 +190,5 @@ export class Track {
       if (dx || dy) return Math.atan2(dx, -dy);
     }
     return 0;
-  }
-
-  /** Its path up to a step, in cells; cached and extended. @returns {Path2D} */
-  wayTo(step) {
-    const end = Math.min(step, this.steps);
-    if (!this.way || this.way.end > end) this.way = { path: new Path2D(), end: -1 };
-    while (this.way.end < end) {
-      const { x, y } = this.frames[++this.way.end];
-      this.way.path.lineTo(x + 0.5, y + 0.5);
-    }
-    return this.way.path;
   }
 }
