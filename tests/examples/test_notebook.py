@@ -41,7 +41,7 @@ def test_the_notebook_is_sound_and_small(monkeypatch: pytest.MonkeyPatch) -> Non
         assert f"examples/{NOTEBOOK.name}" in (ROOT / page).read_text(encoding="utf-8")
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.timeout(900)
 def test_its_cells_put_out_what_stands_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

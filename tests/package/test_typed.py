@@ -19,7 +19,7 @@ from tests.tools import ROOT, find_tool, missing_tool, ran
 TRAIN = "train.py --task easy_delivery --episodes 500"
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.timeout(900)
 @pytest.mark.feature("L4")
 def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
         assert server.client.post("/predict").json()["model"]
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.timeout(1800)
 def test_uv_sync_brings_all_but_pytorch(tmp_path: Path) -> None:
     clone = tmp_path / "clone"

@@ -33,7 +33,7 @@ def test_compiled() -> None:
     assert golden_hashes(Batch, golden_seeds(N_SEEDS), at_once=400_000) == GOLDEN
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.parametrize("version", ["3.10", "3.13"])
 def test_on_another_python_without_numba(version: str) -> None:
     alone = ["run", "--isolated", "--no-project", "--with", "numpy", "--with", "gymnasium", "--python"]

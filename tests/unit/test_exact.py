@@ -128,8 +128,8 @@ def test_every_state_has_the_value_that_the_exact_solver_gives_it(task: str) -> 
         assert np.array_equal(exact._values_in_flight(states), legs._values_in_flight(states))
 
 
-@pytest.mark.parametrize("maps", [2, pytest.param(100, marks=pytest.mark.long)])
-@pytest.mark.parametrize("task", ["skyline_easy", "rush_medium"])
+@pytest.mark.parametrize("maps", [2, pytest.param(100, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("task", ["skyline_easy", "rush_easy", "rush_medium", "rush_hard"])
 def test_the_optimum_is_what_flying_every_action_reaches(task: str, maps: int) -> None:
     for seed in split_seeds("test", maps):
         assert solve(task, seed).score == best_score(Episode(task, seed=seed)), seed
