@@ -7,15 +7,13 @@ const KEPT = 200;
 const TOPICS = ["requests", "training"];
 
 /** @param {HTMLElement} root @param {Context} context */
-export function mount(root, context) {
+export function mountApi(root, context) {
   const { api, server } = context;
   const url = address(".").href.replace(/\/$/, "");
   root.append(document.getElementById("api").content);
   root.querySelector("code").textContent = url;
   root.querySelector("span").hidden = !api.guarded();
-  for (const program of root.querySelectorAll("pre")) {
-    program.replaceWith(snippet(program.title, program.textContent.replaceAll("URL", url)));
-  }
+  for (const program of root.querySelectorAll("pre")) program.replaceWith(snippet(program, { URL: url }));
   const [requests, training] = [...root.querySelectorAll("ol")].map((list) => log(list));
 
   server.on("requests", (message) => {

@@ -25,7 +25,7 @@ const keyOf = ({ file, task, seed }) => `${MAP} ${file ?? `${task ?? ""} ${seed 
 const keep = (key, map) => remember(key, JSON.stringify(map), "sessionStorage");
 
 /** @param {HTMLElement} root @param {Context} context */
-export function mount(root, context) {
+export function mountEditor(root, context) {
   const { api, router, kinds } = context;
   const own = Object.assign(new Emitter(), context, {
     listeners: new Map(),

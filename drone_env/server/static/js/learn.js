@@ -9,7 +9,7 @@ const MORE =
   "exact optimum of its map. A move that loses points loses them for good.";
 
 /** @param {HTMLElement} root @param {Context} context */
-export function mount(root, context) {
+export function mountLearn(root, context) {
   const lessons = el("ol.lessons");
   root.append(el("h2", { text: "Learn" }), el("p.about", { text: document.getElementById("about").textContent + MORE }), lessons);
   root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
