@@ -14,10 +14,10 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
   getElementById(
-    id: "api" | "by-hand" | "calls" | "compare" | "draw" | "lessons" | "pad" | "plan" | "playback" | "thinking",
+    id: "api" | "by-hand" | "calls" | "compare" | "draw" | "learn" | "lessons" | "pad" | "plan" | "playback" | "thinking",
   ): HTMLTemplateElement;
   getElementById(
-    id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
+    id: "about" | "announcer" | "banner" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
       | "own-days" | "scoring" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
   ): HTMLElement;
 }

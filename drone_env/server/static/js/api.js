@@ -4,8 +4,6 @@ import { toast } from "./dom.js";
 import { sentence } from "./format.js";
 
 const TOKEN = "drone-env-token";
-/** Characters that a header may contain. */
-const SENDABLE = /^[\x21-\x7e]+$/;
 
 /** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
@@ -53,7 +51,7 @@ export function createApi() {
     api.heard(true);
     if (response.status === 401) {
       // Several requests may wait for one token.
-      while (token === sent || !SENDABLE.test(token)) {
+      if (token === sent) {
         asking ??= askForToken(token !== null).finally(() => (asking = null));
         token = await asking;
       }

@@ -114,17 +114,6 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
-/** A file field, and the button that opens it. */
-export function fileField(id, accept, open) {
-  const input = el("input.visually-hidden", { type: "file", id, accept, on: { change } });
-  async function change() {
-    const [file] = input.files;
-    if (file) await open(file);
-    input.value = "";
-  }
-  return [input, el("label.button.small", { for: id, text: "Open a file…" })];
-}
-
 /** Asks a question with two answers. @returns {Promise<boolean>} Whether the visitor chose the first one. */
 export function ask(question, yes, no) {
   const dialog = document.getElementById("ask");

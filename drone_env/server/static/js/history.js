@@ -1,7 +1,7 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { tried } from "./api.js";
 import { recall, remember } from "./base.js";
-import { download, el, fileField } from "./dom.js";
+import { download, el } from "./dom.js";
 import { counted, flightName, sentence } from "./format.js";
 import { FLOWN } from "./race.js";
 import { worldOf } from "./stage.js";
@@ -72,8 +72,6 @@ export class FlightHistory {
       throw new Error(`${name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
     });
     if (request !== this.request) return;
-    const named = (track) => tracks.filter(({ called }) => called === track.called).length > 1;
-    tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
     this.show(tracks, { selected: at - first, step, file, records });
   }
 
@@ -137,9 +135,11 @@ export const goneFrom = (file) => `This tab does not have ${nameOf(file)} any mo
 
 const ENDINGS = [".json", ".jsonl", ".toml"];
 
-/** The field that opens a file of flights in Fly, or of a map in Draw. @param {Context} context */
-export const openField = ({ api, router }, id, wrong) =>
-  fileField(id, ENDINGS.join(), async (file) => {
+/** The field that opens a file of flights in Fly, or of a map in Draw, and its button. @param {Context} context */
+export function openField({ api, router }, id, wrong) {
+  const input = el("input.visually-hidden", { type: "file", id, accept: ENDINGS.join(), on: { change } });
+  async function change() {
+    const [file] = input.files;
     try {
       const text = await file.text();
       const isMap = file.name.toLowerCase().endsWith(".toml");
@@ -151,27 +151,31 @@ export const openField = ({ api, router }, id, wrong) =>
     } catch (error) {
       wrong(error.status === 422 ? `${file.name} is not a map. ${error.message}` : error.message);
     }
-  });
+    input.value = "";
+  }
+  return [input, el("label.button.small", { for: id, text: "Open a file…" })];
+}
 
 /** The records of a file: one JSON document, or one per line. The server checks them. @returns {object[]} */
 function readFlights(name, text) {
   if (!ENDINGS.some((ending) => name.toLowerCase().endsWith(ending))) {
     throw new Error(`${name} is neither flights nor a map: its name must end in ${ENDINGS.join(", ")}.`);
   }
+  const whole = parsed(text);
+  if (whole !== undefined) return [whole];
+  return text.split("\n").flatMap((line, i) => {
+    if (!line.trim()) return [];
+    const record = parsed(line);
+    if (["task", "seed", "agent"].every((field) => field in Object(record))) return [record];
+    throw new Error(`${name}, line ${i + 1} is not a flight.`);
+  });
+}
+
+function parsed(text) {
   try {
-    return [JSON.parse(text)];
+    return JSON.parse(text);
   } catch {
-    if (!text.trim()) throw new Error(`${name} is empty.`);
-    return text.split("\n").flatMap((line, i) => {
-      if (!line.trim()) return [];
-      try {
-        const record = JSON.parse(line);
-        if (["task", "seed", "agent"].every((field) => field in Object(record))) return [record];
-      } catch (error) {
-        throw new Error(`${name}, line ${i + 1} is not JSON: ${error.message}.`);
-      }
-      throw new Error(`${name}, line ${i + 1} is not a flight.`);
-    });
+    return undefined;
   }
 }
 

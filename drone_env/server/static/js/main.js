@@ -59,20 +59,18 @@ const other = (theme) => (theme === "dark" ? "light" : "dark");
 function mountConnection({ server, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
-  const again = document.getElementById("banner-countdown");
 
   document.getElementById("banner-retry").addEventListener("click", () => server.look());
-  function show({ state, wait }) {
+  function show({ state }) {
     dot.dataset.state = state;
     setText(dot.lastElementChild, state === "open" ? "Live" : "Server away");
     if (state === "open" && !banner.hidden) announce("The server is back.");
     banner.hidden = state === "open";
     const kept = stage.tracks.some((track) => track.live && !track.done) ? " Your flight is kept." : "";
     setText(document.getElementById("banner-text"), `The server is away.${kept}`);
-    setText(again, `Next try in ${Math.ceil(wait / 1000)} s …`);
   }
   server.on("state", show);
-  show({ state: server.state, wait: 0 });
+  show(server);
 }
 
 /** Shows the view of the address. @param {Context} context */

@@ -1,6 +1,7 @@
 // The flight plan: the tasks above the map, and the line that opens the choice of pilots and map.
 import { el, keepFocus, leaveFocus, onPress, setText } from "./dom.js";
-import { counted, title, variants } from "./format.js";
+import { title, variants } from "./format.js";
+import { specifications } from "./learn.js";
 import { copyLink } from "./router.js";
 
 /** The tasks, and the line above the map, which opens the choices. @param {HTMLElement} root @returns {Element} The choices. */
@@ -124,14 +125,13 @@ function mountTasks(root, context, acts) {
   root.append(list, el("button.task", { text: "Specifications", popovertarget: numbers.id }), numbers);
   let [family, drawn] = ["standard", ""];
 
-  async function open({ newState }) {
-    if (newState !== "open") return;
-    const { specifications } = await import("./learn.js");
-    numbers.replaceChildren(el("button.button.small", { text: "Close", popovertarget: numbers.id }), specifications(context, family));
+  function open() {
+    const close = el("button.button.small", { text: "Close", popovertarget: numbers.id });
+    numbers.replaceChildren(close, specifications(context, family));
   }
 
-  const option = (text, flown, change, title) =>
-    el("button.task", { text, title, "aria-pressed": String(flown), data: { key: text }, press: () => acts.start(change) });
+  const option = (text, flown, change) =>
+    el("button.task", { text, "aria-pressed": String(flown), data: { key: text }, press: () => acts.start(change) });
 
   return (task, map) => {
     const isDaily = task?.short_name === daily && String(map) === seed;
@@ -142,20 +142,15 @@ function mountTasks(root, context, acts) {
       const whole = i === 0 || name === family;
       const options = (whole ? all : all.slice(0, 1)).map((one) => {
         const text = title(whole ? one.short_name : name);
-        return option(text, one === task && !isDaily, { task: one.short_name, seed: null, pilots: [] }, taskNote(one));
+        return option(text, one === task && !isDaily, { task: one.short_name, seed: null, pilots: [] });
       });
       return el("span", { role: "group", "aria-label": title(name) }, ...options);
     });
     const today = { task: daily, seed: Number(seed), pilots: [me.id] };
-    keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today, null)));
+    keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today)));
     /** @type {HTMLElement|null} */
     const flown = list.querySelector("[aria-pressed=true]");
     // In a narrow window, the tasks before it scroll out of sight.
     if (flown) root.scrollLeft = flown.offsetLeft + flown.offsetWidth - root.clientWidth;
   };
-}
-
-function taskNote(task) {
-  const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
-  return `${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }

@@ -38,15 +38,14 @@ export function mountStandings(root, { stage }) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", track === stage.track);
     }
-    const over = rows.every(({ track }) => track.frameAt(cursor).done);
-    const rank = ({ track }) => (over ? track.last.score : earned(track, cursor));
-    const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
+    const rank = ({ track }) => track.frameAt(cursor).score;
+    const ranked = rows.toSorted((a, b) => rank(b) - rank(a));
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
       keepFocus(body, () => body.replaceChildren(...ranked.map(({ node }) => node)));
     }
     const place = placeOf(stage);
     const result = cursor < stage.clock.end() && place ? `At the end: ${place}` : place;
-    setText(note, result || "Ranked by parcels delivered, then by who was first; at the end by score.");
+    setText(note, result || "Ranked by score.");
   }
 
   stage.on("load", build);
@@ -64,11 +63,4 @@ export function placeOf({ over, tracks, track }) {
   const tie = place < scores.lastIndexOf(track.last.score) ? ", a tie" : "";
   const all = sorted.map(({ name, last }) => `${name} ${points(last.score)}`).join(", ");
   return `${PLACES[place] ?? `${place + 1}th`} of ${tracks.length}${tie}: ${all}. The higher score wins.`;
-}
-
-/** Ranks a flight by delivered parcels; at equal numbers by its score, or by how early it delivered the last one. */
-function earned(track, step) {
-  const { score, outcome, deliveries_done: parcels } = track.frameAt(step);
-  const since = track.frames.findIndex(({ deliveries_done }) => deliveries_done === parcels);
-  return parcels + (outcome === "delivered" ? score : 1 / (2 + since));
 }
