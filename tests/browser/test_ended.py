@@ -239,25 +239,6 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         choice.select_option(index=index)
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
-    # Flights over one map are shown together.
-    long = "model/" + "x" * 100
-    pilots = ["greedy", "optimal", "random", "pathqnet", "tournet", "greedy", "me", long]
-    labels = [flown("easy", 4, "greedy" if name in ("me", long) else name, label=name) for name in pilots]
-    open_file(page, "race.jsonl", "".join(flight.to_json() + "\n" for flight in [*labels, flights[0]]))
-    choices(page)
-    names = ["Greedy", "Optimal", "Random", "PathQNet", "Tournet", "Greedy", "me", long]
-    expect(standings(page)).to_have_count(8)
-    for number in (3, 8):
-        page.keyboard.press(str(number))
-        expect(standings(page).and_(page.locator(".selected"))).to_contain_text(names[number - 1])
-        expect(choice).to_have_value(re.compile(f"^{number}\\."))
-    # A long name is broken into lines.
-    assert all(measured(page, ".side, .middle", "one.scrollWidth <= one.clientWidth"))
-    choice.select_option(index=8)
-    expect(map_number(page)).to_have_value("1")
-    expect(page.locator("#standings")).to_be_hidden()
-    choice.select_option(index=5)
-    expect(standings(page).and_(page.locator(".selected"))).to_contain_text("Greedy")
     open_file(page, "flight.json", record_of(Episode("easy", "tiered", 5).fly([Action.UP]), "me").to_json(2))
     expect(page.locator(".results")).to_contain_text("me: In flight.")
     expect(page.locator(".results")).to_contain_text("This flight is not finished")

@@ -4,7 +4,6 @@ import { el, snippet } from "./dom.js";
 import { fixed, LOCALE } from "./format.js";
 
 const KEPT = 200;
-const TOPICS = ["requests", "training"];
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountApi(root, context) {
@@ -14,17 +13,11 @@ export function mountApi(root, context) {
   root.querySelector("code").textContent = url;
   root.querySelector("span").hidden = !api.guarded();
   for (const program of root.querySelectorAll("pre")) program.replaceWith(snippet(program, { URL: url }));
-  const [requests, training] = [...root.querySelectorAll("ol")].map((list) => log(list));
+  const [requests, training] = root.querySelectorAll("ol");
 
-  server.on("requests", (message) => {
-    if (message.fresh) requests.clear();
-    requests.add(message.requests.map(requestLine));
-  });
-  server.on("training", ({ lines }) => {
-    training.clear();
-    training.add(lines.map((line) => el("li", { text: line })));
-  });
-  context.on("view", (view) => view === "api" && server.watch(TOPICS));
+  server.on("requests", (message) => add(requests, message.fresh, message.requests.map(requestLine)));
+  server.on("training", ({ lines }) => add(training, true, lines.map((line) => el("li", { text: line }))));
+  context.on("view", (view) => view === "api" && server.watch(["requests", "training"]));
 }
 
 function requestLine({ time, method, path, status, milliseconds }) {
@@ -37,14 +30,10 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-/** A list that stays scrolled to its newest line unless the visitor scrolls up. */
-function log(list) {
+/** Adds lines to a list, or replaces them; it stays scrolled to its newest line unless the visitor scrolls up. */
+function add(list, fresh, lines) {
   const frame = list.parentElement;
-  function add(lines) {
-    const atEnd = frame.scrollTop + frame.clientHeight >= frame.scrollHeight - 8;
-    list.append(...lines);
-    while (list.childElementCount > KEPT) list.firstElementChild.remove();
-    if (atEnd) frame.scrollTop = frame.scrollHeight;
-  }
-  return { add, clear: () => list.replaceChildren() };
+  const atEnd = frame.scrollTop + frame.clientHeight >= frame.scrollHeight - 8;
+  list.replaceChildren(...[...(fresh ? [] : list.children), ...lines].slice(-KEPT));
+  if (atEnd) frame.scrollTop = frame.scrollHeight;
 }

@@ -7,7 +7,7 @@ import { FLOWN } from "./race.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
-/** What is shown: the id of a stored flight, or a file as addresses name it; all its records, and the flights on the stage. */
+/** What is shown: the id of a stored flight, or a file as addresses name it; all its records, and the flight on the stage. */
 const NONE = { episode: null, file: null, records: [], tracks: null };
 
 export class FlightHistory {
@@ -42,7 +42,7 @@ export class FlightHistory {
     const request = ++this.request;
     const track = await this.stored(episode);
     if (request !== this.request) return;
-    this.show([track], { step, episode });
+    this.show(track, { step, episode });
     this.askForCalls(track);
   }
 
@@ -55,24 +55,17 @@ export class FlightHistory {
     return track;
   }
 
-  /** Shows a flight of a file, beside the others over the same map: as many as may fly together. */
   async openRecord(file, index, step) {
     const request = ++this.request;
-    const { most } = this.context;
     const name = nameOf(file);
     const records = JSON.parse(recall(`${FLIGHTS} ${file}`, "sessionStorage"));
     if (!records) throw new Error(goneFrom(file));
     if (index >= records.length) throw new Error(`${name} contains ${counted(records.length, "flight")}, none with number ${index + 1}.`);
-    const mapOf = (record) => String([record?.task, record?.seed, record?.reward_profile]);
-    const all = records.filter((record) => mapOf(record) === mapOf(records[index]));
-    const at = all.indexOf(records[index]);
-    const first = at - (at % most);
-    const tracks = await Promise.all(all.slice(first, first + most).map((record) => this.flown(record))).catch((error) => {
+    const track = await this.flown(records[index]).catch((error) => {
       if (error.code !== "invalid_request") throw error;
       throw new Error(`${name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
     });
-    if (request !== this.request) return;
-    this.show(tracks, { selected: at - first, step, file, records });
+    if (request === this.request) this.show(track, { step, file, records });
   }
 
   async flown(record) {
@@ -84,11 +77,11 @@ export class FlightHistory {
   }
 
   /** Shows the end unless a step is named: the results are beside it. */
-  show(tracks, { step = null, selected = 0, episode = null, file = null, records = [] }) {
+  show(track, { step = null, episode = null, file = null, records = [] }) {
     const { stage, tasks } = this.context;
-    this.shown = { episode, file, records, tracks };
-    stage.show(worldOf(tracks[0].opening, tasks), tracks, { step: step ?? Infinity, selected });
-    for (const track of tracks) explain(this.context, track);
+    this.shown = { episode, file, records, tracks: [track] };
+    stage.show(worldOf(track.opening, tasks), this.shown.tracks, { step: step ?? Infinity });
+    explain(this.context, track);
   }
 
   /** Loads the prompts and answers of a language model. */

@@ -11,10 +11,9 @@ export function mountPlan(root, context, race, acts) {
   const details = root.querySelector("details");
   const heading = root.querySelector("summary");
   const pilots = root.querySelector("fieldset");
-  const form = root.querySelector("form");
-  const label = form.querySelector("label");
-  const seed = form.querySelector("input");
-  const edit = form.querySelector("a");
+  const label = root.querySelector("label");
+  const seed = root.querySelector("input");
+  const edit = root.querySelector("a");
   const [fresh, copy] = root.querySelectorAll("button");
   pilots.querySelector("legend").textContent = `Pilots, up to ${context.most}`;
   const tasks = el("nav.tasks", { "aria-label": "Tasks" });
@@ -32,8 +31,6 @@ export function mountPlan(root, context, race, acts) {
   onPress(root, { "new-map": acts.newMap, "copy-link": () => copyLink(router.address) });
   seed.addEventListener("blur", update);
   seed.addEventListener("change", openMap);
-  // Enter triggers the change event of the number, which opens the map.
-  form.addEventListener("submit", (event) => event.preventDefault());
   const rows = context.pilots.map(pilotRow);
   pilots.append(...rows.map(({ row }) => row));
 
@@ -61,7 +58,7 @@ export function mountPlan(root, context, race, acts) {
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
     const row = el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
-    return { pilot, row, name, box, about };
+    return { pilot, row, name, box };
   }
 
   /** Whether the stage shows a flight of the store or of a file. */
@@ -93,15 +90,12 @@ export function mountPlan(root, context, race, acts) {
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
     copy.disabled = !stage.track || (history && !stage.track.episode);
     pilots.dataset.many = String(setup.pilots.length > 1);
-    for (const { pilot, row, name, box, about } of rows) {
-      const able = race.flies(pilot.id, task);
+    for (const { pilot, row, name, box } of rows) {
+      row.hidden = !race.flies(pilot.id, task);
       box.checked = !history && setup.pilots.includes(pilot.id);
-      const last = box.checked && setup.pilots.length === 1;
-      name.disabled = !able;
-      name.setAttribute("aria-pressed", String(box.checked));
-      box.disabled = !able || last || (!box.checked && setup.pilots.length >= context.most);
-      row.classList.toggle("unable", !able);
-      setText(about, able ? pilot.summary : "no network for this task");
+      name.ariaPressed = String(box.checked);
+      // The last one stays.
+      box.disabled = setup.pilots.length === (box.checked ? 1 : context.most);
     }
     if (document.activeElement !== seed) seed.value = map;
   }
