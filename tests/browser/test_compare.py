@@ -152,19 +152,19 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     # A long name is broken into lines within its column.
     inside = "one.getBoundingClientRect().right <= one.closest('td').getBoundingClientRect().right"
     assert all(measured(page, "#view-compare td .named", inside))
-    # The third pilot replaces the first, and a note names both.
+    # Two pilots at most.
+    expect(box(page, "Greedy")).to_be_disabled()
+    box(page, MARKUP).uncheck()
     box(page, "Greedy").check()
-    expect(box(page, MARKUP)).not_to_be_checked()
-    expect(page.locator("#view-compare")).to_contain_text("Two pilots at most: Greedy takes the place of ")
-    expect(page).to_have_url(re.compile("task=easy&pilots=random,greedy$"))
-    pairing = get(server, "paired/easy", a="random", b="greedy")
+    expect(page).to_have_url(re.compile("task=easy&pilots=greedy,random$"))
+    pairing = get(server, "paired/easy", a="greedy", b="random")
     facts = page.locator("dl.paired")
-    expect(facts).to_contain_text(" to ".join(fixed(bound * 100, 1) for bound in pairing["ci95"]))
+    expect(facts).to_contain_text(" to ".join(f"+{fixed(bound * 100, 1)}" for bound in pairing["ci95"]))
     expect(facts.locator("dd").nth(2)).to_have_text(str(pairing["wins"]))
     first = max(pairing["pairs"], key=lambda pair: (abs(pair["difference"]), -pair["seed"]))
-    expect(rows(page, "Random against Greedy").first.locator("td").first).to_have_text(str(first["seed"]))
+    expect(rows(page, "Greedy against Random").first.locator("td").first).to_have_text(str(first["seed"]))
     page.get_by_role("link", name=f"Fly both over map {first['seed']}", exact=True).click()
-    expect(page).to_have_url(f"{server.url}/?task=easy&seed={first['seed']}&pilots=random,greedy")
+    expect(page).to_have_url(f"{server.url}/?task=easy&seed={first['seed']}&pilots=greedy,random")
 
 
 def test_a_tick_moves_no_row_and_people_with_few_maps_are_last(page: Page, server: Server) -> None:

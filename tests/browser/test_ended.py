@@ -22,7 +22,6 @@ from tests.browser.shown import (
     expect_step,
     fixed,
     lost,
-    measured,
     painted,
     percent,
     points,
@@ -44,7 +43,6 @@ from tests.browser.stage import (
     press,
     show,
     slider,
-    standings,
     until,
     view,
 )

@@ -39,12 +39,12 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
         expect(row.nth(2)).to_have_text(f"{flies}{points(now['Random'])}")
         expect(row.last).to_have_text(lost(best, now["Random"]))
 
-    def expect_place(when: str = "") -> None:
+    def expect_place() -> None:
         final = {name: value[-1] for name, value in values.items()}
         order = sorted(final, key=final.__getitem__, reverse=True)
         told = ", ".join(f"{name} {points(final[name])}" for name in order)
-        place = f"1st of 4, a tie: {told}. The higher score wins."
-        expect(page.locator("#standings-note")).to_have_text(f"{when}{place}")
+        place = f"At the end, place 1 of 4: {told}. The higher score wins."
+        expect(page.locator("#standings-note")).to_have_text(place)
         expect(page.locator(".results")).to_contain_text(place)
 
     names = standings(page).get_by_role("rowheader")
@@ -63,7 +63,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     expect_ranked(60)
     page.keyboard.press("Home")
     expect_ranked(0)
-    expect_place("At the end: ")
+    expect_place()
     page.keyboard.press("End")
     for number, (agent, name) in enumerate(NAMES.items(), 1):
         page.keyboard.press(str(number))
@@ -190,7 +190,7 @@ def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
     expect(tab).to_have_url(f"{link.removesuffix(f'&ended={last}')}&step=1&ended={last}")
     tab.reload()
     expect_step(tab, 1, len(best))
-    expect(tab.locator("#standings-note")).to_contain_text("At the end: 1st of 2")
+    expect(tab.locator("#standings-note")).to_contain_text("At the end, place 1 of 2")
 
 
 def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, server: Server) -> None:

@@ -14,7 +14,7 @@ type Made<Tag extends string> = Tag extends `${infer Name}.${string}`
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
   getElementById(
-    id: "api" | "by-hand" | "calls" | "compare" | "draw" | "learn" | "lessons" | "pad" | "plan" | "playback" | "thinking",
+    id: "api" | "by-hand" | "calls" | "compare" | "draw" | "learn" | "lessons" | "pad" | "plan" | "playback" | "race" | "thinking",
   ): HTMLTemplateElement;
   getElementById(
     id: "about" | "announcer" | "banner" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"

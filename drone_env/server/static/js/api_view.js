@@ -15,8 +15,10 @@ export function mountApi(root, context) {
   for (const program of root.querySelectorAll("pre")) program.replaceWith(snippet(program, { URL: url }));
   const [requests, training] = root.querySelectorAll("ol");
 
-  server.on("requests", (message) => add(requests, message.fresh, message.requests.map(requestLine)));
-  server.on("training", ({ lines }) => add(training, true, lines.map((line) => el("li", { text: line }))));
+  // The page's own questions for this log are no news.
+  const isNews = ({ path }) => !path.endsWith("/terminal_logs");
+  server.on("requests", (log) => fill(requests, log.requests.filter(isNews).slice(-KEPT).map(requestLine)));
+  server.on("training", ({ lines }) => fill(training, lines.map((line) => el("li", { text: line }))));
   context.on("view", (view) => view === "api" && server.watch(["requests", "training"]));
 }
 
@@ -30,10 +32,10 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-/** Adds lines to a list, or replaces them; it stays scrolled to its newest line unless the visitor scrolls up. */
-function add(list, fresh, lines) {
+/** Fills a list, which stays scrolled to its newest line unless the visitor scrolls up. */
+function fill(list, lines) {
   const frame = list.parentElement;
   const atEnd = frame.scrollTop + frame.clientHeight >= frame.scrollHeight - 8;
-  list.replaceChildren(...[...(fresh ? [] : list.children), ...lines].slice(-KEPT));
+  list.replaceChildren(...lines);
   if (atEnd) frame.scrollTop = frame.scrollHeight;
 }

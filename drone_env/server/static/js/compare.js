@@ -1,5 +1,5 @@
 // Compare: boards of pilots, maps of one or a pair, the newest flights, how to add results, training curves.
-import { announce, el, keepFocus, snippet } from "./dom.js";
+import { el, keepFocus, snippet } from "./dom.js";
 import { title, variants, who } from "./format.js";
 import { boardsOf, boardTable, flightsTable, mapsOf, pairOf } from "./rankings.js";
 import { chartsOf } from "./training.js";
@@ -26,21 +26,17 @@ export function mountCompare(root, context) {
   choice.addEventListener("change", () => go(choice.value, []));
 
   const drawn = new Map();
-  let [request, newest, full, followed] = [0, null, "", false];
-  let [shown, rows] = [null, []];
+  let [request, newest, shown, followed] = [0, null, null, false];
+  /** All rows, and those that the address names. */
+  let [rows, chosen] = [[], []];
 
   const go = (task, pilots) => router.go({ view: "compare", task, pilots });
   /** The row of a pilot of the address. An agent without a run means the flights on this server, or else the first run. */
   const rowOf = (pilot) => rows.find(({ key }) => key === pilot) ?? rows.find(({ agent }) => agent === pilot);
 
-  /** A third pilot replaces the first. */
-  function tick({ target: box }) {
-    const others = router.address.pilots.map((pilot) => rowOf(pilot)?.key).filter((key) => key && key !== box.value);
-    const [first] = others;
-    full = "";
-    if (box.checked && others.length === MOST) full = `Two pilots at most: ${rowOf(box.value).name} takes the place of ${rowOf(first).name}.`;
-    announce(full);
-    go(choice.value, box.checked ? [...others, box.value].slice(-MOST) : others);
+  function tick() {
+    const ticked = [...boards.querySelectorAll("input")].filter(({ checked }) => checked);
+    go(choice.value, ticked.map(({ value }) => value));
   }
 
   /** Draws a part again if its answer differs. */
@@ -51,17 +47,17 @@ export function mountCompare(root, context) {
   }
 
   /** The maps of one chosen row, or the pair of two. */
-  function ask(task, chosen) {
+  function ask(task) {
     const [a, b] = chosen;
     if (b) return api.get(`paired/${task.id}`, { a: a.agent, b: b.agent, run_a: a.run, run_b: b.run });
     return a && api.get(`leaderboard/${task.id}/maps`, { agent: a.agent, run: a.run });
   }
 
-  function drawDetail(task, chosen, answer, missing) {
+  function drawDetail(task, answer, missing) {
     const names = missing.map((pilot) => who(context, pilot)).join(" or ");
     const none = names && el("p", { role: "status", text: `No flights of ${title(task.short_name)} by ${names} yet.` });
     const [row, other] = chosen;
-    if (other) return [el("p.note", { text: full }), ...pairOf(context, task, chosen, answer)];
+    if (other) return pairOf(context, task, chosen, answer);
     return [none, ...(row ? mapsOf(context, task, row, answer.maps) : [])];
   }
 
@@ -82,14 +78,17 @@ export function mountCompare(root, context) {
       choice.value = task.short_name;
       const all = boardsOf(context, board, runs);
       rows = all.flatMap((one) => one.rows);
-      const chosen = pilots.slice(0, MOST).map(rowOf).filter(Boolean);
+      chosen = pilots.slice(0, MOST).map(rowOf).filter(Boolean);
       const missing = pilots.filter((pilot) => !rowOf(pilot));
-      const answer = await ask(task, chosen);
+      const answer = await ask(task);
       if (mine !== request) return;
       // All parts appear together, so that none moves another.
       redraw(boards, [task.id, all], () => all.map((one) => boardTable(context, task, one, tick, () => (followed = true))));
-      for (const box of boards.querySelectorAll("input")) box.checked = chosen.some(({ key }) => key === box.value);
-      redraw(detail, [task.id, chosen, answer, missing], () => drawDetail(task, chosen, answer, missing));
+      for (const box of boards.querySelectorAll("input")) {
+        box.checked = chosen.some(({ key }) => key === box.value);
+        box.disabled = !box.checked && chosen.length === MOST;
+      }
+      redraw(detail, [task.id, chosen, answer, missing], () => drawDetail(task, answer, missing));
       redraw(flights.lastElementChild, [task.id, episodes], () => [flightsTable(context, episodes)]);
       const agents = rows.filter(({ shipped }) => shipped).map(({ agent }) => agent);
       const words = { TASK: task.short_name, AGENTS: agents.join(" ") || "greedy" };
@@ -100,7 +99,6 @@ export function mountCompare(root, context) {
       shown = named;
       problem.hidden = true;
       parts.hidden = parts.inert = false;
-      full = "";
       if (followed) detail.scrollIntoView({ block: "nearest" });
       followed = false;
     } catch (error) {

@@ -9,7 +9,7 @@ import { mountEditor } from "./editor.js";
 import { loadFigures } from "./figures.js";
 import { mountFly } from "./fly.js";
 import { mountLearn } from "./learn.js";
-import { Router } from "./router.js";
+import { linkOf, Router } from "./router.js";
 import { Server } from "./server.js";
 
 /** What fills each view beside Fly at its first visit. */
@@ -93,6 +93,8 @@ function mountViews(context) {
     if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     for (const link of links) {
       link.ariaCurrent = link.dataset.view === view ? "page" : null;
+      // That of Fly leads back to the last flight.
+      if (link.dataset.view === "fly") link.href = linkOf(router.flight).href;
       if (link.ariaCurrent && !first) link.scrollIntoView({ block: "nearest", inline: "nearest" });
     }
     document.getElementById("view-title").textContent = section.ariaLabel;
@@ -100,13 +102,6 @@ function mountViews(context) {
     context.emit("view", view);
   }
 
-  // Links within the page do not reload it.
-  document.addEventListener("click", (event) => {
-    const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
-    if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
-    event.preventDefault();
-    router.follow(link);
-  });
   router.on("address", show);
   show(router.address);
 }

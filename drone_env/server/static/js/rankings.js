@@ -132,14 +132,14 @@ function flightOf(context, task, row, { id, seed, steps }, text = "Open") {
 }
 
 const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
-/** Widths of the bars, in points of loss, and their largest number. */
-const WIDTHS = [0.5, 1, 2, 5, 10, 20];
+/** The largest number of bars above zero. */
 const BARS = 12;
 
 /** The maps of a row, below a histogram of losses whose bars select maps. @param {Answer<"AgentMap">[]} maps */
 export function mapsOf(context, task, row, maps) {
   const losses = maps.map((map) => (isLost(regret(map)) ? 100 * regret(map) : 0));
-  const width = WIDTHS.find((one) => Math.max(...losses) / one < BARS - 1) ?? WIDTHS.at(-1);
+  /** Of a bar, in points. */
+  const width = Math.max(1, Math.ceil(Math.max(...losses) / BARS));
   const bars = Array.from({ length: Math.ceil(Math.max(...losses) / width) + 1 }, () => []);
   maps.forEach((map, i) => bars[Math.ceil(losses[i] / width)].push(map));
   const most = Math.max(...bars.map(({ length }) => length));
@@ -155,8 +155,7 @@ export function mapsOf(context, task, row, maps) {
   const place = el("div");
   const list = (chosen) => place.replaceChildren(grid(`Maps of ${row.name}`, columns, chosen, "Lost"));
   const bar = (of, i) => {
-    const end = (nth) => fixed(width * nth, width % 1 ? 1 : 0);
-    const title = `Lost ${i ? `${end(i - 1)} to ${end(i)}` : "0"}: ${counted(of.length, "map")}`;
+    const title = `Lost ${i ? `${width * (i - 1)} to ${width * i}` : "0"}: ${counted(of.length, "map")}`;
     const press = ({ currentTarget: button }) => {
       const on = button.ariaPressed !== "true";
       for (const other of button.parentNode.children) other.ariaPressed = String(on && other === button);
@@ -167,7 +166,7 @@ export function mapsOf(context, task, row, maps) {
       { "aria-pressed": "false", "aria-label": title, title, disabled: !of.length, style: { "--share": of.length / most }, press },
       el("span", { text: of.length ? thousands(of.length) : "" }),
       el("i"),
-      el("span", { text: end(i) }),
+      el("span", { text: String(width * i) }),
     );
   };
   list(maps);

@@ -20,6 +20,8 @@ export class Router extends Emitter {
     this.stale = false;
     this.timer = 0;
     window.addEventListener("popstate", () => this.show(read(location)));
+    // A link leaves this entry.
+    window.addEventListener("click", () => this.write(), { capture: true });
     window.addEventListener("pagehide", () => this.write());
   }
 
@@ -29,11 +31,6 @@ export class Router extends Emitter {
     this.write();
     if (linkOf(next).href !== linkOf(this.address).href) history.pushState(null, "", linkOf(next));
     this.show(next);
-  }
-
-  /** Follows a link of the page; that of Fly leads back to the last flight. @param {HTMLAnchorElement} link */
-  follow({ dataset, href }) {
-    this.go(dataset.view === "fly" ? this.flight : read(new URL(href)));
   }
 
   get bare() {
