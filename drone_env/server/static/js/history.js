@@ -175,17 +175,16 @@ function parsed(text) {
 /** The button that saves the record of a finished flight. @param {HTMLElement} root @param {Context} context */
 export function mountRecord(root, context) {
   const { stage } = context;
-  const save = el("button.button.quiet.small", { id: "save-record", text: "Save record", press: () => saveRecord(context) });
+  async function press() {
+    const { track, world } = stage;
+    const record = await tried(() => recordOf(context, track));
+    if (!record) return;
+    const name = `${world.task.short_name}-${world.seed}-${record.agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
+    download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
+  }
+  const save = el("button.button.quiet.small", { id: "save-record", text: "Save record", press });
   root.append(save);
   stage.on("change", () => (save.disabled = !stage.track?.record && !stage.track?.episode));
-}
-
-async function saveRecord(context) {
-  const { track, world } = context.stage;
-  const record = await tried(() => recordOf(context, track));
-  if (!record) return;
-  const name = `${world.task.short_name}-${world.seed}-${record.agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
-  download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
 }
 
 /** The file field, and the choice of a flight if the file contains several. */

@@ -221,8 +221,6 @@ export function pairOf(context, task, both, answer) {
 
 /** The newest flights of a task. @param {Context} context */
 export function flightsTable(context, episodes) {
-  const open = (e) =>
-    el("a.button.small", { text: "Open", data: { key: e.id }, "aria-label": `Open ${flightName(context, e)}`, href: `?episode=${e.id}` });
   const columns = [
     ["Pilot", (e) => named(context, e)],
     ["Map", (e) => String(e.seed), true],
@@ -232,7 +230,7 @@ export function flightsTable(context, episodes) {
     ["Parcels", (e) => `${e.deliveries} / ${e.deliveries_total}`, true],
     ["Steps", (e) => String(e.steps), true],
     ["Finished", (e) => el("time", { datetime: e.finished_at, text: moment(e.finished_at) })],
-    ["", open],
+    ["", (e) => open("Open", `Open ${flightName(context, e)}`, { episode: e.id })],
   ];
   return grid("Flights, newest first", columns, episodes);
 }
