@@ -105,7 +105,7 @@ BODIES: dict[str, Any] = {
     "/replay": RECORD.model_dump(),
     "/values": {"task": "easy", "seed": 7, "actions": ["UP"]},
     "/flights": {"task": "easy", "seed": 7, "pilots": ["greedy"]},
-    "/flights/agent": {"task": "easy", "seed": 7, "by": {"pilot": "greedy"}},
+    "/flights/agent": {"task": "easy", "seed": 7, "pilot": "greedy"},
     "/maps/file": {"toml": CITY},
     "/maps/worth": DRAWN,
     "/maps": DRAWN,

@@ -1,9 +1,6 @@
 """`drone-env dataset`: states, actions and their exact values; conversations."""
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
 
 from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName
 from drone_env.commands.printing import progress_bar
@@ -11,8 +8,6 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-
-FormatNames = Annotated[tuple[str, ...], tyro.conf.arg(name="format", metavar="parquet|minari|chat|preference")]
 
 
 def dataset(
@@ -24,23 +19,21 @@ def dataset(
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
     reward_profile: ProfileName = DEFAULT_PROFILE,
-    formats: FormatNames = ("parquet", "minari"),
-    turns: Literal["plan", "step", "route"] = "plan",
-    prompt: str = "plan",
+    prompt: str | None = None,
 ) -> None:
     """Write a dataset of flights with the exact values of every step.
 
     For imitation learning, offline reinforcement learning and process rewards: states, actions, rewards, V*, Q* of all
     actions, the set of optimal actions, and regret. The same arguments give the same rows. The folder contains
-    steps.parquet, a Minari dataset and a README.md that explains the columns. If an error occurs, nothing is left.
-    Needs the extra `data`.
+    steps.parquet and a README.md that explains the columns. If an error occurs, nothing is left. Needs the extra
+    `data`.
 
-    For language models, `--format chat` writes flights as conversations, and `preference` pairs of them, better one
-    first: JSONL and Parquet as TRL's trainers read them.
+    For language models, `--prompt` also writes chat.jsonl: each request that `drone-env infer` sends with this prompt,
+    and the agent's answer, as TRL's SFTTrainer reads them.
 
     Example: drone-env dataset --task hard --maps 1000 --out hard-steps
 
-    Example: drone-env dataset --format chat --turns route --agents optimal --epsilon 0 --out easy-chat
+    Example: drone-env dataset --prompt compass --agents optimal --out easy-chat
 
     Args:
         out: The folder to make, in one that exists.
@@ -52,9 +45,7 @@ def dataset(
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: A reward profile, or a TOML file with one. V*, Q* and regret are in score and do not depend on
             it.
-        formats: One or more. A flight takes about 45 to 80 KB in Minari, a step about 25 bytes in Parquet.
-        turns: In conversations: the plan in one answer, or a tool call for each step, or for each route to a parcel.
-        prompt: The prompt of plans: name, id or file.
+        prompt: The prompt of conversations: name (the newest version), id, or your own file. Default: none are written.
     """
     from drone_env.datasets.build import build_dataset  # slow to load
     from drone_env.datasets.trajectories import DatasetConfig
@@ -62,7 +53,7 @@ def dataset(
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
     seeds = split_seeds(split, maps, offset)
-    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, formats, turns, prompt)
+    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, prompt)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
         rows = build_dataset(config, out, on_map=advance)
     print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import ChosenTask, ProfileName, SeedRange, SplitName, select_maps
-from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
+from drone_env.commands.arguments import ChosenTask, SeedRange, SplitName, select_maps
+from drone_env.core.episode import Episode
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import custom_task_rules, get_task
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, needs, text_of
 from drone_env.files import RUNS
-from drone_env.llm.budget import Budget, OptionalNumber, Options, Whole
+from drone_env.llm.budget import Budget, Options, Whole
+from drone_env.llm.prompt import get_prompt, prompt_names
 
 if TYPE_CHECKING:
     from drone_env.llm.config import InferenceSettings, RunConfig
 
-PROMPTS = "minimal|grid|coordinates|compass|plan|think|think-plan|original|FILE.toml"
-PromptName = Annotated[str, tyro.conf.arg(metavar=PROMPTS)]
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+PromptName = Annotated[str, tyro.conf.arg(metavar="|".join((*prompt_names(), "FILE.toml")))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,22 +37,15 @@ class RunOptions:
         episodes: Number of maps of the split. Default: 1.
         split: Fly the first maps of this split. Default: test.
         seeds: Fly the maps from A up to and not including B instead of a split's.
-        repeats: Flights over each map, for pass^k; each sends its own sampling seed.
+        repeats: Flights over each map; each sends its own sampling seed.
         prompt: The prompt: name (the newest version), id such as grid-2, or your own file.
         history: Number of last steps that the prompt shows.
-        system: Send the system text as a message of its own, or merge it into the first user message, for models
-            without a system role.
         answers: Request plain text, structured output (JSON schema), or a tool call.
-        reward_profile: Rewards of the steps: a reward profile, or a TOML file with one.
-        data: Folder of the store for the flights, which a server shows. Default: DRONE_ENV_DATA, else data. With
-            --server, that server stores them.
-        out: The run folder. Default: a new folder in llm/ of the data folder.
+        out: The run folder. Default: a new folder in llm/ of the data folder (DRONE_ENV_DATA, else data), whose store
+            also gets the flights, so that a server shows them. With --server, that server stores them.
         resume: Continue the run in --out, under the same configuration.
         report: Verify the whole run and write report.json into its folder.
-        moves: Count blunders and other moves in the report, by the exact value of every state.
-        allow_plain_http: Send the token over http:// also to a public host, where others can read it.
-        use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every step on its server. Each of its observations
-            must equal the one here.
+        use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every flight on its server, as with --server.
     """
 
     task: ChosenTask = None
@@ -64,15 +57,10 @@ class RunOptions:
     repeats: int = 1
     prompt: PromptName = "minimal"
     history: int = 0
-    system: Literal["role", "merge"] = "role"
     answers: Literal["text", "json", "tool"] = "text"
-    reward_profile: ProfileName = ORIGINAL_PROFILE
-    data: Path | None = None
     out: Path | None = None
     resume: bool = False
     report: bool = True
-    moves: bool = True
-    allow_plain_http: Flag = False
     use_image: bool = False
 
 
@@ -82,15 +70,13 @@ class SamplingOptions:
 
     Args:
         temperature: Sampling temperature.
-        top_p: Nucleus sampling. Default: not sent.
         max_answer_tokens: Maximum length of an answer in tokens, sent as max_tokens; 0 sends none.
         sampling_seed: Sampling seed of the endpoint, plus the number of the repeat: with --repeats 3 and 5, the flights
             over a map send 5, 6 and 7. Default: not sent.
-        extra: More fields of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
+        extra: More fields of the request's body, as a JSON object, such as '{"top_p": 0.9, "reasoning_effort": "low"}'.
     """
 
     temperature: float = 0.0
-    top_p: OptionalNumber = None
     max_answer_tokens: int = 1024
     sampling_seed: Whole = None
     extra: str = "{}"
@@ -125,31 +111,35 @@ def infer(
         from drone_env.llm import report as reports
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import load_settings
-        from drone_env.llm.docker_server import running_image
         from drone_env.llm.endpoint import Endpoint
+        from drone_env.llm.on_server import repeat_on_server, running_image
         from drone_env.llm.progress import Progress
 
     settings = load_settings(run.base_url)
     config = _config(run, sampling, settings)
-    token = settings.token_for(config.base_url, run.allow_plain_http)
+    token = settings.token_for(config.base_url)
     if run.use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server: give it without --server")
-    data = data_folder() if run.data is None else run.data
-    path = run.out or _new_folder(data / RUNS, config.model, config.task_config.short_name)
+    path = run.out or _new_folder(data_folder() / RUNS, config.model, config.task_config.short_name)
     if run.resume and not (path / run_folder.CONFIG).exists():
         raise InvalidValueError(f"there is no run in {path} to resume")
     to_resume = f"give the same options with --out {path} --resume"
     with contextlib.ExitStack() as stack:
         if run.use_image:
             options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
-        store = None if options.server is not None else stack.enter_context(Store(data))
+        if options.server is None:
+            store = stack.enter_context(Store(data_folder()))
+        else:
+            store = None  # and its rules must be those here before any call is paid
+            first = Episode(config.task_config, ORIGINAL_PROFILE, config.seeds[0])
+            repeat_on_server(options.server, first, config.model)
         stack.enter_context(run_folder.locked_run(path, config, run.resume))
         sender = Endpoint(config.base_url, token, options.timeout)
         progress = Progress(config, Budget(options), path, store)
         try:
             result = asyncio.run(runner.run_flights(config, path, sender, progress))
             if run.report and result.verdict != "stopped":
-                reports.write_report(reports.report(reports.verified_run(path), options, run.moves))
+                reports.write_report(reports.report(reports.verified_run(path)))
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
@@ -161,8 +151,7 @@ def infer(
 def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSettings") -> "RunConfig":
     from pydantic import ValidationError
 
-    from drone_env.llm.config import RunConfig, Sampling, check_url
-    from drone_env.llm.prompt import get_prompt
+    from drone_env.llm.config import RunConfig, Sampling
 
     split, maps = select_maps(run.seeds, run.split, run.episodes, 1)
     name = settings.drone_task if run.task is None else run.task
@@ -171,24 +160,20 @@ def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSett
     try:
         return RunConfig(
             model=settings.model_name if run.model is None else run.model,
-            base_url=check_url(settings.api_base_url),
+            base_url=settings.api_base_url,
             task=task.id,
             task_version=task.version,
             rules=custom_task_rules(task),
             split=split,
             seeds=(maps.start, maps.stop),
             repeats=run.repeats,
-            reward_profile=run.reward_profile,
-            rewards=own_profile(run.reward_profile),
             prompt=prompt.id,
             prompt_digest=prompt.digest,
             prompt_text=prompt.own,
             history=run.history,
-            system=run.system,
             answers=run.answers,
             sampling=Sampling(
                 temperature=sampling.temperature,
-                top_p=sampling.top_p,
                 max_tokens=sampling.max_answer_tokens or None,
                 seed=sampling.sampling_seed,
                 extra=json.loads(sampling.extra),

@@ -1,4 +1,4 @@
-"""`build_dataset`: write flights as rows of steps, as a Minari dataset, as conversations and as pairs of these."""
+"""`build_dataset`: write flights as rows of steps, and as conversations."""
 
 # pyarrow declares no types.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
@@ -7,31 +7,28 @@ import json
 import math
 import shutil
 from collections.abc import Callable, Generator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
-import numpy.typing as npt
 import pyarrow
 import pyarrow.parquet
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.datasets.chat import COLUMNS as CHAT
-from drone_env.datasets.chat import row_writer
+from drone_env.datasets.chat import COLUMNS as CHAT_COLUMNS
+from drone_env.datasets.chat import chat_rows
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
-from drone_env.errors import DISTRIBUTION, InvalidValueError, needs
+from drone_env.errors import InvalidValueError
 from drone_env.files import locked
 from drone_env.results.pages import render
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
-PARQUET_FILE, MINARI_FOLDER = "steps.parquet", "minari"
+PARQUET_FILE, CHAT_FILE = "steps.parquet", "chat.jsonl"
 ROWS_PER_GROUP = 1 << 14
 """Minimum number of rows in memory before they are written."""
 
@@ -62,8 +59,7 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
         The number of rows.
 
     Raises:
-        InvalidValueError: if the folder is not empty or cannot be made, or no two flights of `preference` differ.
-        MissingPackageError: if a format's package is not installed.
+        InvalidValueError: if the folder is not empty or cannot be made.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
@@ -91,15 +87,14 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
 
 def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) -> int:
     """Write all flights, whole ones in each row group, and return the number of rows."""
-    writers: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]]
-    writers = {"parquet": _parquet_writer, "minari": _minari_writer}
-    writers |= {name: partial(row_writer, name) for name in CHAT}
     rows, batch = 0, list[Trajectory]()
     with ExitStack() as stack:
-        writes = [stack.enter_context(writers[name](folder, config)) for name in dict.fromkeys(config.formats)]
+        writes = [stack.enter_context(_parquet_writer(folder, config))]
+        if config.prompt is not None:
+            writes.append(stack.enter_context(_chat_writer(folder, config)))
         for seed in config.seeds:
             batch += fly_map(config, seed)
-            steps = sum(len(trajectory.actions) for trajectory in batch)
+            steps = sum(map(_length, batch))
             if seed == config.seeds[-1] or steps >= ROWS_PER_GROUP:
                 for write in writes:
                     write(batch)
@@ -117,10 +112,9 @@ def _readme(config: DatasetConfig, rows: int) -> str:
         columns=columns(config.task),
         rows=rows,
         parquet=PARQUET_FILE,
-        minari=MINARI_FOLDER,
-        chat={name: meanings for name, meanings in CHAT.items() if name in config.formats},
-        dataset_id=config.minari_id,
-        about=json.dumps(config.as_json(), indent=2),
+        chat_file=CHAT_FILE,
+        chat_columns=CHAT_COLUMNS,
+        about=config.as_json(),
     )
 
 
@@ -139,36 +133,40 @@ def columns(task: TaskConfig) -> list[Column]:
     score = "graded score after the step, provisional before the end"
     best = "Q*: highest score that can be reached after each action"
 
-    def state(name: str) -> Callable[[Trajectory], Any]:
-        return lambda flight: flight.infos[name][:-1]
-
-    def returns_to_go(flight: Trajectory) -> npt.NDArray[np.float64]:
-        return np.cumsum(flight.rewards[::-1])[::-1]
+    def step(name: str, dtype: str, shape: tuple[int, ...], text: str) -> Column:
+        return Column(name, dtype, shape, text, lambda flight: flight.steps[name])
 
     return [
         Column("episode", "int64", (), "number of the flight, from 0", lambda f: f.number),
         Column("task", "string", (), "id of the task", lambda _: task.id),
-        Column("task_version", "int32", (), "version of the task", lambda _: task.version),
         Column("seed", "int64", (), "number of the map", lambda f: f.seed),
         Column("agent", "string", (), "name of the agent", lambda f: f.agent),
-        Column("step", "int32", (), "number of earlier steps, from 0", lambda f: np.arange(len(f.actions))),
-        Column("grid", "uint8", grid, f"cell ids: {cells}", lambda f: f.observations["grid"][:-1]),
-        Column("telemetry", "float32", (task.telemetry_size,), telemetry, lambda f: f.observations["telemetry"][:-1]),
-        Column("action_mask", "int8", per_action, "0 for each action that would bump", state("action_mask")),
-        Column("action", "int8", (), flown, lambda f: f.actions),
-        Column("agent_action", "int8", (), "the agent's action; a random one may replace it", state("agent_action")),
-        Column("reward", "float64", (), "reward of the step, by the reward profile", lambda f: f.rewards),
-        Column("return_to_go", "float64", (), "undiscounted sum of the rewards from here on", returns_to_go),
-        Column("terminated", "bool", (), "whether the step ended the flight", lambda f: f.terminated),
-        Column("event", "string", (), "event of the step", lambda f: names[f.infos["event"][1:]]),
-        Column("score", "float64", (), score, lambda f: f.infos["score"][1:]),
-        Column("final_score", "float64", (), "graded score of the flight", lambda f: f.infos["score"][-1]),
-        Column("optimal_score", "float64", (), optimum, lambda f: f.infos["value"][0]),
-        Column("value", "float64", (), "V*: highest score that can still be reached", state("value")),
-        Column("q_values", "float64", per_action, best, state("q_values")),
-        Column("regret", "float64", (), "V* - Q* of the action: score lost for good", state("regret")),
-        Column("optimal_actions", "bool", per_action, "whether each action reaches V*", state("optimal_actions")),
+        Column("step", "int32", (), "number of earlier steps, from 0", lambda f: np.arange(_length(f))),
+        step("grid", "uint8", grid, f"cell ids: {cells}"),
+        step("telemetry", "float32", (task.telemetry_size,), telemetry),
+        step("action_mask", "int8", per_action, "0 for each action that would bump"),
+        step("action", "int8", (), flown),
+        step("agent_action", "int8", (), "the agent's action; a random one may replace it"),
+        step("reward", "float64", (), "reward of the step, by the reward profile"),
+        Column(
+            "terminated",
+            "bool",
+            (),
+            "whether the step ended the flight",
+            lambda f: np.arange(_length(f)) == _length(f) - 1,
+        ),
+        Column("event", "string", (), "event of the step", lambda f: names[f.steps["event"]]),
+        step("score", "float64", (), score),
+        Column("optimal_score", "float64", (), optimum, lambda f: f.optimal_score),
+        step("value", "float64", (), "V*: highest score that can still be reached"),
+        step("q_values", "float64", per_action, best),
+        step("regret", "float64", (), "V* - Q* of the action: score lost for good"),
+        step("optimal_actions", "bool", per_action, "whether each action reaches V*"),
     ]
+
+
+def _length(flight: Trajectory) -> int:
+    return len(flight.steps["action"])
 
 
 @contextmanager
@@ -187,7 +185,7 @@ def _parquet_writer(folder: Path, config: DatasetConfig) -> Generator[Write, Non
 
     def array(column: Column, trajectories: Sequence[Trajectory]) -> Any:
         kind = schema.field(column.name).type
-        parts = [(len(trajectory.actions), column.values(trajectory)) for trajectory in trajectories]
+        parts = [(_length(flight), column.values(flight)) for flight in trajectories]
         values = np.concatenate([np.full(steps, part) if np.ndim(part) == 0 else part for steps, part in parts])
         if not column.shape:
             return pyarrow.array(values, kind)
@@ -204,60 +202,9 @@ def _parquet_writer(folder: Path, config: DatasetConfig) -> Generator[Write, Non
 
 
 @contextmanager
-def _minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
-    """Write a Minari dataset into `minari/<dataset id>`; each call of the yielded function appends flights.
-
-    `minari.load_dataset` finds it if the environment variable `MINARI_DATASETS_PATH` names that `minari` folder.
-    `infos` have T + 1 entries, one for each observation, as those of Minari's own collector.
-    """
-    with needs("data"):
-        import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari imports it only when it writes
-        import minari
-        from minari.data_collector import EpisodeBuffer
-        from minari.dataset.minari_storage import MinariStorage
-    # Declared with lists, but arrays are written faster.
-    buffer: Any = EpisodeBuffer
-    # Without Gymnasium's limit: as a plain number in JSON it would truncate flights of the recovered environment.
-    env = gymnasium.make(config.task.gym_id, max_episode_steps=-1, reward_profile=config.reward_profile)
-    # Minari resolves a relative path against itself when it adds up sizes.
-    home = folder.resolve() / MINARI_FOLDER / config.minari_id
-    home.mkdir(parents=True)
-    storage = MinariStorage.new(
-        home / "data",
-        observation_space=env.observation_space,
-        action_space=env.action_space,
-        env_spec=env.spec,
-        data_format="hdf5",
-        jpeg_encoding=False,
-    )
-    about = config.as_json()
-    storage.update_metadata(
-        {
-            "dataset_id": config.minari_id,
-            "minari_version": minari.__version__,
-            "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
-            "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
-            "requirements": [f"{DISTRIBUTION}>={about['package_version']}"],
-            "drone_env": about,
-        }
-    )
-
-    def episode(flight: Trajectory) -> Any:
-        parts = {name: getattr(flight, name) for name in ("seed", "observations", "actions", "rewards", "infos")}
-        return buffer(
-            id=flight.number, terminations=flight.terminated, truncations=np.zeros_like(flight.terminated), **parts
+def _chat_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
+    """Write `chat.jsonl`; each call of the yielded function appends the rows of whole flights."""
+    with (folder / CHAT_FILE).open("w", encoding="utf-8") as file:
+        yield lambda flights: file.writelines(
+            f"{json.dumps(row)}\n" for flight in flights for row in chat_rows(config, flight)
         )
-
-    def write(trajectories: Sequence[Trajectory]) -> None:
-        storage.update_episodes(map(episode, trajectories))
-        metadata = [
-            {
-                "agent": flight.agent,
-                "final_score": float(flight.infos["score"][-1]),
-                "optimal_score": float(flight.infos["value"][0]),
-            }
-            for flight in trajectories
-        ]
-        storage.update_episode_metadata(metadata, [flight.number for flight in trajectories])
-
-    yield write

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +17,12 @@ from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
+from drone_env.llm.prompt import get_prompt
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
 from drone_env.results.evaluate import episodes_key
 
 FORMAT = "drone_env/dataset"
-CONVERSATIONS = ("chat", "preference")
-FORMATS = ("parquet", "minari", *CONVERSATIONS)
 
 
 @dataclass(frozen=True)
@@ -38,16 +36,12 @@ class DatasetConfig:
         agents: The agents, in this order on each map.
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: The reward profile.
-        formats: One or more of `FORMATS`.
-        turns: In conversations: the `plan` in one answer, or a tool call for each `step`, or for each `route` to a
-            parcel.
-        prompt: In conversations with a plan: the prompt.
+        prompt: The prompt of conversations; None to write none.
 
     Raises:
         UnknownNameError: if there is no such split, agent, reward profile or prompt.
         InvalidValueError: if the seeds are empty, out of range or outside the split, the agents are empty or repeated,
-            epsilon is not in [0, 1], a format is unknown, none is named, conversations are not of the split `train`, or
-            their prompt does not ask for a route.
+            or epsilon is not in [0, 1].
     """
 
     task: TaskConfig
@@ -56,41 +50,19 @@ class DatasetConfig:
     agents: Sequence[str] = ("optimal", "greedy", "random")
     epsilon: float = 0.1
     reward_profile: str = DEFAULT_PROFILE
-    formats: Sequence[str] = ("parquet", "minari")
-    turns: Literal["plan", "step", "route"] = "plan"
-    prompt: str = "plan"
+    prompt: str | None = None
 
     def __post_init__(self) -> None:
         if not self.agents or len(set(self.agents)) < len(self.agents):
             raise InvalidValueError(f"agents must be one name or more, each once; got {list(self.agents)}")
         if not 0 <= self.epsilon <= 1:
             raise InvalidValueError(f"epsilon must be a probability, 0 to 1; got {self.epsilon!r}")
-        if not self.formats or set(self.formats) - set(FORMATS):
-            got = ", ".join(self.formats)
-            raise InvalidValueError(f"formats must be one or more of {', '.join(FORMATS)}; got {got}")
-        if self.conversations and self.split != "train":
-            raise InvalidValueError(f"{' and '.join(CONVERSATIONS)} are data to train on: choose the split train")
         self.as_json()  # raises if another value is invalid
 
     @property
     def episodes(self) -> int:
         """The number of flights."""
         return len(self.seeds) * len(self.agents)
-
-    @property
-    def minari_id(self) -> str:
-        """The id of the dataset in Minari."""
-        return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
-
-    @property
-    def conversations(self) -> bool:
-        """Whether any format contains conversations."""
-        return not set(CONVERSATIONS).isdisjoint(self.formats)
-
-    @property
-    def text_prompt(self) -> Prompt:
-        """The prompt of conversations."""
-        return plan_prompt(self.prompt) if self.turns == "plan" else tools_prompt()
 
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as JSON values, with the version of this package."""
@@ -108,40 +80,33 @@ class DatasetConfig:
             "task_digest": self.task.digest,
             "package_version": __version__,
         }
-        if self.conversations:
-            prompt = self.text_prompt
-            config |= {"turns": self.turns, "prompt": prompt.id, "prompt_digest": prompt.digest}
+        if self.prompt is not None:
+            prompt = get_prompt(self.prompt)
+            config |= {"prompt": prompt.id, "prompt_digest": prompt.digest}
         return json.loads(json.dumps(config, default=str))
 
 
 class Trajectory(NamedTuple):
-    """One flight: T steps, T + 1 states.
+    """One flight of T steps.
 
     Attributes:
         number: The number of the flight in the dataset, from 0.
         seed: The map.
         agent: The name of the agent.
-        observations: `grid`, uint8[T + 1, H, W], and `telemetry`, float32[T + 1, telemetry_size].
-        actions: int64[T].
-        rewards: float64[T].
-        infos: Arrays [T + 1, ...]. Of each state: `action_mask`, `score`, the `event` that led to it (`Event`), and
-            `value`, the highest score that can still be reached. Of the action in each state: `q_values` (the highest
-            score after each action), `regret`, `optimal_actions`, and `agent_action` before random actions replace
-            some. In the last state these are NaN, False or -1.
+        score: Its graded score.
+        optimal_score: The highest score that any flight over the map gets.
+        steps: Arrays [T, ...]. Before each step: `grid`, `telemetry`, `action_mask`, `value`, the highest score that
+            can still be reached, and `q_values`, that after each action. Of the step: `action`, `agent_action` before
+            random actions replace some, `reward`, `event` (`Event`), `regret`, `optimal_actions`, and the `score` after
+            it.
     """
 
     number: int
     seed: int
     agent: str
-    observations: dict[str, npt.NDArray[Any]]
-    actions: npt.NDArray[np.int64]
-    rewards: npt.NDArray[np.float64]
-    infos: dict[str, npt.NDArray[Any]]
-
-    @property
-    def terminated(self) -> npt.NDArray[np.bool_]:
-        """bool[T]: whether the step ended the flight."""
-        return np.arange(1, len(self.actions) + 1) == len(self.actions)
+    score: float
+    optimal_score: float
+    steps: dict[str, npt.NDArray[Any]]
 
 
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
@@ -172,31 +137,19 @@ def random_actions(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
-    act = begin(make_agent(name, episode.task), name, episode)
-    states, q_rows, agent_actions = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
+    act, rows = begin(make_agent(name, episode.task), name, episode), list[dict[str, Any]]()
     for choice, (share, action) in zip(choices(episode, act), random_actions(name, episode.seed), strict=False):
-        q_rows.append(solver.q_values(episode))
-        agent_actions.append(int(choice))
-        episode.step(action if share < epsilon else choice)
-        states.append(_state(episode))
-    grids, telemetry, action_masks, scores, events = map(np.array, zip(*states, strict=True))
-    values = np.append(np.max(q_rows, axis=1), episode.score)
-    q_values = np.array([*q_rows, np.full(N_ACTIONS, np.nan)])
-    actions = np.array(episode.actions, np.int64)
-    infos = {
-        "action_mask": action_masks,
-        "score": scores,
-        "event": events.astype(np.int8),
+        row: dict[str, Any] = {**episode.observation(), "action_mask": episode.action_mask()}
+        row |= {"q_values": solver.q_values(episode), "agent_action": int(choice)}
+        row["action"] = action if share < epsilon else int(choice)
+        row["reward"] = episode.step(row["action"])
+        rows.append({**row, "event": int(episode.event), "score": episode.score})
+    steps = {column: np.array([row[column] for row in rows]) for column in rows[0]}
+    q_values = steps["q_values"]
+    values = q_values.max(axis=1)
+    steps |= {
         "value": values,
-        "q_values": q_values,
-        "regret": values - q_values[np.arange(len(values)), np.append(actions, 0)],
+        "regret": values - q_values[np.arange(len(rows)), steps["action"]],
         "optimal_actions": q_values == values[:, None],
-        "agent_action": np.array([*agent_actions, -1], np.int8),
     }
-    observations = {"grid": grids, "telemetry": telemetry}
-    return Trajectory(number, episode.seed, name, observations, actions, np.array(episode.rewards), infos)
-
-
-def _state(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32], npt.NDArray[np.int8], float, int]:
-    obs = episode.observation()
-    return obs["grid"], obs["telemetry"], episode.action_mask(), episode.score, episode.event
+    return Trajectory(number, episode.seed, name, episode.score, float(values[0]), steps)

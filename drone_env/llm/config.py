@@ -1,19 +1,16 @@
 """Settings from the environment (model, endpoint, token), and the configuration that identifies a run."""
 
-import json
 import re
-from ipaddress import ip_address
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 from typing_extensions import Self
 
-from drone_env.core.rewards import RewardProfile, get_reward_profile
-from drone_env.core.seeds import N_SEEDS
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import TaskConfig, custom_task_rules, get_task
-from drone_env.errors import InvalidValueError, text_of
+from drone_env.errors import InvalidValueError
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.models import DIRECTIONS, Count, StrictModel
@@ -22,26 +19,16 @@ HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"
 OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
-PRIVATE_NAMES = (".local", ".localhost", ".internal", ".lan", ".home.arpa", ".svc")
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
 PROVIDERS_KEY = re.compile(r"\Ahf_|\Ask-.*T3BlbkFJ")
 """Beginning of a key of Hugging Face, and a part of every key of OpenAI."""
-RESERVED = {
-    *("model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"),
-    *("tools", "tool_choice", "response_format"),
-}
-"""Fields of a request that `extra` cannot set."""
 
 
 class InferenceSettings(BaseSettings):
     """Settings from the environment or `.env`. The environment takes precedence; names are in capitals there."""
 
     model_config = SettingsConfigDict(
-        env_file=".env",
-        env_file_encoding="utf-8",
-        env_ignore_empty=True,
-        frozen=True,
-        extra="ignore",
-        protected_namespaces=(),
+        env_file=".env", env_file_encoding="utf-8", env_ignore_empty=True, extra="ignore", protected_namespaces=()
     )
 
     hf_token: SecretStr | None = Field(default=None, description="Token for Hugging Face; sent to its hosts alone.")
@@ -70,39 +57,28 @@ class InferenceSettings(BaseSettings):
             values = {"model_name": OPENAI_MODEL, **values}
         return values
 
-    def token_for(self, url: str, allow_plain_http: bool = False) -> str | None:
+    def token_for(self, url: str) -> str | None:
         """The token for an endpoint, chosen by its host; None if no key is set and the endpoint may need none.
 
-        Args:
-            url: The endpoint.
-            allow_plain_http: Whether the token may be sent unencrypted to another machine.
-
         Raises:
-            InvalidValueError: if the token for the host is not set or cannot be in a header, or would be sent
-                unencrypted to a public host, or, as a key of Hugging Face or OpenAI, to another machine.
+            InvalidValueError: if the token for the host is not set or cannot be in a header, or would reach another
+                machine unencrypted, as a key of Hugging Face or OpenAI.
         """
-        parts = urlsplit(check_url(url))
-        host = host_of(url)
-        hugging_face = any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS)
+        parts = urlsplit(url)
+        host = (parts.hostname or "").rstrip(".")
+        hugging_face = any(f".{host}".endswith(f".{known}") for known in HUGGING_FACE_HOSTS)
         name, secret = ("HF_TOKEN", self.hf_token) if hugging_face else ("OPENAI_API_KEY", self.openai_api_key)
         if secret is None:
-            if host in (host_of(HUGGING_FACE), host_of(OPENAI)):
+            if host in (urlsplit(HUGGING_FACE).hostname, urlsplit(OPENAI).hostname):
                 raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
             return None
         token = secret.get_secret_value().strip()
-        if not re.fullmatch(r"[!#-&(-[\]-~]+", token):
-            # JSON escapes quotes and backslashes, so such a token would not be found in an answer that quotes it.
-            raise InvalidValueError(f"{name} must be printable ASCII without spaces, quotes and backslashes")
-        if parts.scheme == "https" or is_loopback(host) or allow_plain_http:
-            return token
-        if not is_private(host):
-            raise InvalidValueError(
-                f"{name} is not sent unencrypted to {host}, a public host: use https://, or add --allow-plain-http"
-            )
-        if PROVIDERS_KEY.search(token):
+        if not re.fullmatch("[!-~]+", token):
+            raise InvalidValueError(f"{name} must be printable ASCII without spaces")
+        if parts.scheme == "http" and host not in LOOPBACK and PROVIDERS_KEY.search(token):
             raise InvalidValueError(
                 f"{name} is a key of Hugging Face or OpenAI and is not sent unencrypted to {host}: set it to the key "
-                "of this endpoint (any word if it has none), use https://, or add --allow-plain-http"
+                "of this endpoint (any word if it has none), or use https://"
             )
         return token
 
@@ -114,71 +90,21 @@ def load_settings(api_base_url: str | None = None) -> InferenceSettings:
         api_base_url: The endpoint; overrides both.
 
     Raises:
-        InvalidValueError: if a variable has an invalid value, or `.env` is not text.
+        InvalidValueError: if `.env` is not text.
     """
     try:
         return InferenceSettings() if api_base_url is None else InferenceSettings(api_base_url=api_base_url)
     except UnicodeDecodeError as error:
         raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
-    except ValidationError as error:
-        raise InvalidValueError(text_of(error, str.upper)) from None
-
-
-def check_url(url: str) -> str:
-    """The address of an endpoint without a trailing slash.
-
-    Raises:
-        InvalidValueError: if it is not an http or https address, or contains a user, password, query, fragment or
-            unprintable character.
-    """
-    try:
-        parts = urlsplit(url)
-        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0 and "@" not in parts.netloc
-    except ValueError:
-        usable = False
-    # The message does not quote the address: it can contain a password.
-    if not usable or not url.isprintable() or "?" in url or "#" in url:
-        raise InvalidValueError("API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password or query")
-    return url.rstrip("/")
-
-
-def host_of(url: str) -> str:
-    """The host of an address, in small letters and without the dot of a full name."""
-    return (urlsplit(url).hostname or "").rstrip(".")
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host is this machine."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return f".{host}".endswith(".localhost")
-
-
-def is_private(host: str) -> bool:
-    """Whether a host is this machine or in a private network, by its address or name."""
-    try:
-        return not ip_address(host).is_global
-    except ValueError:
-        return "." not in host or host.endswith(PRIVATE_NAMES)
 
 
 class Sampling(StrictModel):
     """Parameters of every request. Null values are not sent."""
 
     temperature: float | None = Field(default=0.0, ge=0, le=2)
-    top_p: float | None = Field(default=None, gt=0, le=1)
     max_tokens: int | None = Field(default=1024, ge=1)
     seed: int | None = Field(default=None, ge=0)
-    extra: dict[str, Any] = Field(default_factory=dict, description="More fields of the request's body.")
-
-    @field_validator("extra")
-    @classmethod
-    def _check_extra(cls, extra: dict[str, Any]) -> dict[str, Any]:
-        if taken := sorted(RESERVED & extra.keys()):
-            raise ValueError(f"extra cannot set {taken[0]!r}")
-        json.dumps(extra, allow_nan=False, ensure_ascii=False).encode()
-        return extra
+    extra: dict[str, Any] = Field(default_factory=dict, description="More fields of the body; they replace others.")
 
 
 class RunConfig(StrictModel):
@@ -186,7 +112,8 @@ class RunConfig(StrictModel):
 
     format: Literal["drone_env/llm-run"] = "drone_env/llm-run"
     format_version: Literal[1] = 1
-    model: str = Field(min_length=1, max_length=180, description="The model, without spaces.")
+    # Readers split log lines at spaces.
+    model: str = Field(pattern=r"^\S{1,180}$", description="The model, without spaces.")
     base_url: str
     task: str
     task_version: int = Field(ge=1)
@@ -194,53 +121,35 @@ class RunConfig(StrictModel):
     split: str
     seeds: tuple[Count, Count] = Field(strict=False, description="The maps, [start, stop).")
     repeats: int = Field(ge=1, le=100, description="Flights over each map.")
-    reward_profile: str
-    rewards: RewardProfile | None = Field(default=None, description="The profile, if it is from outside the package.")
     prompt: str = Field(description="Id of the prompt.")
     prompt_digest: str = Field(description="Digest of its file.")
     prompt_text: str | None = Field(default=None, description="Its text, if it is from outside the package.")
     history: Count = Field(description="Number of last steps that the prompt shows.")
-    system: Literal["role", "merge"] = Field(
-        default="role", description="`merge`: the system text is the beginning of the first user message."
-    )
     answers: Literal["text", "json", "tool"]
     sampling: Sampling
-
-    @field_validator("model")
-    @classmethod
-    def _check_model(cls, model: str) -> str:
-        # Readers split log lines at spaces.
-        if any(letter.isspace() or not letter.isprintable() for letter in model):
-            raise ValueError(f"a model's name has no spaces and only printable characters, got {model!r}")
-        return model
 
     @field_validator("base_url")
     @classmethod
     def _check_url(cls, url: str) -> str:
-        return check_url(url)
+        parts = urlsplit(url)
+        plain = "@" not in parts.netloc and not parts.query and not parts.fragment
+        if parts.scheme not in ("http", "https") or not parts.hostname or not plain:
+            # The message does not quote the address: it can contain a password.
+            raise ValueError("API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password or query")
+        return url.rstrip("/")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.rules != custom_task_rules(self.task_config):
             raise ValueError(f"the task {self.task!r} has changed since the run: name the file as it was")
-        if self.profile.id != self.reward_profile:
-            raise ValueError(f"rewards are those of {self.profile.id!r}, not of {self.reward_profile!r}")
-        if self.history and "history" not in self._prompt().names:
+        if self.history and "history" not in self._prompt().user:
             raise ValueError(f"prompt {self.prompt} shows no last steps: history must be 0")
-        start, stop = self.seeds
-        if not start < stop <= N_SEEDS:
-            raise ValueError(f"seeds must be [start, stop) within [0, 2^53], got {self.seeds}")
         return self
 
     @property
     def task_config(self) -> TaskConfig:
         """The task."""
         return get_task(self.task, self.task_version)
-
-    @property
-    def profile(self) -> RewardProfile:
-        """The rewards of the steps."""
-        return self.rewards or get_reward_profile(self.reward_profile)
 
     @property
     def flights(self) -> int:
@@ -250,9 +159,8 @@ class RunConfig(StrictModel):
     def episode_run(self, index: int, prompt: Prompt) -> EpisodeRun:
         """A flight at its start, by its number: all maps once, then all again."""
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
-        run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, self.profile, self.history)
+        run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, ORIGINAL_PROFILE, self.history)
         run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat, prompt.plan)
-        run.asked = {"system": "merge"} if self.system == "merge" else {}
         return run
 
     def load_prompt(self) -> Prompt:
@@ -277,7 +185,7 @@ class RunConfig(StrictModel):
         sampling = self.sampling.model_dump(exclude={"extra"}, exclude_none=True)
         if "seed" in sampling:  # equal seeds would make each repeat a copy of the first
             sampling["seed"] += repeat
-        return {"model": self.model, **sampling, **self.sampling.extra, **_answer_form(self.answers, plan)}
+        return {"model": self.model, **sampling, **_answer_form(self.answers, plan), **self.sampling.extra}
 
 
 def _answer_form(answers: Literal["text", "json", "tool"], plan: bool) -> dict[str, Any]:

@@ -4,26 +4,23 @@ import asyncio
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from email.utils import parsedate_to_datetime
 from time import time
 from typing import Any, cast
-from urllib.parse import quote, urlsplit
+from urllib.parse import urlsplit
 
 import httpx
 
 from drone_env import __version__
-from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer, finish_kind
-from drone_env.llm.config import host_of, is_private
-from drone_env.llm.rejections import NO_CHANGES, Changes, changes_for
+from drone_env.llm.rejections import NO_CHANGES, changes_for
+from drone_env.llm.sender import TryFailedError
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300
 MAX_TOKENS = 10**12
 """Larger counts are ignored."""
-MAX_BYTES = 1 << 22
-"""Longer responses are rejected, so that an endpoint cannot fill the memory; a million tokens take less."""
 PARTS = {
     **dict.fromkeys(("text", "output_text"), "text"),
     **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
@@ -44,40 +41,10 @@ NO_CREDIT = re.compile(
     re.IGNORECASE,
 )
 """What errors without the status 402 say of an account without credit."""
-LOADING = re.compile(r"loading\b.{0,40}\bmodel|\bmodel\b.{0,120}\b(?:loading|not ready|starting|warming)", re.I | re.S)
-"""What a 503 says while a server loads its model."""
-MIN_SECRET = 8
-"""Shorter tokens, such as `x` for a local server, are not secret, and occur in words."""
-
-
-@dataclass(eq=False)
-class TryFailedError(DroneEnvError):
-    """A try without an answer.
-
-    Attributes:
-        status: The HTTP status, or that of an error in a 200 response; 0 if there is none.
-        reason: What went wrong.
-        retried: Whether another try can succeed.
-        retry_after: Seconds to wait, as the endpoint requests; None if it does not.
-        fatal: Whether every other call would fail too.
-        changes: What to change in the request, if the endpoint rejects a part that can change.
-        starting: Whether the endpoint may still be starting: it loads its model, or takes no connection.
-    """
-
-    status: int
-    reason: str
-    retried: bool = False
-    retry_after: float | None = None
-    fatal: bool = False
-    changes: Changes = field(default_factory=lambda: NO_CHANGES)
-    starting: bool = False
-
-    def __str__(self) -> str:
-        return f"{self.status or 'no answer'}: {self.reason}"
 
 
 class Endpoint:
-    """Sends the requests of a run. Close it after use.
+    """Sends the requests of a run by HTTP.
 
     Args:
         base_url: Its address.
@@ -92,22 +59,13 @@ class Endpoint:
         self._url, self._host = f"{base_url}/chat/completions", urlsplit(base_url).netloc
         self._token = token
         self._timeout = timeout
-        headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
+        headers = {"user-agent": f"drone-env/{__version__}"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
-        private = is_private(host_of(base_url))
-        # A redirect, or a proxy for a private endpoint, would send the token elsewhere. The rate limiter bounds the
-        # connections.
+        # A redirect would send the token elsewhere. The run bounds the connections.
+        limits = httpx.Limits(max_connections=None, max_keepalive_connections=None)
         try:
-            self._client = httpx.AsyncClient(
-                headers=headers,
-                trust_env=not private,
-                # Private endpoints need the certificates of the environment (SSL_CERT_FILE) most of all.
-                verify=httpx.create_ssl_context() if private and base_url.startswith("https") else True,
-                follow_redirects=False,
-                timeout=None,
-                limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
-            )
+            self._client = httpx.AsyncClient(headers=headers, follow_redirects=False, timeout=None, limits=limits)
         except (ImportError, ValueError, httpx.InvalidURL) as error:
             raise InvalidValueError(f"HTTP_PROXY, HTTPS_PROXY or ALL_PROXY cannot be used: {error}") from None
 
@@ -118,14 +76,14 @@ class Endpoint:
             TryFailedError: if there is no answer.
         """
         try:
+            # httpx limits each read, so a slow server can take longer.
             return await asyncio.wait_for(self._send(request, call_id), self._timeout)
         except asyncio.TimeoutError:
-            advice = "a slow server needs a larger --timeout or a smaller --max-answer-tokens"
-            reason = f"no answer within {self._timeout:g} s: {advice}, and may still work on this request"
-            raise TryFailedError(0, reason, retried=True) from None
+            advice = "a slow server needs a larger --timeout, or a smaller --max-answer-tokens or --concurrency"
+            raise TryFailedError(0, f"no answer within {self._timeout:g} s: {advice}", retried=True) from None
         except httpx.ConnectError as error:
             reason = self._clean(f"{self._host} takes no connection ({error}): check API_BASE_URL and the server")
-            raise TryFailedError(0, reason, retried=True, starting=True) from None
+            raise TryFailedError(0, reason, retried=True, fatal=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
@@ -138,14 +96,12 @@ class Endpoint:
         await self._client.aclose()
 
     async def _send(self, request: Mapping[str, Any], call_id: str) -> Answer:
-        headers = {"x-client-request-id": call_id}
-        async with self._client.stream("POST", self._url, json=request, headers=headers) as response:
-            data = await _read(response)
+        response = await self._client.post(self._url, json=request, headers={"x-client-request-id": call_id})
         if not response.is_success:
-            raise self._refusal(response.status_code, _error_text(data), data, response.headers, request)
-        if not data.strip():
+            raise self._refusal(response.status_code, _error_text(response.text), response, request)
+        if not response.text.strip():
             raise TryFailedError(200, "the response is empty", retried=True)
-        completion = _json(data)
+        completion = _json(response)
         error = _error_of(completion)
         fields = {} if error else _answer(completion)
         if error or not any(fields[name] for name in (*TEXTS, "finish_reason")):
@@ -153,52 +109,42 @@ class Endpoint:
             codes = (str(named.get(name)) for name in ("code", "status"))
             status = next((int(code) for code in codes if re.fullmatch("[45][0-9][0-9]", code)), 200)
             reason = f"{self._clean(_message_of(error or 'the message is empty'))} (in a 200 response)"
-            raise self._refusal(status, reason, data, response.headers, request)
-        texts = {name: value for name, value in fields.items() if isinstance(value, str)}
-        clean = {name: without_secret(whole_characters(text), self._token) for name, text in texts.items()}
-        answer = Answer.model_validate(fields | clean)
+            raise self._refusal(status, reason, response, request)
+        texts = {name: self._hidden(value) for name, value in fields.items() if isinstance(value, str)}
+        answer = Answer.model_validate(fields | texts)
         if finish_kind(answer.finish_reason) == "failed":
             reason = f"the answer was not finished: finish reason {self._clean(str(answer.finish_reason))!r}"
             raise TryFailedError(200, reason, retried=True)
         return answer
 
     def _refusal(
-        self, status: int, reason: str, data: bytes, headers: httpx.Headers, request: Mapping[str, Any]
+        self, status: int, reason: str, response: httpx.Response, request: Mapping[str, Any]
     ) -> TryFailedError:
         """The failure for an error, by its status or by what the whole response says."""
         reason = self._clean(reason) or httpx.codes.get_reason_phrase(status)
-        text = data.decode(errors="replace")
         if 300 <= status < 400:
-            where = self._clean(headers.get("location", "elsewhere"))
+            where = self._clean(response.headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
-        hint = HINTS[402] if NO_CREDIT.search(text) else HINTS.get(status)
+        hint = HINTS[402] if NO_CREDIT.search(response.text) else HINTS.get(status)
         if status == 401 and self._token is None:
             hint = "no token was sent: set OPENAI_API_KEY; HF_TOKEN goes to Hugging Face only"
         if hint is not None:
             return TryFailedError(status, f"{hint} ({reason})", fatal=True)
         retried = status in RETRIED or status >= 500 or status == 200
-        after = _retry_after(headers) if retried else None
-        changes = NO_CHANGES if status in RETRIED else changes_for(text, request)
-        starting = status == 503 and LOADING.search(text) is not None
-        return TryFailedError(status, reason, retried, after, False, changes, starting)
+        after = _retry_after(response.headers) if retried else None
+        changes = NO_CHANGES if status in RETRIED else changes_for(response.text, request)
+        return TryFailedError(status, reason, retried, after, changes=changes)
+
+    def _hidden(self, text: str) -> str:
+        """The text without the token and without half characters, which JSON can contain and no file can."""
+        text = text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
+        return text if self._token is None else text.replace(self._token, "***")
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token and without unprintable characters."""
-        text = without_secret(text, self._token)
         # Shorten last: part of a token would not be found.
-        text = " ".join(text.split())[:REASON_CHARACTERS]
+        text = " ".join(self._hidden(text).split())[:REASON_CHARACTERS]
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
-
-
-async def _read(response: httpx.Response) -> bytes:
-    """The body up to a limit."""
-    data = bytearray()
-    async for chunk in response.aiter_bytes():
-        data += chunk
-        if len(data) > MAX_BYTES:
-            # Not retried, whatever its status.
-            raise ValueError(f"it is longer than {MAX_BYTES:,} bytes")
-    return bytes(data)
 
 
 def _error_of(completion: Any) -> Any:
@@ -270,19 +216,19 @@ def _parts(content: Any) -> Iterator[tuple[str, str]]:
             yield PARTS[kind], "".join(text for _, text in _parts(inner))
 
 
-def _json(data: bytes) -> Any:
+def _json(response: httpx.Response) -> Any:
     try:
-        return json.loads(data)
+        return response.json()
     except ValueError:
-        raise ValueError(f"JSON was expected (check API_BASE_URL), got {data.decode(errors='replace')}") from None
+        raise ValueError(f"JSON was expected (check API_BASE_URL), got {response.text}") from None
 
 
-def _error_text(data: bytes) -> str:
+def _error_text(text: str) -> str:
     """The message of an error response, or its whole text."""
     try:
-        return _message_of(json.loads(data))
+        return _message_of(json.loads(text))
     except (ValueError, RecursionError):
-        return data.decode(errors="replace")
+        return text
 
 
 def _message_of(error: Any) -> str:
@@ -309,16 +255,3 @@ def _retry_after(headers: httpx.Headers) -> float | None:
         return max(0.0, float(after) if after[:1].isdecimal() else parsedate_to_datetime(after).timestamp() - time())
     except (TypeError, ValueError):
         return None
-
-
-def whole_characters(text: str) -> str:
-    """The text with replacements for half characters, which JSON can contain and which cannot be encoded."""
-    return text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
-
-
-def without_secret(text: str, secret: str | None) -> str:
-    """The text with `***` in place of the secret, in any letter case, also URL-encoded."""
-    if secret is None or len(secret) < MIN_SECRET:
-        return text
-    spellings = "|".join(re.escape(spelling) for spelling in {secret, quote(secret, safe="")})
-    return re.sub(spellings, "***", text, flags=re.IGNORECASE)

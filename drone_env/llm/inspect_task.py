@@ -11,7 +11,6 @@ limits: a failed call makes its sample an error, which is not in the mean.
 import math
 from typing import Any
 
-from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
@@ -50,7 +49,6 @@ def drone_delivery(
     episodes: int = 100,
     split: str = "test",
     history: int = 0,
-    reward_profile: str = DEFAULT_PROFILE,
     sampling_seed: int | None = None,
 ) -> Task:
     """Flights over the first maps of a split, one sample a map; Inspect's epochs are repeats.
@@ -61,12 +59,11 @@ def drone_delivery(
         episodes: Number of maps.
         split: Split of the maps: train, validation or test.
         history: Number of last steps that the prompt shows.
-        reward_profile: Rewards of the steps; they do not change the score.
         sampling_seed: Seed of the first epoch; each further epoch sends the next one. Inspect's own `--seed` is the
             same in every epoch, so that all epochs are equal.
 
     Raises:
-        UnknownNameError: if the task, prompt, split or profile does not exist.
+        UnknownNameError: if the task, prompt or split does not exist.
         InvalidValueError: if a number is out of range.
     """
     config, chosen = get_task(task), get_prompt(prompt)
@@ -74,28 +71,27 @@ def drone_delivery(
         raise InvalidValueError(f"history must be 0 or more, got {history}")
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
-        messages = TextEpisode(config, seed, chosen, reward_profile).messages
+        messages = TextEpisode(config, seed, chosen).messages
         samples.append(Sample(id=str(seed), input=_inspect_messages(messages), metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
-        solver=pilot(config.id, prompt if chosen.own else chosen.id, history, reward_profile, sampling_seed),
+        solver=pilot(config.id, prompt if chosen.own else chosen.id, history, sampling_seed),
         scorer=graded(),
         fail_on_error=MAX_ERRORED,
         name=config.id,
         version=config.version,
-        metadata={"prompt": chosen.id, "prompt_digest": chosen.digest, "reward_profile": reward_profile},
+        metadata={"prompt": chosen.id, "prompt_digest": chosen.digest},
     )
 
 
 @solver
-def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_seed: int | None = None) -> Solver:
+def pilot(task: str, prompt: str, history: int, sampling_seed: int | None = None) -> Solver:
     """Fly the map of a sample to its end.
 
     Args:
         task: Id of the task.
         prompt: Id of the prompt, or its file.
         history: Number of last steps that the prompt shows.
-        reward_profile: Rewards of the steps.
         sampling_seed: Seed of the first epoch.
     """
     config, chosen = get_task(task), get_prompt(prompt)
@@ -104,7 +100,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
         model = get_model()
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
         seed = state.metadata["seed"]
-        flight = EpisodeRun(config, seed, chosen, reward_profile, history)
+        flight = EpisodeRun(config, seed, chosen, history=history)
         flight.repeat = state.epoch - 1
         while flight.messages:
             messages = _inspect_messages(flight.messages)

@@ -3,7 +3,6 @@
 import sys
 import time
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 
 from drone_env.core.actions import Action
@@ -16,7 +15,6 @@ from drone_env.llm.run_folder import EpisodeIds
 from drone_env.llm.text_episode import EpisodeRun
 
 LINE_SECONDS = 10.0
-LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
 
 
@@ -42,34 +40,24 @@ class Progress:
     _line_shown: float = field(default_factory=time.monotonic)
     _wait_shown: float = 0.0
 
-    @cached_property
-    def _one_at_a_time(self) -> bool:
-        return min(self.config.flights, self.budget.options.concurrency) == 1
-
     def on_steps(self, run: EpisodeRun) -> None:
         """Print the new log lines of a flight, and a line of progress if the last one is old."""
-        if self._one_at_a_time:
+        if min(self.config.flights, self.budget.options.concurrency) == 1:
             self._print(run)
         now = time.monotonic()
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
-            flights = f"{self._flights} of {self.config.flights} flights"
-            print(f"{flights}, {self.budget.requests} requests", file=sys.stderr)
+            self.notice(f"{self._flights} of {self.config.flights} flights, {self.budget.requests} requests")
 
-    def _print(self, run: EpisodeRun) -> None:
-        lines = log_lines(run, self.config.model, self._printed)
-        print(*lines, sep="\n", end="\n" if lines else "", flush=True)
-        self._printed += len(lines)
-
-    def on_wait(self, seconds: float, reason: str) -> None:
-        """Print the wait before a retry, at most one short wait per second."""
+    def on_wait(self, text: str) -> None:
+        """Print the wait before a retry, at most one a second."""
         now = time.monotonic()
-        if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:
+        if now - self._wait_shown >= QUIET_SECONDS:
             self._wait_shown = now
-            print(f"{reason}; next attempt in {seconds:.1f} s", file=sys.stderr)
+            self.notice(text)
 
     def notice(self, text: str) -> None:
-        """Print what happens once in a run."""
+        """Print a line to standard error."""
         print(text, file=sys.stderr)
 
     def on_flight(self, run: EpisodeRun) -> None:
@@ -79,13 +67,18 @@ class Progress:
                 self.store.add_episode(run.episode, self.config.model, EpisodeIds(self.folder).of(run.index))
         except StoreError as error:
             # The flight is paid for: the run continues without the store.
-            print(f"map {run.seed} is not in the store, --resume adds it: {error}", file=sys.stderr)
+            self.notice(f"map {run.seed} is not in the store, --resume adds it: {error}")
         self._print(run)
         print(last_line(run), flush=True)
         self._printed = 0
         self._flights += 1
         if run.status != "finished":
-            print(f"map {run.seed}: {run.status}: {run.error}", file=sys.stderr)
+            self.notice(f"map {run.seed}: {run.status}: {run.error}")
+
+    def _print(self, run: EpisodeRun) -> None:
+        lines = log_lines(run, self.config.model, self._printed)
+        print(*lines, sep="\n", end="\n" if lines else "", flush=True)
+        self._printed += len(lines)
 
 
 def log_lines(run: EpisodeRun, model: str, printed: int = 0) -> list[str]:

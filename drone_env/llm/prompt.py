@@ -7,7 +7,7 @@ in `prompts/parts`.
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +19,7 @@ from drone_env.core.actions import ACTION_OFFSETS, Action
 from drone_env.core.cells import CELL_KINDS, LETTERS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
+from drone_env.errors import InvalidValueError, MissingPackageError, UnknownNameError, needs, text_of
 from drone_env.files import read_file
 from drone_env.llm.answers import MARK, ChatMessage
 from drone_env.models import StrictModel
@@ -37,15 +37,6 @@ TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstac
 COMPASS_PADS = 5
 """The largest number of charging pads that the compass shows."""
 CELL_LETTERS = list(LETTERS.values())
-LEGEND = (
-    "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
-)
-VALUES = {
-    *("x", "y", "battery_percent", "battery_steps", "target", "distance", "step", "steps_left", "max_steps"),
-    *("deliveries_done", "deliveries_total", "parcels", "buildings", "trees", "obstacles", "pads", "terrain"),
-    *("width", "height", "compass", "grid", "legend", "history", "task", "drains", "impassable"),
-}
-"""All names that a template can use."""
 
 
 class PromptFile(StrictModel):
@@ -65,8 +56,7 @@ class Prompt(PromptFile):
     """One version of a prompt."""
 
     id: str = Field(description="Name and version, such as `minimal-2`.")
-    names: frozenset[str] = Field(description="The values that its templates use, and the parts they include.")
-    digest: str = Field(description="SHA-256 of the file and its parts, with LF line ends, 16 hex digits.")
+    digest: str = Field(description="SHA-256 of the file and all parts, 16 hex digits.")
     own: str | None = Field(description="The text of a file that is not part of the package.")
 
     def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
@@ -80,8 +70,6 @@ class Prompt(PromptFile):
             InvalidValueError: if the template of your own prompt cannot be rendered.
         """
         values = _values(episode, last_steps)
-        if "compass" in self.names:
-            values["compass"] = _compass(episode)
         user = [self._render(self.user, values), below_text(episode)]
         texts = {"system": self._render(self.system, values), "user": "\n".join(filter(None, user))}
         return [{"role": role, "content": text} for role, text in texts.items() if text or role == "user"]
@@ -101,13 +89,21 @@ class Prompt(PromptFile):
     def _render(self, template: str, values: Mapping[str, object]) -> str:
         try:
             return re.sub(r"\n{3,}", "\n\n", _template(template).render(values)).strip()
+        except MissingPackageError:
+            raise
         except Exception as error:  # a template can fail in as many ways as a program
-            raise InvalidValueError(f"prompt {self.id} cannot be rendered: {error}") from error
+            names = ", ".join(values)
+            raise InvalidValueError(f"prompt {self.id} cannot be rendered: {error}; values: {names}") from error
 
 
 def prompt_ids() -> list[str]:
     """The ids of all prompts, sorted."""
     return sorted(path.stem for path in FOLDER.glob("*-*.toml"))
+
+
+def prompt_names() -> list[str]:
+    """The names of all prompts, without their versions, sorted."""
+    return sorted({id_.rpartition("-")[0] for id_ in prompt_ids()})
 
 
 def get_prompt(name: str) -> Prompt:
@@ -120,28 +116,15 @@ def get_prompt(name: str) -> Prompt:
     """
     if name.endswith(".toml"):
         return read_prompt(Path(name))
-    names = {id_: id_.rpartition("-")[0] for id_ in prompt_ids()}
-    versions = [id_ for id_ in names if name in (id_, names[id_])]
+    versions = [id_ for id_ in prompt_ids() if name in (id_, id_.rpartition("-")[0])]
     if not versions:
-        raise UnknownNameError("prompt", name, {*names, *names.values(), "FILE.toml"})
+        raise UnknownNameError("prompt", name, [*prompt_ids(), *prompt_names(), "FILE.toml"])
     return read_prompt(FOLDER / f"{max(versions, key=lambda id_: int(id_.rpartition('-')[2]))}.toml")
 
 
 def tools_prompt() -> Prompt:
     """The prompt of flights by tool calls: see `TextEpisode.fly`."""
     return read_prompt(FOLDER / "tools" / "fly-3.toml")
-
-
-def plan_prompt(name: str) -> Prompt:
-    """A prompt that asks for the whole route, as `get_prompt` finds it.
-
-    Raises:
-        InvalidValueError: if it asks for one action.
-    """
-    prompt = get_prompt(name)
-    if not prompt.plan:
-        raise InvalidValueError(f"prompt {prompt.id} asks for one action: choose one for a route, such as plan")
-    return prompt
 
 
 def read_prompt(path: Path) -> Prompt:
@@ -152,14 +135,10 @@ def read_prompt(path: Path) -> Prompt:
         InvalidValueError: if it is not a prompt.
     """
     try:
-        return parse_prompt(str(path), text_of_file(path), FOLDER not in path.parents)
+        text = read_file(path, MAX_FILE).decode().replace("\r\n", "\n")
+        return parse_prompt(str(path), text, FOLDER not in path.parents)
     except UnicodeDecodeError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-
-
-def text_of_file(path: Path) -> str:
-    """The text of a file with LF line ends: a checkout with CRLF has the same prompts."""
-    return read_file(path, MAX_FILE).replace(b"\r\n", b"\n").decode()
 
 
 @lru_cache(maxsize=64)
@@ -180,45 +159,26 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
         raise InvalidValueError(f"{path}: {error}") from None
     except ValidationError as error:
         raise InvalidValueError(f"{path} is not a prompt: {text_of(error)}") from None
-    names, parts = set[str](), _parts()
-    texts = data.model_dump(include={"system", "user", "repair"})
-    for field, allowed in (("system", VALUES), ("user", VALUES), ("repair", {"reason"})):
-        used = _names(f"{path}: {field}", texts[field])
-        if unknown := sorted(used - allowed - parts.keys()):
-            raise InvalidValueError(
-                f"{path}: {field}: unknown {unknown[0]!r}; allowed: {', '.join(sorted(allowed | parts.keys()))}"
-            )
-        names |= used - {"reason"}
-    whole = "".join([text, *(parts[name] for name in sorted(names & parts.keys()))])
-    digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
-    fields = data.model_dump() | {name: template.strip() for name, template in texts.items()}
-    return Prompt(**fields, id=Path(path).stem, names=frozenset(names), digest=digest, own=text if own else None)
-
-
-def _names(where: str, template: str) -> set[str]:
-    """The values that a template and the parts it includes use, and the names of those parts."""
-    with needs("llm"):
-        from jinja2 import TemplateError, meta
-
-    try:
-        tree = _environment().parse(template)
-    except TemplateError as error:
-        raise InvalidValueError(f"{where}: {error}") from None
-    included = {str(name) for name in meta.find_referenced_templates(tree)}
-    names = meta.find_undeclared_variables(tree) | included
-    return names.union(*(_names(where, _parts()[name]) for name in included & _parts().keys()))
+    digest = hashlib.sha256("".join([text, *_parts().values()]).encode()).hexdigest()[:16]
+    templates = {name: getattr(data, name).strip() for name in ("system", "user", "repair")}
+    prompt = Prompt(**data.model_dump() | templates, id=Path(path).stem, digest=digest, own=text if own else None)
+    if own:  # one flight shows whether its templates can be rendered
+        prompt.messages(Episode("easy", seed=0))
+        prompt.repair_text("")
+    return prompt
 
 
 @lru_cache(maxsize=1)
 def _parts() -> dict[str, str]:
     """The texts that prompts may include, by file name."""
-    return {path.name: text_of_file(path) for path in FOLDER.glob("parts/*.j2")}
+    return {path.name: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("parts/*.j2"))}
 
 
 @lru_cache(maxsize=1)
 def _environment() -> Any:
-    from jinja2 import DictLoader, StrictUndefined
-    from jinja2.sandbox import ImmutableSandboxedEnvironment
+    with needs("llm"):
+        from jinja2 import DictLoader, StrictUndefined
+        from jinja2.sandbox import ImmutableSandboxedEnvironment
 
     # A run folder from somebody else contains a prompt from somebody else.
     return ImmutableSandboxedEnvironment(
@@ -237,37 +197,31 @@ def _template(text: str) -> Any:
 
 def _values(episode: Episode, last_steps: Sequence[str]) -> dict[str, object]:
     """The values that a template can use."""
-    task, cells, steps, target = episode.task, episode.grid(), episode.steps, episode.target
-    (x, y), battery, distance = episode.position, episode.battery, episode.distance_to_target or 0
-    units, done = episode.battery_units, episode.deliveries_done
-    places = {kind: _places(cells == kind) for kind in (Cell.DELIVERY, *TITLES)}
+    task, cells, target = episode.task, episode.grid(), episode.target
+    x, y = episode.position
     deciding = _deciding(task)
     return {
         "x": x,
         "y": y,
-        "battery_percent": round(100 * battery),
-        "battery_steps": units,
+        "battery_percent": round(100 * episode.battery),
+        "battery_steps": episode.battery_units,
         "target": "none" if target is None else str(target),
-        "distance": distance,
-        "deliveries_done": done,
+        "distance": episode.distance_to_target or 0,
+        "deliveries_done": episode.deliveries_done,
         "deliveries_total": task.deliveries,
-        "step": steps,
-        "steps_left": task.max_steps - steps,
+        "step": episode.steps,
+        "steps_left": task.max_steps - episode.steps,
         "max_steps": task.max_steps,
         "width": task.width,
         "height": task.height,
-        "parcels": places[Cell.DELIVERY],
-        "buildings": places[Cell.BUILDING],
-        "trees": places[Cell.TREE],
-        "obstacles": places[Cell.OBSTACLE],
-        "pads": places[Cell.PAD],
+        "parcels": _places(cells == Cell.DELIVERY),
         "grid": "\n".join(" ".join(map(CELL_LETTERS.__getitem__, row)) for row in cells.tolist()),
-        "legend": LEGEND,
         "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
         "task": task,
         "drains": [(_label(kind), units) for kind, units in task.drain if units != 1],
         "impassable": sorted(map(_label, task.impassable)),
-        "terrain": [(title, places[kind], kind in deciding) for kind, title in TITLES.items()],
+        "terrain": [(title, _places(cells == kind), kind in deciding) for kind, title in TITLES.items()],
+        "compass": partial(_compass, episode),  # takes milliseconds
     }
 
 

@@ -4,11 +4,11 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
-Part = Literal["system", "max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice"]
+Part = Literal["system", "max_tokens", "max_completion_tokens", "temperature", "seed", "tool_choice"]
 Changes = Mapping[Part, str | None]
 """The new name of each changed field of a request; None for a field that is not sent. `system` becomes `merge`."""
 NO_CHANGES: Changes = {}
-PARAMETERS: tuple[Part, ...] = ("max_tokens", "max_completion_tokens", "temperature", "top_p", "seed", "tool_choice")
+PARAMETERS: tuple[Part, ...] = ("max_tokens", "max_completion_tokens", "temperature", "seed", "tool_choice")
 UNSUPPORTED = (
     r"unsupported|(?:not|n't) (?:currently )?(?:support|permit|allow|available|compatible)|incompatible|forbidden"
     r"|unexpected|unknown|unrecogni[sz]ed|deprecated|can(?:not|'t) both"
@@ -55,13 +55,11 @@ def changed(request: Mapping[str, Any], changes: Changes) -> dict[str, Any]:
     return sent
 
 
-def described(changes: Changes) -> list[str]:
-    """Each change in words."""
-    return [
+def described(changes: Changes) -> str:
+    """The changes in words."""
+    return "; ".join(
         "the system text is sent in the first user message"
         if name == "system"
-        else f"{name} is not sent"
-        if other is None
-        else f"{name} is sent as {other}"
+        else f"{name} is {'not sent' if other is None else f'sent as {other}'}"
         for name, other in changes.items()
-    ]
+    )

@@ -10,14 +10,14 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common
 from drone_env.llm.budget import LimitReachedError, RateLimiter, now
 from drone_env.llm.config import RunConfig
-from drone_env.llm.endpoint import Endpoint, TryFailedError
-from drone_env.llm.follow import following
+from drone_env.llm.on_server import repeat_on_server
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
+from drone_env.llm.sender import Sender, TryFailedError
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, digest
 from drone_env.results.statistics import Summary
@@ -25,10 +25,7 @@ from drone_env.results.statistics import Summary
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
-OVERLOADED = {0, 408, 429, 503, 504, 524, 529}
-"""Also without a response: a server that is too slow."""
-LOADING_SECONDS, UNKNOWN_SECONDS = 600.0, 60.0
-"""How long a call waits for an endpoint that is starting, and for one that has taken no connection yet."""
+OVERLOADED = {429, 503, 529}
 MAX_BACKOFF = 30.0
 MAX_WAIT = 120.0
 """A call fails if the endpoint requests a longer wait in seconds (`Retry-After`)."""
@@ -73,27 +70,25 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
 
 @dataclass
 class Calls:
-    """Makes the calls of a run: an answer comes from the transcript, or from the endpoint with retries.
+    """Makes the calls of a run: an answer comes from the transcript, or from the sender with retries.
 
     Attributes:
         config: The run.
-        endpoint: Sends the requests.
+        sender: Sends the requests.
         transcript: Gets every call.
         limiter: Decides when a request is sent.
         progress: Shows the progress.
         fatal: Why every further request would fail; None if there is no such reason.
         changes: What requests change because the endpoint rejected it.
-        told: Statuses of an endpoint that is starting that have been printed.
     """
 
     config: RunConfig
-    endpoint: Endpoint
+    sender: Sender
     transcript: Transcript
     limiter: RateLimiter
     progress: Progress
     fatal: str | None = None
     changes: Changes = field(init=False)
-    told: set[int] = field(default_factory=set[int])
 
     def __post_init__(self) -> None:
         self.changes = {name: new for call in self.transcript.calls for name, new in call.changes.items()}
@@ -115,16 +110,15 @@ class Calls:
         failures, answer, reading, latency = list[Failure](), None, None, 0.0
         try:
             answer, latency = await self._send(run, key, failures)
-            reading = read_answer(answer, run.prompt.plan, run.prompt.marks)
+            reading = run.read(answer)
             outcome = reading.kind
         except LimitReachedError as error:
             run.stop(outcome := "budget_stop", str(error))
             if not failures:
                 return None
         except TryFailedError as failed:
-            # If the very first call is refused, such as for a rejected parameter or by a redirect, all others would be.
-            first = not self.transcript.answered and 300 <= failed.status < 500 and not failed.retried
-            if failed.fatal or failed.starting or first:
+            # If the very first call fails, such as for a rejected parameter or by a redirect, all others would.
+            if failed.fatal or not self.transcript.answered:
                 verb = "returned" if failed.status else "gives"
                 self.fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
             run.stop("errored", str(failed))
@@ -145,76 +139,58 @@ class Calls:
         return reading
 
     async def _send(self, run: EpisodeRun, key: CallKey, failures: list[Failure]) -> tuple[Answer, float]:
-        """The answer, and its seconds without any wait for a slot; appends each failed try to `failures`."""
-        limiter, options = self.limiter, self.limiter.options
-        since: float | None = None
+        """The answer, and its seconds without any wait for a turn; appends each failed try to `failures`."""
+        options = self.limiter.options
         while True:
-            async with limiter.slot() as sent:
-                request = run.request(self.changes)
-                if not run.turns:
-                    self.progress.on_steps(run)
-                try:
-                    answer = await self.endpoint.send(request, str(key))
-                except TryFailedError as error:
-                    failed, retry_after = error, error.retry_after or 0.0
-                    if failed.retried and not failed.changes and not failed.starting:
-                        limiter.failed(sent, min(retry_after, MAX_WAIT), failed.status in OVERLOADED)
-                else:
-                    limiter.answered()
-                    return answer, now() - sent
+            await self.limiter.turn()
+            sent = now()
+            try:
+                return await self.sender.send(run.request(self.changes), str(key)), now() - sent
+            except TryFailedError as error:
+                failed = error
             if failed.changes:
                 # Each part is rejected once at most, so this ends, also without tries left.
                 if failed.changes.items() - self.changes.items():
                     self.changes = {**self.changes, **failed.changes}
-                    self.progress.notice(f"{'; '.join(described(failed.changes))}: the endpoint returned {failed}")
+                    self.progress.notice(f"{described(failed.changes)}: the endpoint returned {failed}")
                 failures.append(Failure(status=failed.status, reason=failed.reason, waited=0.0))
                 continue
-            since = now() if since is None else since
-            patience = LOADING_SECONDS if failed.status or self.transcript.answered else UNKNOWN_SECONDS
-            patient = failed.starting and options.tries > 1 and now() - since < patience
-            again = failed.retried and (patient or len(failures) + 1 < options.tries) and retry_after <= MAX_WAIT
             wait = random.uniform(0, min(MAX_BACKOFF, options.backoff * 2 ** min(len(failures), 30)))
-            wait = max(wait, 1.0 if patient else 0.0) if failed.retry_after is None else retry_after
+            wait = wait if failed.retry_after is None else failed.retry_after
+            again = failed.retried and len(failures) + 1 < options.tries and wait <= MAX_WAIT
             failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait if again else 0.0))
             if not again:
                 raise failed
-            if not failed.starting:
-                attempt = f"attempt {len(failures)} of {options.tries} failed"
-                self.progress.on_wait(wait, f"map {run.seed}, turn {key.turn}: {attempt}: {failed}")
-            elif failed.status not in self.told:
-                self.told.add(failed.status)
-                self.progress.notice(f"the endpoint may still be starting: waiting up to {patience:g} s: {failed}")
+            if failed.status in OVERLOADED:
+                self.limiter.pause(wait)
+            attempt = f"map {run.seed}, turn {key.turn}: attempt {len(failures)} of {options.tries} failed"
+            self.progress.on_wait(f"{attempt}: {failed}; next attempt in {wait:.1f} s")
             await asyncio.sleep(wait)
 
 
-async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progress: Progress) -> RunResult:
+async def run_flights(config: RunConfig, folder: Path, sender: Sender, progress: Progress) -> RunResult:
     """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
 
     Args:
         config: The run.
         folder: Its folder, which is locked.
-        endpoint: Sends the requests; it is closed.
+        sender: Sends the requests; it is closed.
         progress: Shows the progress, and contains the options.
     """
     flights, fatal, budget = list[EpisodeRun](), None, progress.budget
     prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
         budget.resume(transcript.calls)
-        calls = Calls(config, endpoint, transcript, RateLimiter(budget), progress)
+        calls = Calls(config, sender, transcript, RateLimiter(budget), progress)
 
         async def worker() -> None:
             for number in numbers:
                 run = config.episode_run(number, prompt)
-                server = options.server
-                with following(server, config.model) if server else contextlib.nullcontext() as follow:
-                    while run.messages:
-                        if follow is not None:
-                            await follow(run.episode)
-                        await calls.fly_turn(run)
-                    if follow is not None:
-                        await follow(run.episode)
-                # A flight that reached a limit before its first answer has not begun.
-                if run.status != "budget_stop" or run.attempt == 2 or run.step_errors:
+                while run.messages:
+                    await calls.fly_turn(run)
+                if options.server is not None:
+                    await asyncio.to_thread(repeat_on_server, options.server, run.episode, config.model)
+                if run.begun:
                     flights.append(run)
                     progress.on_flight(run)
                 if calls.fatal is not None:
@@ -229,7 +205,7 @@ async def run_flights(config: RunConfig, folder: Path, endpoint: Endpoint, progr
             for task in workers:
                 task.cancel()
             await asyncio.gather(*workers, return_exceptions=True)
-            await endpoint.close()
+            await sender.close()
             # Also after an interruption.
             flights.sort(key=lambda run: run.index)
             write_flights(folder, config, flights)

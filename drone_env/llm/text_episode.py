@@ -72,11 +72,14 @@ class TextEpisode:
             EpisodeError: if the flight is over.
             EndpointError: if the server did not finish the answer; ask for another one.
         """
-        answer = Answer(text=answer) if isinstance(answer, str) else answer
-        return self.take(read_answer(answer, self.prompt.plan, self.prompt.marks))
+        return self.take(self.read(Answer(text=answer) if isinstance(answer, str) else answer))
+
+    def read(self, answer: Answer) -> Reading:
+        """The actions that an answer means in the current state: the first half of `answer`."""
+        return read_answer(answer, self.prompt.plan, self.prompt.marks)
 
     def take(self, reading: Reading) -> list[ChatMessage]:
-        """Fly an answer that has been parsed: the rest of `answer`."""
+        """Fly an answer that has been parsed: the other half."""
         if not self.messages:
             raise EpisodeError("the flight is over: start another TextEpisode")
         if self.attempt == 1 and not reading.actions:
@@ -161,8 +164,7 @@ class EpisodeRun(TextEpisode):
         index: Its number in the run, from 0.
         repeat: The number of earlier flights of the run over the same map.
         parameters: The fields of its requests besides the messages.
-        asked: What the run's configuration changes in its requests.
-        changes: What else the last request changed, because the endpoint rejects it.
+        changes: What the last request changed, because the endpoint rejects it.
         body: The body of the last request.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
@@ -170,7 +172,6 @@ class EpisodeRun(TextEpisode):
 
     index = repeat = 0
     parameters: Mapping[str, Any]
-    asked: Changes = NO_CHANGES
     changes: Changes = NO_CHANGES
     body: Mapping[str, Any]
     status: Status = "finished"
@@ -185,12 +186,15 @@ class EpisodeRun(TextEpisode):
         """The body of the next request.
 
         Args:
-            changes: What it changes because the endpoint rejects it, besides `asked`; kept in `changes`.
+            changes: What it changes because the endpoint rejects it; kept in `changes`.
         """
-        self.changes, self.body = changes, {"messages": self.messages, **self.parameters}
-        if self.asked or changes:
-            self.body = changed(self.body, {**self.asked, **changes})
+        self.changes, self.body = changes, changed({"messages": self.messages, **self.parameters}, changes)
         return self.body
+
+    @property
+    def begun(self) -> bool:
+        """Whether it is more than a flight that a limit stopped before its first answer."""
+        return self.status != "budget_stop" or self.attempt == 2 or bool(self.step_errors)
 
     def stop(self, status: Literal["errored", "budget_stop"], error: str) -> None:
         """End the flight because a call has no answer."""

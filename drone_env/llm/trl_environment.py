@@ -23,7 +23,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, needs
-from drone_env.llm.prompt import Prompt, plan_prompt, tools_prompt
+from drone_env.llm.prompt import Prompt, get_prompt, tools_prompt
 from drone_env.llm.text_episode import TextEpisode
 from drone_env.models import Direction
 
@@ -168,7 +168,9 @@ def training_maps(
         system = _flight(task, seeds[0], tools_prompt(), reward_profile).messages[0]
         prompts = [[system, {"role": "user", "content": ""}]] * len(seeds)
     else:
-        chosen = plan_prompt(plan)
+        chosen = get_prompt(plan)
+        if not chosen.plan:
+            raise InvalidValueError(f"prompt {chosen.id} asks for one action: choose one for a route, such as plan")
         shared["plan"] = chosen.id if chosen.own is None else plan
         prompts = [_flight(task, seed, chosen, reward_profile).messages for seed in seeds]
     columns = {name: [value] * len(seeds) for name, value in shared.items()}

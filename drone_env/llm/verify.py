@@ -1,11 +1,11 @@
 """Verify a run folder: fly every flight again from the model's own answers."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.flights.record import EpisodeRecord, read_records, record_of, replay
+from drone_env.flights.record import EpisodeRecord, read_records, record_of
 from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import Prompt
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
@@ -43,27 +43,21 @@ def verified_run(path: Path) -> VerifiedRun:
     calls = list(read_calls(path / TRANSCRIPT))
     answers = {call.key: call for call in calls if call.answer is not None}
     prompt, known, used = config.load_prompt(), {call.key: call for call in calls} | answers, set[CallKey]()
+    numbers = [result.flight for result in results]
     try:
-        _check_numbers(config, results, records, answers)
+        if len(results) != len(records):
+            raise InvalidValueError(f"it contains {len(records)} records for {len(results)} flights")
+        if numbers != sorted({number for number in numbers if number < config.flights}):
+            raise InvalidValueError(f"the numbers of the flights are not those of {config.flights} flights")
+        if lost := {key.flight for key in answers} - set(numbers):
+            # A run without its worst flights would look better than it is.
+            raise InvalidValueError(f"flight {min(lost)} was begun but is not among the results: resume the run")
         flights = [_flown_again(config, prompt, *flown, known, used) for flown in zip(results, records, strict=True)]
         if used != answers.keys():
             raise InvalidValueError(f"{len(answers.keys() - used)} answers belong to no flight")
     except DroneEnvError as error:
         raise InvalidValueError(f"{path}: {error}") from None
     return VerifiedRun(path, config, results, flights, calls)
-
-
-def _check_numbers(
-    config: RunConfig, results: Sequence[FlightResult], records: Sequence[EpisodeRecord], answers: Iterable[CallKey]
-) -> None:
-    numbers = [result.flight for result in results]
-    if len(results) != len(records):
-        raise InvalidValueError(f"it contains {len(records)} records for {len(results)} flights")
-    if numbers != sorted(set(numbers)) or (numbers and numbers[-1] >= config.flights):
-        raise InvalidValueError(f"the numbers of the flights are not those of {config.flights} flights")
-    if lost := {key.flight for key in answers} - set(numbers):
-        # A run without its worst flights would look better than it is.
-        raise InvalidValueError(f"flight {min(lost)} was begun but is not among the results: resume the run")
 
 
 def _flown_again(
@@ -90,10 +84,8 @@ def _flown_again(
                 # An errored flight does not count, so the transcript must contain its failed call.
                 missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
                 raise InvalidValueError(f"call {key} {missing}, but the status of the flight is {result.status}")
-        if record_of(run.episode, config.model) != record:
-            replay(record, config.profile)  # Its error is more precise if the record contradicts itself.
-        elif FlightResult.of(run) == result:
-            return run
+        if (record_of(run.episode, config.model), FlightResult.of(run)) != (record, result):
+            raise InvalidValueError("its record and result do not follow from the model's answers")
     except DroneEnvError as error:
         raise InvalidValueError(f"flight {result.flight}: {error}") from None
-    raise InvalidValueError(f"flight {result.flight} does not follow from the model's answers")
+    return run

@@ -47,7 +47,8 @@ class EpisodesKey(NamedTuple):
         return [self._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
 
 
-class Result(NamedTuple):
+@dataclass(frozen=True)
+class Result:
     """One row of `Results` as Python values; None if a value is unknown."""
 
     seed: int

@@ -9,6 +9,7 @@ from starlette.types import Scope
 
 PROXY_HEADERS, FORWARDED = ("forwarded", "via", "x-real-ip"), "x-forwarded-"
 BROWSER_HEADERS = ("origin", "sec-fetch-site")
+EVERYWHERE = ("0.0.0.0", "::")
 
 
 @lru_cache(maxsize=1024)
@@ -33,7 +34,7 @@ def listens_on_loopback(scope: Scope, host: str) -> bool:
         host: The configured address; uvicorn started by hand may use another.
     """
     server = scope.get("server")
-    return server is not None and is_local_name(server[0].lower()) and not _is_wildcard(host)
+    return server is not None and is_local_name(server[0].lower()) and host not in EVERYWHERE
 
 
 def shared_address(scope: Scope) -> str | None:
@@ -45,12 +46,6 @@ def shared_address(scope: Scope) -> str | None:
     if client is None or _comes_through_proxy(scope) or any(name in BROWSER_HEADERS for name in Headers(scope=scope)):
         return None
     return client[0]
-
-
-def is_stranger(scope: Scope, host: str) -> bool:
-    """Return whether a caller may be on another machine; a proxy forwards such callers."""
-    client = (scope.get("client") or ("unknown",))[0].lower()
-    return _comes_through_proxy(scope) or not (is_local_name(client) and listens_on_loopback(scope, host))
 
 
 def _comes_through_proxy(scope: Scope) -> bool:
@@ -67,11 +62,3 @@ def host_name(header: str) -> str:
         return urlsplit(f"//{header}").hostname or ""
     except ValueError:
         return ""
-
-
-@lru_cache
-def _is_wildcard(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_unspecified
-    except ValueError:
-        return False

@@ -4,14 +4,14 @@ OpenEnv's server package is not imported, because it takes seconds and 150 MB. `
 implement its protocol; `grid_world_environment` is the environment for use with that package.
 """
 
-import argparse
 import asyncio
 import logging
 import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
-from pathlib import Path
+
+import tyro
 
 from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
@@ -25,12 +25,12 @@ with needs("server", __name__):
     from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins, register_reward_file
+from drone_env.server import mcp
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
-from drone_env.server.process import end_with_parent, run
+from drone_env.server.process import end_with_parent, is_news, run
 from drone_env.server.routes import (
-    annotate,
     catalogue,
     compare,
     flight,
@@ -39,10 +39,7 @@ from drone_env.server.routes import (
     maps,
     openenv,
     page,
-    predict,
     replay,
-    runs,
-    values,
 )
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
@@ -112,21 +109,17 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     for routes in (
         flight,
         flights,
-        predict,
         catalogue,
         history,
         compare,
-        runs,
         replay,
-        annotate,
-        values,
         maps,
         page,
         openenv,
+        mcp,
     ):
         app.include_router(routes.router)
-    for path in ("/ws", "/mcp"):
-        app.router.routes.append(WebSocketRoute(path, socket))
+    app.router.routes.append(WebSocketRoute("/ws", socket))
     _add_page(app)
     return app
 
@@ -167,14 +160,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: The options; None for those of the command line.
     """
-    parser = argparse.ArgumentParser("server", description="Serve the environment over HTTP and WebSocket.")
     try:
-        defaults = load_settings()
-        parser.add_argument("--host", default=defaults.host, help="address to listen on (%(default)s)")
-        parser.add_argument("--port", default=defaults.port, type=int, help="port to listen on (%(default)s)")
-        parser.add_argument("--workers", default=defaults.workers, type=int, help="server processes (%(default)s)")
-        parser.add_argument("--data", default=defaults.data, type=Path, help="data folder (%(default)s)")
-        run(**vars(parser.parse_args(arguments)))
+        tyro.cli(run, prog="server", args=arguments)
     except (DroneEnvError, OSError) as error:
         sys.exit(f"server: {error}")
 
@@ -187,6 +174,7 @@ def __getattr__(name: str) -> FastAPI:
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()["app"] = create_app()
+    logging.getLogger("uvicorn.error").addFilter(is_news)
     end_with_parent()
     return value
 

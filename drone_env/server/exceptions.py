@@ -84,15 +84,6 @@ def error_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"model": Problem, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
-def status_of(error: Exception, method: str) -> tuple[int, str]:
-    """Return the HTTP status and code of an error. An unknown name is 404 in a path (GET) and 422 in a body."""
-    if isinstance(error, RequestError):
-        return error.status, error.code
-    if isinstance(error, UnknownNameError):
-        return (404 if method in ("GET", "HEAD") else 422), "unknown_name"
-    return next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, "internal"))
-
-
 def answer_to(error: Exception, scope: Scope) -> JSONResponse:
     """Return the error response of a request."""
     status, code, detail = 500, "internal", FAILED
@@ -103,21 +94,19 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
         errors = [FieldProblem(where=where, message=why) for where, why, _ in wrong_parts(error)]
     elif isinstance(error, HTTPException):
         status, code, headers = error.status_code, "http", error.headers
-        path = scope["path"][:100]
+        detail = str(error.detail)
         if status == 404:
-            detail = f"there is nothing at {path}; /openapi.json lists all calls"
-        elif status == 405:
-            detail = f"{path} takes {(headers or {}).get('Allow')}, not {scope['method']}"
-        else:
-            detail = str(error.detail)
+            detail = f"there is nothing at {scope['path'][:100]}; /openapi.json lists all calls"
     elif isinstance(error, DroneEnvError):
-        status, code = status_of(error, scope["method"])
+        status, code = next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, code))
+        if isinstance(error, UnknownNameError):  # in a path or in a body
+            status, code = (404 if scope["method"] in ("GET", "HEAD") else 422), "unknown_name"
+        if isinstance(error, RequestError):
+            status, code, headers = error.status, error.code, error.headers
         if status == 500:
             log.error("%s %s", scope["method"], scope["path"], exc_info=error)
         else:
             detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
-        if isinstance(error, RequestError):
-            headers = error.headers
         if status == 503 and code not in ("no_network", "not_started"):  # a retry cannot help these
             headers = {"Retry-After": "5"}
     problem = Problem(code=code, detail=detail, errors=errors)

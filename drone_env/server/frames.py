@@ -7,14 +7,13 @@ from pydantic import Field
 from pydantic_core import to_json
 
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.core.actions import Action, Event
+from drone_env.core.actions import Event
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import EFFICIENCY_WEIGHTS
-from drone_env.errors import EpisodeError
+from drone_env.core.tasks import TaskConfig
 from drone_env.flights.provenance import HUMAN, Provenance
 from drone_env.models import (
     DIRECTIONS,
-    NAMES,
     Count,
     Direction,
     EventName,
@@ -23,54 +22,36 @@ from drone_env.models import (
     Position,
     Score,
     StrictModel,
+    observation_numbers,
 )
 from drone_env.server.jobs import job_context
-from drone_env.server.pilots import display_name
+from drone_env.server.networks import Networks
 
 
 class FlightHeader(Provenance):
     """The provenance, the map and its state at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a finished flight.")
-    by: str = Field(description="Who flies in words: `human (NAME) with undo from step 20 of pathqnet`.")
-    name: str = Field(description="The same for people.")
-    forked_at: Count | None = Field(description="Number of steps that another pilot flew; null if this is not a fork.")
     task: str = Field(description="Id of the task.")
-    short_name: str = Field(description="Short name of the task.")
     seed: Count = Field(description="Number of the map.")
     reward_profile: str = Field(description="Id of the reward profile.")
-    width: int
-    height: int
-    max_steps: int
-    battery_capacity: int
     cells: list[list[int]] = Field(description="Kinds of the cells at the start, cells[y][x], without the drone.")
     parcels: list[Position] = Field(description="[x, y] of each parcel.")
-    start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
     def at_start(cls, episode: Episode, provenance: Provenance, session: str | None = None) -> "FlightHeader":
         """The header of an episode at its start."""
-        task, parent = episode.task, provenance.parent
         x, y = episode.position
         cells = episode.grid().tolist()
         cells[y][x] = episode.under
         return cls(
             session=session,
             **dict(provenance),
-            by=provenance.label,
-            name=display_name(provenance),
-            forked_at=None if parent is None else parent.step,
-            task=task.id,
-            short_name=task.short_name,
+            task=episode.task.id,
             seed=episode.seed,
             reward_profile=episode.reward_profile.id,
-            width=task.width,
-            height=task.height,
-            max_steps=task.max_steps,
-            battery_capacity=task.battery_capacity,
             cells=cells,
             parcels=[(px, py) for px, py, _ in episode.parcels],
-            start=(x, y),
         )
 
 
@@ -119,27 +100,34 @@ class EpisodeView(StrictModel):
     frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step.")
 
 
+class BestFlight(StrictModel):
+    """A best flight over a map."""
+
+    score: Score = Field(description="The highest possible score.")
+    success: bool = Field(description="Whether it delivers all parcels; otherwise battery or steps do not suffice.")
+    deliveries: Count
+    steps: Count = Field(description="Length in steps.")
+    actions: list[Direction] = Field(description="Its actions, in order.")
+    path: list[Position] = Field(description="[x, y] of the drone at the start and after each action.")
+
+
 def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
     """The frame of an episode in its current state. With a network, it has the network's value of each action."""
     x, y = episode.position
     last = episode.last_step
     q_values = None if network is None or episode.ended else network.q_values(episode.observation()).tolist()
     return Frame(
+        **{name: value for name, value in observation_numbers(episode).items() if name in Frame.model_fields},
         step=episode.steps,
         action=None if last is None else last.action.name,
         x=x,
         y=y,
-        cell_below=cast(GroundName, NAMES[episode.under]),
         event=None if episode.event is Event.NONE else cast(EventName, episode.event.name.lower()),
         reward=episode.reward_last,
-        reward_total=episode.reward_total,
-        battery=episode.battery,
         battery_units=episode.battery_units,
-        deliveries_done=episode.deliveries_done,
         delivered=[(px, py) for px, py, delivered in episode.parcels if delivered],
         target=episode.target,
         distance=episode.distance_to_target,
-        score=episode.score,
         efficiency=episode.efficiency,
         efficiency_parts=[
             EfficiencyPart(name=name, weight=weight, share=share, score=score)
@@ -147,73 +135,59 @@ def frame_of(episode: Episode, network: PathQNetAgent | None = None) -> Frame:
                 EFFICIENCY_WEIGHTS.items(), episode.efficiency_shares, episode.score_parts, strict=True
             )
         ],
-        message=episode.message,
-        done=episode.ended,
         outcome=cast(OutcomeName, episode.outcome.name.lower()),
         q_values=None if q_values is None else dict(zip(DIRECTIONS, q_values, strict=True)),
     )
 
 
-def shows_values(provenance: Provenance, episode: Episode) -> bool:
-    """Whether values are shown: they are hidden from a person in flight until the person turns them on."""
-    return provenance.pilot != HUMAN or provenance.values_used or episode.ended
-
-
-def plan(episode: Episode, pilot: str, actions: Sequence[int] = (), first: int = 0) -> list[int]:
-    """All actions of an agent's flight to its end.
-
-    Args:
-        episode: The episode at its start; it is flown to its end.
-        pilot: The pilot, an agent.
-        actions: The actions flown so far.
-        first: The number of actions that another pilot flew. The agent acts at every later step, so that its internal
-            state is the same as in flight.
+def best_flight(task: TaskConfig, seed: int) -> BestFlight:
+    """A best flight over a map: a job of a worker process.
 
     Raises:
-        EpisodeError: if an action after `first` is not the agent's.
+        TooLargeError: if the map is too large to be solved.
+    """
+    from drone_env.planning.optimal import solve_episode  # loads Numba, which the process that serves does without
+
+    start = Episode(task, seed=seed)
+    # If every step costs the same, the shortest tour needs no solver.
+    best = solve_episode(start, None if task.uniform else job_context().solver_of(task, seed))
+    return BestFlight(
+        score=best.score,
+        success=best.success,
+        deliveries=best.deliveries,
+        steps=best.steps,
+        actions=[DIRECTIONS[action] for action in best.actions],
+        path=[start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)],
+    )
+
+
+def frames_of(start: Episode, actions: Sequence[int], network: PathQNetAgent | None) -> list[Frame]:
+    """The frames of a flight from its start, frame 0 included."""
+    episode = start.copy()
+    frames = [frame_of(episode, network)]
+    for action in actions:
+        episode.step(action)
+        frames.append(frame_of(episode, network))
+    return frames
+
+
+def network_beside(networks: Networks, provenance: Provenance, episode: Episode) -> PathQNetAgent | None:
+    """The network whose values are shown: none to a person in flight who has not turned them on."""
+    hidden = provenance.pilot == HUMAN and not provenance.values_used and not episode.ended
+    return None if hidden else networks.shown_network(provenance.pilot, episode.task)
+
+
+def fly_agent(start: Episode, pilot: str) -> tuple[list[int], str]:
+    """All actions of an agent's flight, and its frames as a JSON array: a job of a worker process.
+
+    Raises:
         UnsupportedTaskError: if there is no network for the task.
         CheckpointError: if the network file cannot be used.
         TooLargeError: if the map is too large for the pilot.
     """
-    agent = job_context().networks.agent(pilot, episode.task)
+    networks = job_context().networks
+    agent = networks.agent(pilot, start.task)
     assert agent is not None
-    agent.reset(episode.seed)
-    for step, action in enumerate(actions, 1):
-        if step > first:
-            chosen = int(agent.act(episode.observation()))
-            if chosen != action:
-                raise EpisodeError(
-                    f"step {step} of the fork is not an action of {pilot}: it flies {Action(chosen).name} there"
-                )
-        episode.step(action)
-    return [int(action) for action in rollout(episode, agent.act).actions]
-
-
-def frames_of(
-    episode: Episode, provenance: Provenance, actions: Sequence[int], network: PathQNetAgent | None
-) -> list[Frame]:
-    """The frames of a flight, frame 0 included.
-
-    Args:
-        episode: The episode at its start; it is flown.
-        provenance: Who flew it.
-        actions: The actions of the flight.
-        network: The network that values each action where values are shown.
-    """
-
-    def frame() -> Frame:
-        return frame_of(episode, network if shows_values(provenance, episode) else None)
-
-    frames = [frame()]
-    for action in actions:
-        episode.step(action)
-        frames.append(frame())
-    return frames
-
-
-def fly_agent(start: Episode, provenance: Provenance, actions: Sequence[int]) -> tuple[list[int], str]:
-    """All actions of an agent's flight, and its frames as a JSON array. Arguments and errors as `plan`."""
-    first = 0 if provenance.parent is None else provenance.parent.step
-    actions = plan(start.copy(), provenance.pilot, actions, first)
-    network = job_context().networks.shown_network(provenance.pilot, start.task)
-    return actions, to_json(frames_of(start, provenance, actions, network)).decode()
+    agent.reset(start.seed)
+    actions = [int(action) for action in rollout(start.copy(), agent.act).actions]
+    return actions, to_json(frames_of(start, actions, networks.shown_network(pilot, start.task))).decode()

@@ -39,7 +39,6 @@ class RequestLog:
     def __init__(self) -> None:
         self.recent: deque[LoggedRequest] = deque(maxlen=KEPT)
         self.count = 0
-        self.followers = 0
         self._changed = asyncio.Event()
 
     def add(self, method: str, path: str, status: int, seconds: float) -> None:

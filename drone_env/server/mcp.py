@@ -2,9 +2,11 @@
 
 import asyncio
 from functools import lru_cache
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
+from fastapi import APIRouter, Body, Request, Response
 from pydantic import Field, ValidationError
+from pydantic_core import to_json
 from starlette.datastructures import Headers
 
 from drone_env import __version__
@@ -12,9 +14,11 @@ from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, No
 from drone_env.flights.sessions import ANONYMOUS
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
 from drone_env.models import StrictModel
+from drone_env.server.exceptions import error_responses
+from drone_env.server.json_routes import JsonRoute
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
-from drone_env.server.state import AppState
+from drone_env.server.state import AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
 
 SESSION_HEADER, VERSION_HEADER = "Mcp-Session-Id", "MCP-Protocol-Version"
@@ -23,6 +27,11 @@ SERVER_ERROR, NO_SESSION = -32000, -32001
 """Clients of MCP start a new session if they read `NO_SESSION` with status 404."""
 PROTOCOLS = ("2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05")
 """Versions of MCP, newest first."""
+REFUSED: dict[int | str, dict[str, Any]] = {
+    400: {"model": dict[str, Any], "description": "Not JSON, an unknown version of MCP, or no session."},
+    404: {"model": dict[str, Any], "description": "The session has ended."},
+}
+router = APIRouter(tags=["openenv"], route_class=JsonRoute)
 
 
 class FlyArguments(StrictModel):
@@ -52,18 +61,14 @@ class ToolError(Exception):
         kind: OpenEnv's type of error.
         message: The message for people.
         code: The code of JSON-RPC.
-        status: The HTTP status of an error in the headers.
+        status: The HTTP status.
     """
 
-    def __init__(self, kind: str, message: str, code: int = INVALID, status: int = 400) -> None:
+    def __init__(self, kind: str, message: str, code: int = INVALID, status: int = 200) -> None:
         super().__init__(message)
         self.kind = kind
         self.code = code
         self.status = status
-
-    def answer(self, number: object) -> dict[str, Any]:
-        """Return the JSON-RPC response to the request with this id."""
-        return {**_numbered(number), "error": {"code": self.code, "message": str(self)}}
 
 
 @lru_cache(maxsize=1)
@@ -119,17 +124,53 @@ async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[
     return {"observation": observation, "reward": data["reward"], "done": data["done"]}
 
 
-async def named_session(app_state: AppState, headers: Headers) -> str | None:
-    """Return the session that the headers of a request name.
+# Some clients add a slash, and do not follow the redirect.
+@router.post("/mcp/", include_in_schema=False)
+@router.post("/mcp", response_model=dict[str, Any], responses=error_responses(413, 415, 422) | REFUSED)
+async def mcp(request: Request, app_state: AppStateDep, body: Annotated[Any, Body()] = None) -> Response:
+    """MCP over JSON-RPC 2.0, with the tools `reset`, `fly` and `look`.
 
-    Raises:
-        ToolError: if there is no such session, or the version of MCP is unknown.
+    `initialize` opens a session and returns it as the header `Mcp-Session-Id`, `openenv/session/create` returns it as
+    `session_id`. Each call names it in the same way.
     """
+    message = cast(dict[str, Any], body) if isinstance(body, dict) else {}
+    method, headers = message.get("method"), dict[str, str]()
+    try:
+        # Some clients initialise again but still send the id of their old session.
+        named = None if method == "initialize" else await _named_session(app_state, request.headers)
+        # The server sends no requests, so responses need no answer either.
+        is_response = method is None and message.keys() & {"result", "error"}
+        if is_response or (isinstance(method, str) and method.startswith("notifications/")):
+            return Response(status_code=202)
+        result = await _call(app_state, message, named, caller_address(request))
+        if method == "initialize":
+            headers[SESSION_HEADER] = result["session_id"]
+        return _response(message, 200, headers, result=result)
+    except ToolError as error:
+        return _refused(message, error)
+
+
+@router.delete("/mcp/", include_in_schema=False)
+@router.delete("/mcp", status_code=204, responses=REFUSED)
+async def end_mcp(request: Request, app_state: AppStateDep) -> Response:
+    """End the session that the header `Mcp-Session-Id` names."""
+    try:
+        named = await _named_session(app_state, request.headers)
+        if named is None:
+            raise ToolError("invalid_args", f"{SESSION_HEADER} is missing", status=400)
+    except ToolError as error:
+        return _refused({}, error)
+    await asyncio.to_thread(app_state.sessions.end, named)
+    return Response(status_code=204)
+
+
+async def _named_session(app_state: AppState, headers: Headers) -> str | None:
+    """Return the session that the headers of a request name."""
     version, named = headers.get(VERSION_HEADER, PROTOCOLS[0]), headers.get(SESSION_HEADER)
     if version not in PROTOCOLS:
         # A modern code, such as -32022, would keep newer clients from falling back to `initialize`.
         message = f"{VERSION_HEADER} is one of {', '.join(PROTOCOLS)}, got {version[:100]!r}"
-        raise ToolError("invalid_request", message, INVALID_REQUEST)
+        raise ToolError("invalid_request", message, INVALID_REQUEST, 400)
     if named is not None:
         try:
             await asyncio.to_thread(app_state.sessions.check, named)
@@ -138,80 +179,63 @@ async def named_session(app_state: AppState, headers: Headers) -> str | None:
     return named
 
 
-async def rpc(
-    app_state: AppState,
-    request: Any,
-    session: OpenEnvSession | None = None,
-    named: str | None = None,
-    owner: str = "",
-) -> dict[str, Any]:
-    """Return the JSON-RPC response to a request.
+async def _call(app_state: AppState, message: dict[str, Any], named: str | None, owner: str) -> dict[str, Any]:
+    """Return the result of a JSON-RPC request.
 
     Args:
         app_state: The parts of the server.
-        request: The request.
-        session: The session of a connection; None over HTTP, where each request names one.
+        message: The request.
         named: The session that the header of the request names, as clients of MCP do.
         owner: The address of the caller.
     """
-    fields = cast(dict[str, Any], request) if isinstance(request, dict) else {}
-    number, method, params = fields.get("id"), fields.get("method"), fields.get("params")
-    try:
-        if fields.get("jsonrpc") != "2.0" or not isinstance(method, str):
-            message = 'Invalid Request: a request is one object with "jsonrpc": "2.0" and a method'
-            raise ToolError("invalid_request", message, INVALID_REQUEST)
-        if not isinstance(params, dict | None):
-            raise ToolError("invalid_args", "params must be an object")
-        result = await _call(app_state, method, cast(dict[str, Any], params or {}), session, named, owner)
-        return {**_numbered(number), "result": result}
-    except ToolError as error:
-        return error.answer(number)
-
-
-async def _call(
-    app_state: AppState,
-    method: str,
-    params: dict[str, Any],
-    session: OpenEnvSession | None,
-    named: str | None,
-    owner: str,
-) -> dict[str, Any]:
+    method: object = message.get("method")
+    params: object = message.get("params") or {}
+    if message.get("jsonrpc") != "2.0" or not isinstance(method, str):
+        reason = 'Invalid Request: a request is one object with "jsonrpc": "2.0" and a method'
+        raise ToolError("invalid_request", reason, INVALID_REQUEST)
+    if not isinstance(params, dict):
+        raise ToolError("invalid_args", "params must be an object")
+    params = cast(dict[str, Any], params)
     if method == "ping":
         return {}
     if method == "tools/list":
         return {"tools": _listed("inputSchema")}
     try:
         if method in ("initialize", "openenv/session/create"):
-            if session is None:
-                episode = start_episode(SessionReset(), None)
-                named = await asyncio.to_thread(app_state.sessions.open, episode, ANONYMOUS, owner=owner)
-            opened = {"session_id": named if session is None else session.episode_id}
+            episode = start_episode(SessionReset(), None)
+            opened = {"session_id": await asyncio.to_thread(app_state.sessions.open, episode, ANONYMOUS, owner=owner)}
             return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
-        by_header, named = "session_id" not in params and named is not None, params.get("session_id", named)
-        if method in ("tools/call", "openenv/session/close") and session is None and not isinstance(named, str):
-            raise InvalidValueError("session_id: send the one from openenv/session/create")
-        if method == "tools/call":
-            session = session or OpenEnvSession(app_state, named)
-            try:
-                return _result(await call_tool(session, params.get("name"), params.get("arguments")))
-            except ToolError as error:
-                # MCP shows a failed call to the model. OpenEnv's clients read no `isError`, and need an exception.
-                if not by_header or error.kind == "tool_not_found":
-                    raise
-                return {"content": [{"type": "text", "text": str(error)}], "isError": True}
-        # That of a connection ends with it.
-        if method == "openenv/session/close" and session is None:
-            await asyncio.to_thread(app_state.sessions.end, str(named))
-            return {"session_id": named, "closed": True}
+        if method not in ("tools/call", "openenv/session/close"):
+            raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
+        session_id = params.get("session_id", named)
+        if not isinstance(session_id, str):
+            reason = f"name a session: the {SESSION_HEADER} of initialize, or the session_id of openenv/session/create"
+            raise ToolError("invalid_args", reason, status=400)
+        if method == "openenv/session/close":
+            await asyncio.to_thread(app_state.sessions.end, session_id)
+            return {"session_id": session_id, "closed": True}
+        session = OpenEnvSession(app_state, session_id)
+        try:
+            return _result(await call_tool(session, params.get("name"), params.get("arguments")))
+        except ToolError as error:
+            # MCP shows a failed call to the model. OpenEnv's clients read no `isError`, and need an exception.
+            if "session_id" in params or error.kind == "tool_not_found":
+                raise
+            return {"content": [{"type": "text", "text": str(error)}], "isError": True}
     except CapacityError as error:
         raise ToolError("execution_error", str(error), SERVER_ERROR) from None
     except (LookupError, InvalidValueError) as error:
         raise ToolError("invalid_args", str(error)) from None
-    raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
 
 
-def _numbered(number: object) -> dict[str, Any]:
-    return {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
+def _refused(message: dict[str, Any], error: ToolError) -> Response:
+    return _response(message, error.status, {}, error={"code": error.code, "message": str(error)})
+
+
+def _response(message: dict[str, Any], status: int, headers: dict[str, str], **answer: dict[str, Any]) -> Response:
+    number = message.get("id")
+    content = {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None, **answer}
+    return Response(to_json(content), status, headers, "application/json")
 
 
 def _greeting(version: object) -> dict[str, Any]:

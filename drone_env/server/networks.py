@@ -2,8 +2,8 @@
 
 import logging
 import threading
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from drone_env.agents import AGENTS, NETWORK_AGENTS, make_agent, tournet
 from drone_env.agents.base import Agent
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.agents.weights_file import TOURNET, network_of
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.files import file_identity
 from drone_env.flights.provenance import HUMAN
@@ -45,7 +45,7 @@ class Networks:
 
     def __init__(self, shipped: Path, trained: Path) -> None:
         self._shipped, self._trained = shipped, trained
-        self._loaded: dict[Path, tuple[object, PathQNetAgent | Path | CheckpointError]] = {}
+        self._loaded: dict[Path, tuple[object, PathQNetAgent | Path]] = {}
         self._lock = threading.Lock()
 
     def shown_network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
@@ -54,14 +54,20 @@ class Networks:
         None if there is none, or its file is invalid.
         """
         shown = pilot if pilot in (TRAINED, NETWORK) else self.preferred(task)
-        found = None if shown is None else self._at(shown, task)
-        return found if isinstance(found, PathQNetAgent) else None
+        with suppress(CheckpointError, UnsupportedTaskError):
+            network = None if shown is None else self.network(shown, task)
+            return network if isinstance(network, PathQNetAgent) else None
+        return None
 
     def flies(self, pilot: str, task: TaskConfig) -> bool:
         """Return whether a pilot can fly a task."""
         if pilot not in BUILTIN_PILOTS:
             return _flies(AGENTS[pilot], task)
-        return not BUILTIN_PILOTS[pilot].network or isinstance(self._at(pilot, task), PathQNetAgent | Path)
+        try:
+            self.require(pilot, task)
+        except (CheckpointError, UnsupportedTaskError):
+            return False
+        return True
 
     def require(self, pilot: str, task: TaskConfig) -> None:
         """Check that a pilot can fly a task, without work on a map.
@@ -91,26 +97,29 @@ class Networks:
         if not kind:
             return None if pilot == HUMAN else make_agent(pilot, task)
         found = self.network(pilot, task)
-        with _folder_hidden(self.file(pilot, task)):
-            return NETWORK_AGENTS[kind](task, found) if isinstance(found, Path) else found
+        return NETWORK_AGENTS[kind](task, found) if isinstance(found, Path) else found
 
     def network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path:
-        """Return the network of a pilot for a task: the PathQNet, or the file of a tour network.
+        """Return the network of a pilot for a task: the PathQNet, or the file of a tour network, whose agents are new.
 
         Raises:
-            UnsupportedTaskError: if there is none; the message lists the tasks that have one.
+            UnsupportedTaskError: if there is none.
             CheckpointError: if its file is invalid; the message contains its name, but not its folder.
         """
-        found = self._at(pilot, task)
-        if found is None:
-            supported = [other.short_name for other in TASKS.values() if self.flies(pilot, other)]
-            raise UnsupportedTaskError(
-                f"there is no network for {task.id!r}: {pilot!r} has no {self.file(pilot, task).name}; "
-                f"it flies {', '.join(supported) or 'nothing here'}"
-            )
-        if isinstance(found, CheckpointError):
-            raise CheckpointError(str(found))
-        return found
+        file = self.file(pilot, task)
+        with self._lock:
+            try:
+                identity = file_identity(file)
+                if identity is None:
+                    raise UnsupportedTaskError(f"there is no network for {task.id!r}: {pilot!r} has no {file.name}")
+                if file not in self._loaded or self._loaded[file][0] != identity:
+                    network = PathQNetAgent(task, file) if pilot in (TRAINED, NETWORK) else _tour_file(file)
+                    self._loaded[file] = identity, network
+            except OSError as error:
+                raise CheckpointError(f"{file.name} cannot be read: {error.strerror}") from None
+            except CheckpointError as error:
+                raise CheckpointError(str(error).replace(str(file), file.name)) from None
+            return self._loaded[file][1]
 
     def file(self, pilot: str, task: TaskConfig) -> Path:
         """Return the path of a pilot's network for a task, whether it exists or not."""
@@ -126,39 +135,7 @@ class Networks:
 
     def preferred(self, task: TaskConfig) -> str | None:
         """Return the pilot whose PathQNet values the actions of a task; None without a network."""
-        return next((pilot for pilot in (TRAINED, NETWORK) if self._at(pilot, task) is not None), None)
-
-    def _at(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path | CheckpointError | None:
-        """Return the network in the current file, or the error if the file is invalid; None without a file.
-
-        Agents of tour networks have state, so for these it is the path.
-        """
-        file = self.file(pilot, task)
-        try:
-            now = file_identity(file)
-            if now is None:
-                return None
-            with self._lock:
-                loaded = self._loaded.get(file)
-                if loaded is None or loaded[0] != now:
-                    try:
-                        with _folder_hidden(file):
-                            network = PathQNetAgent(task, file) if pilot in (TRAINED, NETWORK) else _tour_file(file)
-                    except CheckpointError as error:
-                        network = error
-                    loaded = self._loaded[file] = (now, network)
-                return loaded[1]
-        except OSError as error:
-            return CheckpointError(f"{file.name} cannot be read: {error.strerror}")
-
-
-@contextmanager
-def _folder_hidden(file: Path) -> Generator[None, None, None]:
-    """Replace the path of a file by its name in errors: clients must not see where the server's files are."""
-    try:
-        yield
-    except CheckpointError as error:
-        raise CheckpointError(str(error).replace(str(file), file.name)) from None
+        return next((pilot for pilot in (TRAINED, NETWORK) if self.file(pilot, task).exists()), None)
 
 
 def _tour_file(file: Path) -> Path:

@@ -1,4 +1,4 @@
-"""OpenEnv's WebSocket protocols, `/ws` and `/mcp`: one session per connection.
+"""OpenEnv's WebSocket protocol, `/ws`: one session per connection.
 
 OpenEnv's own server is not used: a list as a frame ends its session, it reads 16 MiB, drops unknown options silently,
 does not close idle sockets, and validates every observation twice in a thread. The frames are equal, and the tests
@@ -6,7 +6,6 @@ compare both servers.
 """
 
 import asyncio
-import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,18 +20,15 @@ from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError,
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
 from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
-from drone_env.server.mcp import rpc, step_as_tool
+from drone_env.server.mcp import step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.state import AppState, caller_address
 
-log = logging.getLogger(__name__)
-
-NORMAL, GOING_AWAY, POLICY_VIOLATION = 1000, 1001, 1008
+NORMAL, GOING_AWAY = 1000, 1001
 LARGEST_FRAME = 2 * SMALL
 """Limit of a frame in bytes: enough for a list with the longest route."""
-ALLOWED_TYPES = "reset, step, state, close, mcp"
-PARSE_ERROR = -32700
+ALLOWED_TYPES = "reset, step, state, close"
 
 
 class RefusedError(Exception):
@@ -72,40 +68,28 @@ class OpenEnvSocket:
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept()
             capacity = self.app_state.settings.capacity
+            own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
             try:
-                own = sum(caller_address(other) == caller_address(socket) for other in self.touched)
                 if not in_share(own, len(self.touched), capacity):
                     taken = f"{len(self.touched)} of {capacity} sessions are open, {own} of this address"
-                    message = f"{taken}, which is the limit: try again later"
-                    raise RefusedError("CAPACITY_REACHED", message)
+                    raise RefusedError("CAPACITY_REACHED", f"{taken}, which is the limit: try again later")
                 self.touched[socket] = self._clock()
-                await self._serve(socket, await self._open(socket))
+                # OpenEnv's tool client names the session that it has opened over `/mcp`.
+                session = OpenEnvSession(self.app_state, socket.query_params.get("session_id"))
+                await self._serve(socket, session)
             except RefusedError as refusal:
                 await socket.send_text(refusal.frame)
-                full = refusal.code == "CAPACITY_REACHED"
-                await socket.close(TRY_LATER if full else POLICY_VIOLATION, str(refusal)[:120])
+                await socket.close(TRY_LATER, str(refusal)[:120])
             finally:
                 self.touched.pop(socket, None)
 
-    async def _open(self, socket: WebSocket) -> OpenEnvSession:
-        """Return the session of a connection: its own, or the stored one that the URL names."""
-        stored = socket.query_params.get("session_id")
-        session = OpenEnvSession(self.app_state, stored)
-        if stored is not None:
-            try:
-                await session.look()
-            except DroneEnvError as error:
-                raise RefusedError("SESSION_ERROR", str(error)) from None
-        return session
-
     async def _serve(self, socket: WebSocket, session: OpenEnvSession) -> None:
-        answer_to = self._mcp_answer if socket.scope.get("path") == "/mcp" else self._answer
         async for data in received(socket, LARGEST_FRAME):
             if socket not in self.touched:
                 return  # closed because it was idle
             self.touched[socket] = self._clock()
             try:
-                answer = await answer_to(session, data)
+                answer = await self._answer(session, data)
             except RefusedError as refusal:
                 answer = refusal.frame
             if answer is None:
@@ -115,14 +99,6 @@ class OpenEnvSocket:
                 return
             await socket.send_text(answer)
             self.touched[socket] = self._clock()
-
-    async def _mcp_answer(self, session: OpenEnvSession, data: bytes | None) -> str:
-        """Return the response to a request of MCP."""
-        try:
-            return to_json(await rpc(self.app_state, parse_json(data), session)).decode()
-        except InvalidValueError as error:
-            problem = {"code": PARSE_ERROR, "message": str(error)}
-            return to_json({"jsonrpc": "2.0", "id": None, "error": problem}).decode()
 
     async def _answer(self, session: OpenEnvSession, received: bytes | None) -> str | None:
         """Return the response to a frame; None if the client closes the session.
@@ -162,8 +138,6 @@ class OpenEnvSocket:
             raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None
         if kind == "close":
             return None
-        if kind == "mcp":
-            return _frame("mcp", to_json(await rpc(self.app_state, data, session)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
     async def close_idle(self) -> None:
@@ -172,14 +146,9 @@ class OpenEnvSocket:
         idle = [socket for socket, touched in self.touched.items() if touched < limit]
         for socket in idle:
             del self.touched[socket]
-        # Concurrently, because each waits for the close frame of its client, which may take seconds.
-        await asyncio.gather(*map(self._close_idle, idle))
-
-    async def _close_idle(self, socket: WebSocket) -> None:
-        try:
-            await socket.close(GOING_AWAY, f"idle for {self.app_state.settings.idle_seconds:g} s: connect again")
-        except (RuntimeError, WebSocketDisconnect, OSError):
-            log.debug("an idle socket was closed already")
+        reason = f"idle for {self.app_state.settings.idle_seconds:g} s: connect again"
+        # Concurrently, because each waits until its client has read; some have closed already.
+        await asyncio.gather(*[socket.close(GOING_AWAY, reason) for socket in idle], return_exceptions=True)
 
 
 def _frame(kind: str, data: str) -> str:

@@ -1,17 +1,14 @@
-"""The pilots of the page, agents and people, and their names."""
+"""The pilots of the page, agents and people."""
 
-import unicodedata
 from inspect import cleandoc
 from types import FunctionType
 from typing import NamedTuple
 
 from drone_env.agents import AGENTS, SHIPPED_AGENTS
-from drone_env.flights.provenance import HUMAN, Provenance
+from drone_env.flights.provenance import HUMAN
 
 NETWORK, TRAINED = "pathqnet", "trained"
 """The pilots that fly by a PathQNet: the shipped one, and the one from the data folder."""
-PLANNER_PILOTS = ("trained-tournet", "tournet", TRAINED, NETWORK)
-"""The first of these that supports a task computes the actions for a whole map."""
 
 
 class Pilot(NamedTuple):
@@ -60,27 +57,3 @@ def all_pilots() -> dict[str, Pilot]:
 def _summary(make: object) -> str:
     doc = make.__doc__ if isinstance(make, type | FunctionType) else None  # other objects inherit that of their type
     return cleandoc(doc or "An agent that a plugin of this server registered.").partition("\n\n")[0].replace("\n", " ")
-
-
-def check_name(name: str) -> str:
-    """Return the name that a person chose.
-
-    Raises:
-        ValueError: if it is the name of a pilot.
-    """
-    pilots = {known.casefold() for id_, pilot in all_pilots().items() for known in (id_, pilot.name)}
-    if unicodedata.normalize("NFKC", name).casefold() in pilots | {"optimum"}:
-        raise ValueError(f"{name!r} is the name of a pilot: choose another")
-    return name
-
-
-def display_name(provenance: Provenance) -> str:
-    """The label of a flight for people: pilots and people by their names, or `A person`."""
-    pilots = all_pilots()
-
-    def name(one: Provenance) -> str:
-        if one.pilot == HUMAN:
-            return one.person or "A person"
-        return pilots[one.pilot].name if one.pilot in pilots else one.pilot
-
-    return provenance.written(name)

@@ -35,28 +35,20 @@ OTHER_FILES = 128
 """Open files that are not connections: the store, logs, files of requests."""
 
 
-class _WithoutCancelled(logging.Filter):
-    """Drops traces of tasks that are cancelled when the server stops."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
-
-
-LOGGING = {
-    "version": 1,
-    "disable_existing_loggers": False,
-    "formatters": {"line": {"format": "%(levelname)s: %(message)s"}},
-    "filters": {"cancelled": {"()": _WithoutCancelled}},
-    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line", "filters": ["cancelled"]}},
-    "root": {"handlers": ["stderr"]},
-}
-"""Log to standard error only."""
+def is_news(record: logging.LogRecord) -> bool:
+    """Whether a line of uvicorn's log is not about a task that was cancelled because the server stops."""
+    cancelled = record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError)
+    return not (cancelled or record.getMessage().rstrip().endswith("CancelledError"))
 
 
 def run(
-    host: str | None, port: int | None, workers: int | None, data: Path | None, reward_profiles: Sequence[Path] = ()
+    host: str | None = None,
+    port: int | None = None,
+    workers: int | None = None,
+    data: Path | None = None,
+    reward_profiles: Sequence[Path] = (),
 ) -> None:
-    """Serve until stopped. Arguments that are None come from the environment.
+    """Serve until stopped. Defaults come from the environment: DRONE_ENV_HOST and so on.
 
     Args:
         host: Address to listen on.
@@ -79,8 +71,8 @@ def run(
     for file in settings.reward_profiles:
         register_reward_file(file)
     import uvicorn
-
-    from drone_env.server.supervisor import Supervisor
+    from uvicorn.config import STARTUP_FAILURE
+    from uvicorn.supervisors import Multiprocess
 
     with listen(settings.host, settings.port) as listening:
         Store(settings.data).close()
@@ -92,9 +84,9 @@ def run(
             http="drone_env.server.protocols:Http",
             ws="drone_env.server.protocols:WebSockets",
             workers=settings.workers,
-            log_config=LOGGING,
+            log_config=None,
             access_log=False,
-            log_level="warning",  # at "info" uvicorn logs two lines for each WebSocket
+            log_level="error",  # uvicorn logs a line for each WebSocket and for each invalid request otherwise
             server_header=False,
             ws_max_size=LARGE,
             ws_per_message_deflate=False,
@@ -107,7 +99,12 @@ def run(
         # `uvicorn.run` would bind its own socket.
         with suppress(KeyboardInterrupt):
             if settings.workers > 1:
-                Supervisor(config, [listening]).run()
+                # A thread receives Ctrl-C, and no process that this one starts: it tells them to stop.
+                threading.Thread(target=threading.Event().wait, name="drone_env-ctrl-c", daemon=True).start()
+                leave_ctrl_c()
+                first = Multiprocess(config, [listening])
+                first.run()
+                failed = any(process.exitcode == STARTUP_FAILURE for process in first.processes)
             else:
                 server = uvicorn.Server(config)
                 try:
@@ -117,8 +114,10 @@ def run(
                         for child in multiprocessing.active_children():
                             child.kill()
                         os._exit(0)
-                if not server.started:
-                    sys.exit(1)
+                failed = not server.started
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C once more, at the very end, changes no status
+            if failed:
+                sys.exit(1)
 
 
 def leave_ctrl_c() -> None:

@@ -1,17 +1,16 @@
 """The requests that fly, and OpenEnv's messages, as Pydantic models."""
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, JsonValue, model_validator
 from typing_extensions import Self
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
-from drone_env.errors import InvalidValueError
 from drone_env.flights.provenance import AgentLabel
-from drone_env.llm.answers import Answer, actions_named, read_answer
+from drone_env.llm.answers import Answer, read_answer
 from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Seed, StrictModel
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
@@ -89,41 +88,28 @@ class WireAction(DroneAction):
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
 
 
-def route_text(value: object) -> str:
+def route_text(text: str) -> str:
     """Return the names of the actions of a route, separated by spaces.
 
-    Args:
-        value: A number, a word, a text with several words, or a list of numbers and words.
-
     Raises:
-        ValueError: if it is anything else, empty, or longer than `MAX_ROUTE`.
+        ValueError: if a word is not an action, there is none, or there are more than `MAX_ROUTE`.
     """
-    if isinstance(value, str):
-        if value in Action.__members__:
-            return value
-        reading = read_answer(Answer(text=value), plan=True)
-        if reading.kind != "ok":
-            raise ValueError(f"{reading.reason}; actions: {', '.join(Action.__members__)}")
-        value = [action.name for action in reading.actions]
-    words = cast(list[object], value) if isinstance(value, list) else [value]
-    if not 0 < len(words) <= MAX_ROUTE:
-        raise ValueError(f"a route has 1 to {MAX_ROUTE} actions, got {len(words)}")
-    names = [Action(word).name if type(word) is int and 0 <= word < N_ACTIONS else word for word in words]
-    try:
-        return " ".join([action.name for action in actions_named(names)])
-    except InvalidValueError as error:
-        raise ValueError(f"{error}; actions: {', '.join(Action.__members__)}, or 0 to {N_ACTIONS - 1}") from None
+    if text in Action.__members__:
+        return text
+    reading = read_answer(Answer(text=text), plan=True)
+    if reading.kind != "ok":
+        raise ValueError(f"{reading.reason}; actions: {', '.join(Action.__members__)}")
+    if len(reading.actions) > MAX_ROUTE:
+        raise ValueError(f"a route has 1 to {MAX_ROUTE} actions, got {len(reading.actions)}")
+    return " ".join([action.name for action in reading.actions])
 
 
-Route = Annotated[str, BeforeValidator(route_text)]
-"""Names of actions, separated by spaces; numbers and lists are converted."""
+Route = Annotated[str, AfterValidator(route_text)]
+"""Names of actions, separated by spaces."""
 
 
 class RouteAction(StrictModel):
-    """An action, or several in a row, in an OpenEnv session.
-
-    `{"direction": "UP"}`, `{"direction": 0}`, `{"direction": "UP UP WAIT"}`, `{"route": ["UP", "UP", "WAIT"]}`.
-    """
+    """An action, or several in a row, in an OpenEnv session: `{"direction": "UP"}`, `{"direction": "UP UP WAIT"}`."""
 
     direction: Route = Field(
         description=f"One of {', '.join(Action.__members__)}, or up to {MAX_ROUTE} of them, separated by spaces."
@@ -132,12 +118,8 @@ class RouteAction(StrictModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _rename(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return {"direction": data}
-        fields = cast(dict[str, Any], data)
-        named = "route" if "route" in fields and "direction" not in fields else "direction"
-        return {"direction" if key == named else key: value for key, value in fields.items()}
+    def _from_text(cls, data: Any) -> Any:
+        return {"direction": data} if isinstance(data, str) else data
 
 
 def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:

@@ -10,7 +10,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from drone_env.server.addresses import host_name, is_local_name, listens_on_loopback
 from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.logs import RequestLog
-from drone_env.server.page_files import is_file
 from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
@@ -22,6 +21,17 @@ WITHOUT_HINTS = re.compile(
 )
 """The paths of a server that withholds hints. All others, such as `/values`, may show a better flight."""
 POLICY_VIOLATION = 1008
+HEADERS = [
+    (
+        b"content-security-policy",
+        b"default-src 'self'; object-src 'none'; base-uri 'none'; img-src 'self' data: blob:; "
+        b"frame-ancestors 'self' https://huggingface.co https://*.hf.space",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+]
+"""Headers of every response. Hugging Face may show the page in a frame."""
 
 
 class Security:
@@ -32,7 +42,7 @@ class Security:
 
     Args:
         app: The wrapped application.
-        settings: The allowed hosts, origins and frame ancestors, and the token.
+        settings: The allowed hosts and origins, and the token.
         log: The request log.
     """
 
@@ -44,17 +54,6 @@ class Security:
         self.listens = settings.host.lower()
         self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
-        framing = " ".join(settings.frame_ancestors) or "'none'"
-        policy = (
-            f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
-            "img-src 'self' data: blob:"
-        )
-        self.headers = [
-            (b"content-security-policy", policy.encode("latin-1")),
-            (b"x-content-type-options", b"nosniff"),
-            (b"referrer-policy", b"no-referrer"),
-            (b"cross-origin-resource-policy", b"same-origin"),
-        ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on an allowed request. A refused WebSocket is closed before it opens."""
@@ -70,7 +69,7 @@ class Security:
                 status = 101
             elif message["type"] == "http.response.start":
                 status = message["status"]
-                headers = [*message.get("headers", ()), *self.headers]
+                headers = [*message.get("headers", ()), *HEADERS]
                 if not any(name.lower() == b"cache-control" for name, _ in headers):
                     # Browsers must revalidate the page, so that users see an update of the package at once.
                     is_page = path in ("/", "/docs") or path.startswith("/static/")
@@ -101,9 +100,10 @@ class Security:
             raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
         if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
             raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
-        if self.expected is None or scope["path"] in OPEN_PATHS or is_file(scope["path"]):
+        if self.expected is None or scope["path"] in OPEN_PATHS or scope["path"].startswith("/static/"):
             return
-        if not hmac.compare_digest(_sent_token(scope), self.expected):
+        scheme, _, token = headers.get("authorization", "").partition(" ")  # the scheme in any case: RFC 9110, 11.1
+        if scheme.lower() != "bearer" or not hmac.compare_digest(token.strip().encode(), self.expected):
             detail = "this server requires a token: send Authorization: Bearer TOKEN"
             raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
 
@@ -118,9 +118,3 @@ class Security:
         # Compare hosts, not schemes: behind a proxy that terminates TLS, the server sees http.
         scheme, _, authority = origin.partition("://")
         return origin in self.origins or (scheme in ("http", "https") and authority == host != "")
-
-
-def _sent_token(scope: Scope) -> bytes:
-    """Return the token of `Authorization: Bearer TOKEN`. The scheme is case-insensitive (RFC 9110, 11.1)."""
-    scheme, _, token = dict(scope["headers"]).get(b"authorization", b"").partition(b" ")
-    return token.strip() if scheme.lower() == b"bearer" else b""

@@ -47,19 +47,10 @@ class Settings(BaseSettings):
         "address may also use localhost, 127.0.0.0/8 or [::1]. If empty, requests to other addresses, or to a server "
         "on 0.0.0.0, may use any host.",
     )
-    frame_ancestors: CommaSeparated = Field(
-        default=("'self'", "https://huggingface.co", "https://*.hf.space"),
-        description="Sites that may show the page in a frame; comma-separated.",
-    )
     reward_profiles: CommaSeparated = Field(
         default=(), description="TOML files with further reward profiles; comma-separated."
     )
-    maps: int | None = Field(
-        default=None,
-        ge=0,
-        description="Most stored maps of the editor; the least recently used one is evicted first. If "
-        "empty, 1000 for callers with a token or on this machine, and none for others.",
-    )
+    maps: int = Field(default=1000, ge=0, description="Most stored maps of the editor; the oldest is evicted first.")
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."
     )
@@ -69,7 +60,7 @@ class Settings(BaseSettings):
         description="Memory in MB for each long job. Solving 64 x 64 cells with 8 parcels and 8 pads takes 800.",
     )
 
-    @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", "reward_profiles", mode="before")
+    @field_validator("allowed_origins", "allowed_hosts", "reward_profiles", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):

@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Annotated, TypeVar
 
 from fastapi import Depends, Request, Response
@@ -16,7 +17,7 @@ from drone_env.flights.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.logs import RequestLog
-from drone_env.server.model_runs import StoredRuns
+from drone_env.server.model_runs import Entries
 from drone_env.server.networks import Networks
 from drone_env.server.settings import Settings
 from drone_env.server.workers import Workers
@@ -44,7 +45,8 @@ class AppState:
         self.clock = clock or time.monotonic
         self.requests = RequestLog()
         self.networks = Networks(settings.weights, settings.data)
-        self.runs = StoredRuns(settings.data)
+        self.results: dict[tuple[Path, str], tuple[object, Entries]] = {}
+        """The entries of a folder for a task, with the identity of its files."""
         self.maps = DrawnMaps(settings.data / MAPS, settings.maps)
 
     async def work(
@@ -63,7 +65,7 @@ class AppState:
             TooLargeError: if the job takes too much time or memory.
             DroneEnvError: as the function.
         """
-        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), task=task))
+        job = asyncio.wrap_future(self.workers.submit(function, *arguments, caller=caller_address(request), task=task))
         left = asyncio.create_task(_disconnected(request))
         try:
             await asyncio.wait((job, left), return_when=asyncio.FIRST_COMPLETED)

@@ -26,8 +26,12 @@ def agent_start(shown: Message) -> Message:
     """The request for an agent's flight that has begun."""
     opening = shown["opening"]
     fields = {name: opening[name] for name in ("task", "seed", "reward_profile")}
-    by = {name: opening[name] for name in Provenance.model_fields}
-    return {**fields, "by": by, "actions": [frame["action"] for frame in shown["frames"][1:]]}
+    return {**fields, "pilot": opening["pilot"]}
+
+
+def label(shown: Message) -> str:
+    """Who flies a flight, in words."""
+    return Provenance.model_validate({name: shown["opening"][name] for name in Provenance.model_fields}).label
 
 
 class ByHand:

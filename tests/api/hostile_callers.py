@@ -255,7 +255,7 @@ class Campaign:
         sockets = [await self.open_socket("/ws") for _ in range(10)]
         for reader, _ in streams + sockets:
             reader._transport.pause_reading()  # pyright: ignore
-        frames = masked(b'{"type":"mcp"}') * 5000
+        frames = masked(b'{"type":"none"}') * 5000
         await asyncio.gather(*[self.push(writer, frames, 20, time.monotonic() + 2) for _, writer in sockets])
         most = megabytes(self.server.process.pid, "VmHWM")
         if most > MOST_MEGABYTES:
@@ -290,13 +290,13 @@ async def go(server: Server, seconds: float) -> list[str]:
     request = (HEAD.format("GET /x") + "\r\n").encode()
     await campaign.under("requests sent, none read", campaign.flood("", request, callers=20, reads=False))
     await campaign.under("half requests", campaign.send_halves())
-    mcp = masked(b'{"type":"mcp"}')
-    await campaign.under("flood of frames", campaign.flood("/ws", mcp))
-    await campaign.under("flood of frames, no answer read", campaign.flood("/ws", mcp, reads=False))
+    frame = masked(b'{"type":"none"}')
+    await campaign.under("flood of frames", campaign.flood("/ws", frame))
+    await campaign.under("flood of frames, no answer read", campaign.flood("/ws", frame, reads=False))
     await campaign.under("flood of pings, no answer read", campaign.flood("/ws", masked(b"x" * 100, 9), reads=False))
     await campaign.under("requests with 6,500 headers", campaign.send_long_heads())
-    for name, first, frame in (("pings", b"", PING), ("one-byte fragments", TEXT, MORE)):
-        await campaign.under(name, campaign.flood("/ws", frame, first, callers=64, is_abuse=True))
+    await campaign.under("flood of pings", campaign.flood("/ws", PING, callers=64))
+    await campaign.under("one-byte fragments", campaign.flood("/ws", MORE, TEXT, callers=64, is_abuse=True))
     await campaign.under("readers of the request log", campaign.follow_requests())
     await campaign.under("slow readers", campaign.read_slowly())
     await campaign.end()

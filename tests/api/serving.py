@@ -52,7 +52,7 @@ class Server:
 
     def assert_well(self) -> None:
         """A page can fly, the health is good, and nothing has failed."""
-        start = {"task": "easy", "seed": 7, "by": {"pilot": "greedy"}}
+        start = {"task": "easy", "seed": 7, "pilot": "greedy"}
         self.client.post("/flights/agent", json=start).raise_for_status()
         assert self.client.get("/health").status_code == 200
         assert "Traceback" not in self.log.read_text()

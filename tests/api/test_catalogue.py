@@ -15,15 +15,18 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rules import score_of
+from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import NAMES
 from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
+from drone_env.server.routes.catalogue import SCORE_WEIGHTS
+from drone_env.server.routes.flight import Prediction
 from drone_env.server.routes.history import LINES
-from drone_env.server.routes.predict import Prediction
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import POINTS, TrainLog
+from drone_env.server.train_log import POINTS, metrics, tail
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
@@ -33,13 +36,13 @@ class TestLogs:
     def test_the_end_of_a_huge_file_is_read_alone(self, tmp_path: Path) -> None:
         path = tmp_path / "train.log"
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
-        assert TrainLog(tmp_path).tail(LINES) == ["short"] * 3
+        assert tail(tmp_path, LINES) == ["short"] * 3
 
     def test_the_curve_of_a_long_training_is_thinned(self, tmp_path: Path) -> None:
-        path, log = tmp_path / "train.log", TrainLog(tmp_path)
+        path = tmp_path / "train.log"
         lines = [f"episode={n} loss={'-' if n < 10 else n / 2} score=nan" for n in range(1, 2001)]
         path.write_text("\n".join(["started", *lines, "episode=2001 loss="]))
-        curve = log.curve()
+        curve = metrics(tmp_path)
         assert curve.keys() == {"episode", "loss", "score"}
         episodes = curve["episode"]
         assert len(episodes) <= POINTS
@@ -206,6 +209,15 @@ def test_what_tasks_tell_of_rewards_and_drain_is_what_steps_pay(shared_client: T
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
 
 
+def test_the_weights_of_a_score_are_those_of_the_rules() -> None:
+    task = TASKS["easy_delivery"]
+    left = ((0, task.max_steps), (task.battery_capacity, task.max_steps), (0, 0))
+    parcels, charged, at_once = (
+        round(100 * score_of(interpreted(task), task.deliveries, units, steps)) for units, steps in left
+    )
+    assert {"parcels": parcels, "battery": charged - parcels, "steps": at_once - parcels} == SCORE_WEIGHTS
+
+
 class TestClientInProcess:
     def test_it_flies(self, client: TestClient, capsys: pytest.CaptureFixture[str]) -> None:
         with DroneEnvClient(http=client) as drone:
@@ -215,7 +227,7 @@ class TestClientInProcess:
             assert drone.grade("easy")["score"] == result["score"]
             assert drone.analyse("easy")["episodes_total"] == 1
             assert drone.path_history()["step_count"] == drone.state()["step_count"] == result["steps"]
-            assert drone.solution()["optimal_score"] >= result["score"]
+            assert drone.solution()["score"] >= result["score"]
             assert [task["id"] for task in drone.tasks()["tasks"]] == list(TASKS)
 
     @pytest.mark.parametrize("status", [200, 307, 500])

@@ -11,7 +11,6 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.flights.provenance import Provenance
-from drone_env.flights.record import replay
 from drone_env.flights.store import Store
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
@@ -83,17 +82,7 @@ def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[
     mine, maps = rows["human with values"], flights["human with values"]
     assert (mine["flights"], mine["maps"], mine["regret_maps"], mine["success_rate"]) == (3, 2, 2, 0.75)
     assert mine["score"] == pytest.approx(mean(mean(one.record.score for one in of_map) for of_map in maps.values()))
-    kinds = [rows[agent]["kind"] for agent in ("greedy", "human with values", "somebody else", "scripted/lies")]
-    assert kinds == ["pilot", "person", "other", "model"]
-
-
-def test_rewards_of_different_profiles_have_no_mean(tmp_path: Path) -> None:
-    with Store(tmp_path) as store:
-        for profile in ("tiered", "aligned"):
-            store.add_episode(replay(flown("easy", 7, "greedy", profile=profile)), "greedy")
-    with TestClient(create_app(Settings(data=tmp_path))) as client:
-        (row,) = get(client, "/leaderboard/easy")["rows"]
-    assert (row["flights"], row["reward"], row["reward_profile"]) == (2, None, None)
+    assert [Provenance.model_validate(row["by"]).label for row in rows.values()] == list(rows)
 
 
 def test_an_agents_maps_are_those_that_it_flew(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:
@@ -132,7 +121,7 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     ]
     (unranked,) = answer["unranked"]
     assert unranked["run"] == "forged"
-    assert "does not fit its flight" in unranked["reason"]
+    assert "do not follow from the model's answers" in unranked["reason"]
     assert str(data) not in json.dumps(answer)
     # What has been checked is not checked again.
     monkeypatch.setattr("drone_env.llm.report.verified_run", None)
@@ -163,15 +152,13 @@ def test_a_models_flight_has_its_prompts_and_answers_by_step(
 ) -> None:
     first = next(one for one in flights["scripted"][14] if one.record.success)
     answer = get(client, f"/episodes/{first.id}/calls")
-    assert (answer["run"], answer["model"], answer["prompt"]) == ("good", "scripted", "minimal-2")
+    assert answer["model"] == "scripted"
     calls = [call for call in read_calls(data / "llm" / "good" / "calls.jsonl") if call.flight == 0]
-    first_calls = [(call["step"], call["attempt"], call["outcome"]) for call in answer["calls"]][:3]
+    first_calls = [(call["turn"], call["attempt"], call["outcome"]) for call in answer["calls"]][:3]
     assert first_calls == [(1, 1, "illegal"), (1, 2, "ok"), (2, 1, "ok")]
-    assert [call["messages"] for call in answer["calls"]] == [call.messages for call in calls]
-    assert [call["answer"] for call in answer["calls"]] == ["Hm.", *first.record.actions]
+    assert answer["calls"] == [call.model_dump() for call in calls]
     none = get(client, f"/episodes/{flights['greedy'][0][0].id}/calls")
-    assert none == {"run": None, "model": None, "prompt": None, "calls": []}
-    assert client.get(f"/episodes/{'0' * 16}/calls").status_code == 404
+    assert none == {"model": None, "calls": []}
 
 
 def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -> None:
@@ -186,9 +173,7 @@ def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -
         calls.write_text(calls.read_text() + "no call\n")
         cut, _ = get(client, "/leaderboard/easy/runs")["unranked"]
         assert "of cut/calls.jsonl is no call" in cut["reason"]
-        refused = client.get(f"/episodes/{flight}/calls")
-        assert (refused.status_code, refused.json()["code"]) == (404, "damaged_run")
+        assert get(client, f"/episodes/{flight}/calls")["calls"] == []
         # As it is before its first call.
         calls.unlink()
         assert get(client, f"/episodes/{flight}/calls")["calls"] == []
-        assert get(client, "/leaderboard/easy")["rows"][0]["kind"] == "model"

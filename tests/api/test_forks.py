@@ -6,8 +6,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
-from drone_env.models import DIRECTIONS, Direction
-from tests.api.flying import ByHand, agent_start, directions, flown, start
+from drone_env.models import Direction
+from tests.api.flying import ByHand, directions, flown, label, start
 
 ADA = {"pilot": "human", "person": "Ada"}
 
@@ -25,8 +25,8 @@ def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> N
     record = client.get(f"/episodes/{ended['episode']}").json()
     assert record["agent"] == "human from step 3 of greedy"
     assert record["actions"] == [*directions(before)[:3], *["WAIT"] * (waits + 1)]
-    replayed = client.post("/replay", json=record).json()["opening"]
-    assert (replayed["pilot"], replayed["by"], replayed["forked_at"]) == ("human", "human from step 3 of greedy", 3)
+    replayed = client.post("/replay", json=record).json()
+    assert label(replayed) == "human from step 3 of greedy"
     assert client.get("/episodes?agent=human").json()["episodes"] == []
 
 
@@ -36,23 +36,9 @@ def test_a_person_goes_on_with_a_flight_of_his_own_as_he_left_it(client: TestCli
     own, beside = start(client, "human", "greedy", fork=left)
     assert [frame["action"] for frame in own["frames"]] == [None, *directions(way)]
     assert [frame["action"] for frame in beside["frames"][1:]] == directions(flown("easy", "greedy"))
-    assert (own["opening"]["by"], own["opening"]["forked_at"]) == ("human with values", None)
+    assert label(own) == "human with values"
     undone = ByHand(client, own).change("UNDO")
     assert (undone["frame"]["step"], undone["values_used"], undone["undo_used"]) == (3, True, True)
-
-
-def test_an_agent_goes_on_from_where_another_was(client: TestClient) -> None:
-    pilot, before = "greedy", flown("hard", "random")
-    expected = directions(flown("hard", pilot, start=flown("hard", "random", 12)))
-    (shown,) = start(client, pilot, task="hard", fork=fork(before, 12, "random"))
-    assert shown["opening"]["by"] == f"{pilot} from step 12 of random"
-    assert [frame["action"] for frame in shown["frames"][1:]] == expected
-    # Its moves are known to be its own where a link has brought them.
-    brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": {"pilot": "random"}}
-    assert start(client, pilot, task="hard", fork=brought) == [shown]
-    wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
-    body = {**agent_start(shown), "actions": [*expected[:14], wrong]}
-    assert "step 15 of the fork" in client.post("/flights/agent", json=body).json()["detail"]
 
 
 @pytest.mark.parametrize("by_hand", [True, False], ids=["flown here", "only linked"])
@@ -65,24 +51,24 @@ def test_flights_that_have_ended_are_kept_once_however_often_their_link_is_opene
         _, shown = start(client, "greedy", "human", fork=fork(before, 3, "greedy"), name="Ada")
         # The link says neither of these, and no name.
         ended = ByHand(client, shown).change("VALUES", "UP", "UNDO", *["WAIT"] * rest)
-        label = client.get(f"/episodes/{ended['episode']}").json()["agent"]
-        assert label == "human (Ada) with values and undo from step 3 of greedy"
+        agent = client.get(f"/episodes/{ended['episode']}").json()["agent"]
+        assert agent == "human (Ada) with values and undo from step 3 of greedy"
     whole = fork(before, 3, "greedy", *["WAIT"] * rest)  # type: ignore[list-item]
     for _ in range(2):
         views = start(client, "greedy", "human", fork=whole, name="Ben")
         assert all(view["frames"][-1]["done"] for view in views)
         stored = {row["id"]: row["agent"] for row in client.get("/episodes").json()["episodes"]}
-        assert stored == {view["episode"]: view["opening"]["by"] for view in views}
+        assert stored == {view["episode"]: label(view) for view in views}
 
 
 def test_a_race_that_is_over_stays_the_flight_of_who_flew_it(client: TestClient) -> None:
     whole = {"actions": ["WAIT"] * 60, "step": 0, "of": {**ADA, "undo_used": True}}
     own, _ = start(client, "human", "greedy", fork=whole, name="Bob")
-    assert (own["opening"]["by"], own["version"]) == ("human (Ada) with undo", None)
+    assert (label(own), own["version"]) == ("human (Ada) with undo", None)
     # A flight that goes on is that of who goes on.
     left = {"actions": ["WAIT"], "step": 0, "of": ADA}
     own, _ = start(client, "human", "greedy", fork=left, name="Bob")
-    assert (own["opening"]["by"], len(own["frames"])) == ("human (Bob)", 2)
+    assert (label(own), len(own["frames"])) == ("human (Bob)", 2)
 
 
 def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_so(client: TestClient) -> None:

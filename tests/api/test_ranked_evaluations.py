@@ -32,10 +32,7 @@ def test_where_files_lie_is_not_told(tmp_path: Path) -> None:
     (piece,) = (folder / "pieces").iterdir()
     piece.write_bytes(b"no piece")
     damaged = boards(tmp_path)["unranked"][0]["reason"]
-    piece.unlink()
-    missing = boards(tmp_path)["unranked"][0]["reason"]
     assert damaged.startswith("mine/pieces/easy_delivery-v1-")
-    assert missing.startswith("1 of 1 pieces of pathqnet:model.safetensors on")
 
 
 def test_an_evaluation_of_too_many_maps_is_not_looked_at(tmp_path: Path) -> None:
@@ -96,7 +93,7 @@ RUNS = ("run.json", "calls.jsonl", "episodes.jsonl")
     [
         *(pytest.param("evaluation.json", put, id=f"evaluation.json-{name}") for name, put in ANYWHERE.items()),
         *(pytest.param("pieces/*.npz", put, id=f"piece-{name}") for name, put in PIECES.items()),
-        *(pytest.param(file, put, id=f"{file}-{name}") for file in RUNS for name, put in ANYWHERE.items()),
+        *(pytest.param(file, ANYWHERE[name], id=f"{file}-{name}") for file in RUNS for name in ("cut", "pipe")),
     ],
 )
 def test_what_is_damaged_is_named_and_stops_nothing(

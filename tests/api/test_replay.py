@@ -63,12 +63,12 @@ def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestC
     told = shared_client.post("/annotate", content=flight.to_json(), headers=JSON).json()
     analysis = analyse_flight(flight)
     assert [move["regret"] for move in told["moves"]] == [move.regret for move in analysis.moves]
-    assert (told["score"], told["optimal_score"], told["regret"]) == (flight.score, analysis.optimum, analysis.regret)
+    optimum = told["optimum"]
+    assert (told["score"], optimum["score"]) == (flight.score, analysis.optimum)
     start = Episode(task, "tiered", 7)
-    best = start.copy().fly([Action[action] for action in told["optimal_actions"]])
-    assert told["optimal_path"] == [list(start.position), *([at.x, at.y] for at in best.path)]
-    assert (best.steps, best.battery_units) == (told["optimal_steps"], told["optimal_battery"])
-    assert best.score == analysis.optimum
+    best = start.copy().fly([Action[action] for action in optimum["actions"]])
+    assert optimum["path"] == [list(start.position), *([at.x, at.y] for at in best.path)]
+    assert (best.steps, best.score) == (optimum["steps"], analysis.optimum)
 
 
 def best_after(episode: Episode, action: Action) -> Episode:
@@ -94,9 +94,9 @@ def test_the_worst_move_says_what_the_best_ones_gain(
     step = regrets.index(max(regrets)) + 1
     assert told["worst"] == {"first": step, "last": step, "regret": max(regrets), "why": kind}
     # The same from the planner, which the server does not ask.
-    worst = told["moves"][step - 1]
+    worst = told["moves"][step - 1]["best_actions"][-1]
     start = Episode(task, "tiered", seed).fly(flight.actions[: step - 1])
-    best, after = (best_after(start, Action[name]) for name in (worst["best_actions"][-1], worst["action"]))
+    best, after = (best_after(start, action) for action in (Action[worst], flight.actions[step - 1]))
     numbers = {*map(int, re.findall(r"\d+", kind))}
     if best.deliveries_done > after.deliveries_done:
         assert numbers == {best.deliveries_done, after.deliveries_done}

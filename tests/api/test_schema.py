@@ -30,7 +30,7 @@ def filter_case(context, case):
 """Servers ignore unknown headers, which Schemathesis accepts only if the other headers are valid. It takes the header
 `x-step-count: 0` for an invalid string, so it reports a 200, which is right if the shared session has no steps."""
 EXAMPLES = int(os.environ.get("DRONE_ENV_SCHEMA_EXAMPLES", "1"))
-PHASES = ("Examples", "Coverage", "Fuzzing", "Stateful")
+PHASES = ("Examples", "Coverage", "Fuzzing")
 
 
 @pytest.mark.long

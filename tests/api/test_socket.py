@@ -43,29 +43,18 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
         ('{"type": "reset", "data": {"seed": NaN}}', "INVALID_JSON"),
         ("[]", "VALIDATION_ERROR"),
         ({"type": "reset", "data": []}, "VALIDATION_ERROR"),
-        ({"type": "reset", "extra": 1}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"colour": "red"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"task_name": "none"}}, "VALIDATION_ERROR"),
-        ({"type": "step"}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": {"UP": 1}}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": "UP UP SIDEWAYS"}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": []}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP"] * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": "UP " * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP", True]}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP", 5]}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP", -1]}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": ["UP", 1.0]}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"route": "UP", "direction": "UP"}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": "UP " * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"route": "UP"}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": 0}, "VALIDATION_ERROR"),
         ('{"type": "step", "data": %s}' % ("9" * 4000), "VALIDATION_ERROR"),
-        ({"type": "step", "data": None}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": ""}, "VALIDATION_ERROR"),
         ({"type": "step", "data": "<think>" * 900}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"prompt": "none"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"prompt": "../prompts/minimal-2.toml"}}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"prompt": 1}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
-        ({"type": ["step"]}, "UNKNOWN_TYPE"),
         ({"data": {}}, "UNKNOWN_TYPE"),
     ],
 )
@@ -87,7 +76,7 @@ def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
 def test_a_large_frame_closes(shared_client: TestClient, frame: str) -> None:
     with shared_client.websocket_connect("/ws") as socket:
         assert ask(socket, '{"type": "reset"}'.ljust(LARGEST_FRAME))["type"] == "observation"
-        route = {"type": "step", "data": {"route": ["RIGHT"] * MAX_ROUTE}}
+        route = {"type": "step", "data": {"direction": "RIGHT " * MAX_ROUTE}}
         assert ask(socket, json.dumps(route))["type"] == "observation"
         assert ask(socket, "🚁" * (LARGEST_FRAME // 4))["data"]["code"] == "INVALID_JSON"
         socket.send_text(frame)
@@ -196,12 +185,10 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
     assert client.get("/analyse/easy").json()["episodes_total"] == 1
 
 
-@pytest.mark.parametrize(
-    "action", ["UP up WAIT", "[UP, UP, WAIT]", 0, {"direction": 0}, {"route": ["UP", 0, 4]}, {"route": "UP UP WAIT"}]
-)
-def test_an_action_is_a_number_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
+@pytest.mark.parametrize("action", ["UP up WAIT", "[UP, UP, WAIT]", "UP", {"direction": "UP UP WAIT"}])
+def test_an_action_is_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
     episode = Episode("easy", "tiered", 7)
-    rewards = [episode.step(one) for one in ([0] if action in (0, {"direction": 0}) else [0, 0, 4])]
+    rewards = [episode.step(one) for one in ([0] if action == "UP" else [0, 0, 4])]
     with shared_client.websocket_connect("/ws") as socket:
         ask(socket, {"type": "reset", "data": {"seed": 7, "reward_profile": "tiered"}})
         answer = ask(socket, {"type": "step", "data": action})
@@ -211,7 +198,10 @@ def test_an_action_is_a_number_a_word_or_a_route(shared_client: TestClient, acti
 
 def test_a_route_that_goes_on_after_the_end_is_flown_to_the_end(shared_client: TestClient) -> None:
     best = solve("easy", 7)
-    route = {"type": "step", "data": {"route": [*best.actions, 4, 4]}}
+    route = {
+        "type": "step",
+        "data": {"direction": " ".join([*(action.name for action in best.actions), "WAIT", "WAIT"])},
+    }
     with shared_client.websocket_connect("/ws") as socket:
         assert ask(socket, {"type": "reset", "data": {"seed": 7}})["data"]["metadata"] == {"reward_profile": "score"}
         answer = ask(socket, route)["data"]

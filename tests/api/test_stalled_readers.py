@@ -1,4 +1,4 @@
-"""Clients that stop reading block no other client, and use bounded memory."""
+"""The request log as a stream."""
 
 import asyncio
 import json
@@ -6,22 +6,10 @@ import re
 
 import httpx
 import pytest
-from starlette.testclient import TestClient
 
 from drone_env.server.logs import KEPT, RequestLog
-from drone_env.server.routes.history import FOLLOWERS
-from tests.api.raw import WHOLE, connected
 from tests.api.serving import Server
 from tests.tools import PATIENCE
-
-
-def test_readers_of_the_requests_that_do_not_read_hold_up_nobody(server: Server) -> None:
-    with connected(("127.0.0.1", int(server.url.rpartition(":")[2]))) as listener:
-        listener.sendall(WHOLE.replace(b"/", b"/terminal_logs", 1)[:-2] + b"Accept: text/event-stream\r\n\r\n")
-        with httpx.Client(base_url=server.url, timeout=PATIENCE) as http:
-            for _ in range(2 * KEPT):
-                assert http.get("/nowhere/" + "x" * 190).status_code == 404
-        server.assert_well()
 
 
 @pytest.mark.feature("H9")
@@ -54,8 +42,3 @@ def test_followers_of_the_requests_skip_what_is_not_kept_any_more() -> None:
         assert numbers(await anext(reader)) == [*range(log.count - KEPT + 1, log.count + 1)]
 
     asyncio.run(asyncio.wait_for(follow(), PATIENCE))
-
-
-def test_there_is_room_for_so_many_followers(client: TestClient) -> None:
-    client.app.state.shared.requests.followers = FOLLOWERS  # pyright: ignore
-    assert client.get("/terminal_logs", headers={"Accept": "text/event-stream"}).status_code == 503

@@ -80,15 +80,21 @@ def test_an_error_is_one_line_and_creates_no_files(tmp_path: Path, monkeypatch: 
     # All that the command itself sets, so that it is put back.
     for name, value in {"DATA": tmp_path / "data", "PORT": reserved_port(), "HOST": "", "WORKERS": ""}.items():
         monkeypatch.setenv(f"DRONE_ENV_{name}", str(value))
-    with pytest.raises(SystemExit, match=rf"^server: [^\n]*{__file__}[^\n]*$"):
-        app.main(["--data", __file__, "--workers", "2"])
+
+    def error_of(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as ended:
+            app.main(arguments)
+        message = str(ended.value.code)
+        assert message.startswith("server: ")
+        assert "\n" not in message
+        return message.removeprefix("server: ")
+
+    assert __file__ in error_of("--data", __file__, "--workers", "2")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        message = r"^server: cannot listen on 127\.0\.0\.1: Address already in use[^\n]*--host and --port "
-        with pytest.raises(SystemExit, match=message):
-            app.main(["--port", str(taken.getsockname()[1]), "--workers", "2"])
+        said = error_of("--port", str(taken.getsockname()[1]), "--workers", "2")
+        assert said.startswith("cannot listen on 127.0.0.1: Address already in use")
     monkeypatch.setenv("DRONE_ENV_IDLE_SECONDS", "-1")
-    with pytest.raises(SystemExit, match=r"^server: DRONE_ENV_IDLE_SECONDS: [^\n]*$"):
-        app.main([])
+    assert error_of().startswith("DRONE_ENV_IDLE_SECONDS: ")
     assert not (tmp_path / "data").exists()
 
 

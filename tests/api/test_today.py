@@ -12,7 +12,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.flights.provenance import Provenance
 from drone_env.planning.optimal import solve
 from drone_env.server.daily import DAILY, map_of_the_day
-from tests.api.flying import ByHand, directions, flown, start
+from tests.api.flying import ByHand, directions, flown, label, start
 
 NOON = datetime(2020, 11, 26, 12, tzinfo=timezone.utc)
 """Of a day long ago: flights of the tests end later, whatever the clock of the machine says."""
@@ -24,7 +24,7 @@ def _same_day(monkeypatch: pytest.MonkeyPatch) -> None:  # pyright: ignore[repor
 
 
 def best(client: TestClient) -> list[tuple[Any, ...]]:
-    return [(row["name"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
+    return [(row["person"], row["score"], row["steps"]) for row in client.get("/today").json()["best"]]
 
 
 def test_a_day_has_one_map_and_each_task_comes_in_turn() -> None:
@@ -90,21 +90,17 @@ HOSTILE = [
     "a\n",
     "\u202eada",
     "z\u0335",
-    "greedy",
-    "PathQNet",
-    "ＹＯＵ",
-    "optimum",
     7,
 ]
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_name_is_one_short_word_and_not_that_of_a_pilot(shared_client: TestClient, name: object) -> None:
+def test_a_name_is_one_short_word(shared_client: TestClient, name: object) -> None:
     body = {"task": "easy", "seed": 7, "pilots": ["human"], "name": name}
     assert shared_client.post("/flights", json=body).json()["code"] == "invalid_request"
 
 
 def test_a_name_is_of_people_alone(shared_client: TestClient) -> None:
     flights = start(shared_client, "greedy", "human", name="Åsa_7-語")
-    assert [flight["opening"]["by"] for flight in flights] == ["greedy", "human (Åsa_7-語)"]
+    assert [*map(label, flights)] == ["greedy", "human (Åsa_7-語)"]
     assert flights[1]["opening"]["pilot"] == "human"

@@ -76,9 +76,7 @@ class TestUnnamed:
         ("name", "value"),
         [
             ("X-Forwarded-For", "127.0.0.1"),
-            ("Via", "1.1 proxy"),
             ("Origin", "http://127.0.0.1:8000"),
-            ("Sec-Fetch-Site", "none"),
             ("X-Session-Id", "new"),
         ],
     )

@@ -12,7 +12,7 @@ import pytest
 
 from drone_env.client import DroneEnvClient
 from tests.api.serving import serving
-from tests.tools import ROOT, eventually, is_taken, ran
+from tests.tools import eventually, is_taken
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
 
@@ -31,7 +31,7 @@ def test_they_end_when_the_first_process_is_killed(tmp_path: Path) -> None:
     ("workers", "asked"),
     [
         (2, (signal.SIGINT,) * 3),
-        pytest.param(1, (signal.SIGINT,), marks=pytest.mark.long),
+        pytest.param(1, (signal.SIGINT,) * 3, marks=pytest.mark.long),
         pytest.param(2, (signal.SIGTERM,), marks=pytest.mark.long),
     ],
 )
@@ -47,21 +47,9 @@ def test_they_fly_one_session_and_end_quietly_when_all_are_told_while_a_job_proc
             for process in (server.process.pid, *descendants(server.process.pid)):
                 with suppress(ProcessLookupError):
                     os.kill(process, number)
-        assert server.process.wait(timeout=60) == (-signal.SIGTERM if signal.SIGTERM in asked else 0)
+        assert server.process.wait(timeout=60) == 0
         job.exception()
         assert "Traceback" not in server.log.read_text()
-
-
-def test_it_ends_when_its_processes_cannot_start(tmp_path: Path) -> None:
-    (tmp_path / "plugin.py").write_text(
-        "import multiprocessing\nif multiprocessing.parent_process(): raise SystemError('no luck')\n"
-    )
-    command = ["-m", "drone_env.cli", "serve", "--workers", 2, "--port", 0, "--data", tmp_path / "data"]
-    path = os.pathsep.join(map(str, (tmp_path, ROOT)))
-    done = ran(sys.executable, *command, PYTHONPATH=path, DRONE_ENV_PLUGINS="plugin")
-    assert done.returncode == 1
-    assert "SystemError: no luck" in done.stderr
-    assert "a server process has failed to start: the server ends" in done.stderr
 
 
 def descendants(process: int) -> list[int]:

@@ -73,7 +73,7 @@ def test_mission_results_show_score_efficiency_and_statistics_of_a_success_witho
     card = ended(page)
     expect(card.get_by_role("heading", name="Mission Results")).to_be_visible()
     expect(card.get_by_role("heading", name="Random: All parcels delivered.")).to_be_visible()
-    score, optimum = annotation["score"], annotation["optimal_score"]
+    score, optimum = annotation["score"], annotation["optimum"]["score"]
     expect(card.locator(".hero")).to_have_text(f"{points(score)} / {points(optimum)} possible")
     # The parts of the score and what is lost add up to the optimum, also when rounded.
     parts = card.locator(".points-legend strong").all_inner_texts()
@@ -97,7 +97,7 @@ def test_mission_results_show_score_efficiency_and_statistics_of_a_success_witho
     best = " or ".join(move["best_actions"])
     seen = page.locator("#worst")
     expect(seen).to_have_text(
-        f"Step {worst}, {move['action']}, lost {points(move['regret'])}: {annotation['worst']['why']}"
+        f"Step {worst}, {flight[worst]['action']}, lost {points(move['regret'])}: {annotation['worst']['why']}"
     )
     seen.click()
     expect_frame(page, flight[worst - 1], 60)
@@ -253,18 +253,18 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
     expect(page.get_by_role("checkbox", name="Network values")).to_be_hidden()
     assert painted(page.locator("#boards .map-air"), "--network") == []
     # Its first answer was not legal, so it was asked again.
-    expect(answer).to_have_text(f"Hm. (illegal)\n\nRetry: {calls[1]['answer']}")
+    expect(answer).to_have_text(f"Hm. (illegal)\n\nRetry: {calls[1]['answer']['text']}")
     page.get_by_text("Prompt", exact=True).click()
     for call in calls[1:]:
         page.keyboard.press("ArrowRight")
-        expect_step(page, call["step"], len(calls) - 1)
+        expect_step(page, call["turn"], len(calls) - 1)
         expect(prompt).to_have_text("\n\n".join(f"{one['role']}: {one['content']}" for one in call["messages"]))
-        expect(answer).to_contain_text(call["answer"])
+        expect(answer).to_contain_text(call["answer"]["text"])
     expect(page.locator(".move-counts")).to_have_text("3 best")
 
     def unusable(route: Route) -> None:
-        changed = [{**call, "outcome": "illegal"} if call["step"] == 2 else call for call in calls]
-        route.fulfill(json={"run": "run", "model": "scripted", "prompt": "minimal", "calls": changed})
+        changed = [{**call, "outcome": "illegal"} if call["turn"] == 2 else call for call in calls]
+        route.fulfill(json={"model": "scripted", "calls": changed})
 
     # A wait in place of an unusable answer is no move of the model.
     page.route("**/calls", unusable)

@@ -1,5 +1,6 @@
 """Several flights over one map: pilots, each in its colour, and forks, which leave a flight for another move."""
 
+from collections import Counter
 from collections.abc import Callable
 
 from playwright.sync_api import Locator, Page, expect
@@ -68,7 +69,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     for number, (agent, name) in enumerate(NAMES.items(), 1):
         page.keyboard.press(str(number))
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(name)
-        for label, count in annotations[agent]["counts"].items():
+        for label, count in Counter(move["label"] for move in annotations[agent]["moves"]).items():
             expect(page.locator(f"#moves button[data-label={label}]")).to_have_count(count)
     # Alone, too, a pilot keeps its colour.
     pilot(page, "Random").click()

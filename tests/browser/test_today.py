@@ -47,9 +47,8 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     keys(page, *(KEYS[DIRECTIONS[action]] for action in best.actions))
     ended(page)
     expect(entry).to_have_text([f"undo {points(best.score)}, {best.steps} steps"])
-    network = points(flown(task, seed, "tournet").score)
     score = points(best.score)
-    shown = {"You": score, "Your best": score, "Possible": score, "Tournet": network, "Best today": score}
+    shown = {"You": score, "Your best": score, "Possible": score, "Best today": score}
     until(page, lambda: figures(page) == shown)
     # A text to share has the last seven days and no move.
     now = datetime.now(timezone.utc)
@@ -68,16 +67,9 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     entry.get_by_role("link", name="undo", exact=True).click()
     expect(page).to_have_url(f"{server.url}/?episode={stored['id']}")
     expect(page.locator("#results-title")).to_have_text("undo: All parcels delivered.")
-    # Beside the visitor's figures the network is named once, also if its flight is shown.
     at_its_end(page, seed, f"/?task={task}&seed={seed}&pilot=tournet")
-    expect(page.locator(".by-hand dt")).to_have_text(["Your best", "Possible", "Tournet", "Best today"])
-    assert figures(page) == {"Your best": score, "Possible": score, "Tournet": network, "Best today": score}
-    # The page rejects the names of other pilots and shows an error.
-    shared.expect("422")
-    over(page, 7, "/?task=easy&seed=7&pilot=human")
-    enter(field, "greedy")
-    expect(page.get_by_role("alert").filter(has_text="name of a pilot")).to_be_visible()
-    expect(entry).to_have_count(0)
+    expect(page.locator(".by-hand dt")).to_have_text(["Your best", "Possible", "Best today"])
+    assert figures(page) == {"Your best": score, "Possible": score, "Best today": score}
 
 
 def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_of_yesterday(

@@ -1,23 +1,15 @@
 """OpenEnv's stock clients, and others that know nothing of us, fly by tools and by text."""
 
 import asyncio
-from collections.abc import Generator
 from typing import Any
 
 import pytest
 
 from drone_env.core.actions import Action
 from drone_env.planning.optimal import solve
-from tests.api.serving import Server, serving
+from tests.api.serving import Server
 
 TOOLS = ["reset", "fly", "look"]
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
-    # Requests of a session reach both processes.
-    with serving(tmp_path_factory.mktemp("tools") / "data", WORKERS="2") as running:
-        yield running
 
 
 def best_route(task: str, seed: int) -> str:

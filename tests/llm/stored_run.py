@@ -14,11 +14,11 @@ from drone_env.flights.store import Store
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig, Sampling
-from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import locked_run
 from drone_env.llm.runner import RunResult, run_flights
+from drone_env.llm.sender import TryFailedError
 from drone_env.llm.transcript import Call, read_calls
 from tests.llm.scripted_server import reply
 
@@ -103,7 +103,6 @@ def run_config(
         "split": "custom",
         "seeds": (seeds[0], seeds[-1] + 1) if isinstance(seeds, range) else seeds,
         "repeats": 1,
-        "reward_profile": "tiered",
         "prompt": chosen.id,
         "prompt_digest": chosen.digest,
         "history": 0,

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.llm.budget import Options
-from drone_env.llm.endpoint import TryFailedError
+from drone_env.llm.sender import TryFailedError
 from tests.tools import reserved_port
 
 from .conftest import TOKEN, Start, blocks, verified
@@ -53,34 +52,28 @@ def test_what_passes_is_told_and_tried_again(endpoint: Start, fault: object) -> 
     done = scripted.infer("--seeds", "14:15", "--timeout", "1" if fault == "hang" else "60")
     assert (done.status, done.turns, done.flights[0]["score"]) == (0, {"ok": 3}, 0.99), done.err
     assert [request["call"] for request in scripted.requests()] == ["0-1-1", "0-2-1", "0-2-1", "0-3-1"]
-    assert "map 14, turn 2: attempt 1 of 6 failed: " in done.err
+    assert "map 14, turn 2: attempt 1 of 8 failed: " in done.err
     assert [len(call["failures"]) for call in done.calls] == [0, 1, 0]
     if isinstance(fault, dict):
         assert "failed: 429: scripted 429; next attempt in 0.1 s\n" in done.err
         assert done.calls[1]["failures"] == [{"status": 429, "reason": "scripted 429", "waited": 0.1}]
 
 
-@pytest.mark.parametrize(("answers", "status", "seconds"), [(0, 503, 600), (0, 0, 60), (1, 0, 600)])
-def test_an_endpoint_that_starts_is_waited_for(
-    answers: int, status: int, seconds: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def starting(failures: int) -> Scripted:
-        failed = TryFailedError(status, "starting", retried=True, starting=True)
-        return Scripted(fails=lambda number: failed if answers <= number < answers + failures else None)
-
-    flown = fly(starting(12), tmp_path / "run", Options(concurrency=1, tries=2, backoff=0))
-    assert (flown.result.verdict, flown.waits) == ("valid", [1.0] * 12)
-    told = f"the endpoint may still be starting: waiting up to {seconds} s: {status or 'no answer'}: starting\n"
-    assert capfd.readouterr().err.count(told) == 1
-    flown = fly(starting(ALWAYS), tmp_path / "never", Options(concurrency=1, backoff=0))
-    assert (flown.result.verdict, flown.seconds) == ("stopped", seconds)
-    # One try is one try.
-    flown = fly(starting(ALWAYS), tmp_path / "once", Options(concurrency=1, tries=1))
-    assert (flown.result.verdict, flown.seconds) == ("stopped", 0)
-
-
-def test_an_address_without_a_server_is_one_that_starts(endpoint: Start) -> None:
+def test_an_address_without_a_server_stops_the_run_after_the_last_try(endpoint: Start) -> None:
     address = f"127.0.0.1:{reserved_port()}"
-    done = endpoint().infer("--base-url", f"http://{address}/v1", "--tries", "1")
-    assert done.status == 2
+    done = endpoint().infer(
+        "--base-url", f"http://{address}/v1", "--episodes", "9", "--tries", "2", "--concurrency", "1"
+    )
+    assert (done.status, len(done.flights)) == (2, 1)
+    assert done.err.count("attempt 1 of 2 failed: no answer: ") == 1
     assert f"stopped: {address} gives no answer: {address} takes no connection (" in done.err
+
+
+@pytest.mark.parametrize(("status", "verdict"), [(0, "stopped"), (500, "invalid")])
+def test_a_server_that_goes_away_stops_the_run_and_a_failing_call_its_flight(
+    tmp_path: Path, status: int, verdict: str
+) -> None:
+    failed = TryFailedError(status, "gone", retried=True, fatal=not status)
+    flown = fly(Scripted(fails=lambda number: failed if number > 4 else None), tmp_path / "run", seeds=(14, 17))
+    assert flown.result.verdict == verdict
+    assert [flight.status for flight in flown.result.flights] == ["finished", *["errored"] * (2 if status else 1)]

@@ -1,4 +1,4 @@
-"""How many requests go out at once, per minute and in all, and when failed ones are repeated."""
+"""When requests are sent, how many in all, and when failed ones are repeated."""
 
 import asyncio
 import math
@@ -12,8 +12,8 @@ import pytest
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Budget, Options, RateLimiter, now
-from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
+from drone_env.llm.sender import TryFailedError
 from drone_env.llm.verify import verified_run
 
 from .conftest import blocks
@@ -29,13 +29,6 @@ def with_limiter(work: Callable[[RateLimiter], Awaitable[Any]], **options: Any) 
     return in_virtual_time(run())
 
 
-async def answered(limiter: RateLimiter) -> float:
-    """Send a request that is answered at once; the seconds until it was sent."""
-    async with limiter.slot():
-        limiter.answered()
-    return now() - BEGAN
-
-
 @pytest.mark.parametrize(
     ("options", "idle", "expected"),
     [
@@ -47,82 +40,54 @@ async def answered(limiter: RateLimiter) -> float:
 )
 def test_requests_per_minute(options: dict[str, float], idle: float, expected: list[float]) -> None:
     async def work(limiter: RateLimiter) -> list[float]:
-        sent = [await answered(limiter) for _ in range(4)]
-        await asyncio.sleep(idle)
-        return [*sent, await answered(limiter)]
+        sent = list[float]()
+        for number in range(5):
+            await asyncio.sleep(idle if number == 4 else 0)
+            await limiter.turn()
+            sent.append(now() - BEGAN)
+        return sent
 
     assert with_limiter(work, **options)[0] == pytest.approx(expected)
 
 
-def test_an_overload_halves_and_answers_bring_the_limit_back() -> None:
-    async def work(limiter: RateLimiter) -> None:
-        async def failed(overload: bool) -> int:
-            await asyncio.sleep(1)
-            async with limiter.slot() as sent:
-                limiter.failed(sent, 0, overload)
-            return limiter.limit
-
-        assert await failed(overload=False) == 16
-        assert await failed(overload=True) == 8
-        async with limiter.slot() as sent:
-            assert await failed(overload=True) == 4
-            limiter.failed(sent, 0, overload=True)  # sent before the last halving
-            assert limiter.limit == 4
-        assert [await failed(overload=True) for _ in range(3)] == [2, 1, 1]
-        limits = list[int]()
-        for _ in range(140):
-            await answered(limiter)
-            limits.append(limiter.limit)
-        assert (limits[0], limits[2], limits[5], limits[-1]) == (2, 3, 4, 16)
-
-    with_limiter(work, concurrency=16)
-
-
-def test_no_more_requests_are_open_than_the_limit_allows() -> None:
-    async def work(limiter: RateLimiter) -> int:
-        peaks = list[int]()
-
-        async def one() -> None:
-            async with limiter.slot():
-                peaks.append(limiter.active)
-                await asyncio.sleep(1)
-
-        await asyncio.gather(*(one() for _ in range(10)))
-        return max(peaks)
-
-    assert with_limiter(work, concurrency=4) == (4, 3)
-
-
 def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> None:
-    async def work(limiter: RateLimiter) -> float:
-        async with limiter.slot() as first, limiter.slot() as second:
-            limiter.failed(first, 7, overload=True)
-            limiter.failed(second, 2, overload=True)
-        return await answered(limiter)
+    async def work(limiter: RateLimiter) -> None:
+        limiter.pause(7)
+        limiter.pause(2)
+        await limiter.turn()
 
-    assert with_limiter(work)[0] == 7
+    assert with_limiter(work)[1] == 7
 
 
 def test_waiting_requests_go_in_order_and_a_cancelled_one_leaves_its_place() -> None:
-    async def work(limiter: RateLimiter) -> None:
+    async def work(limiter: RateLimiter) -> list[int]:
         order: list[int] = []
 
         async def one(number: int) -> None:
-            async with limiter.slot():
-                order.append(number)
+            await limiter.turn()
+            order.append(number)
 
-        # One is cancelled while it waits, and one when it is let in, before it begins.
-        for numbers, cancelled, late in (((0, 1, 2, 3), 2, False), ((4, 5), 0, True)):
-            async with limiter.slot():
-                waiting = [asyncio.ensure_future(one(number)) for number in numbers]
-                await asyncio.sleep(1)
-                if not late:
-                    waiting[cancelled].cancel()
-            waiting[cancelled].cancel()
-            await asyncio.wait(waiting)
-        assert (order, limiter.active) == ([0, 1, 3, 5], 0)
+        limiter.pause(5)
+        waiting = [asyncio.ensure_future(one(number)) for number in range(4)]
+        await asyncio.sleep(1)
+        waiting[0].cancel()
+        waiting[2].cancel()
+        await asyncio.wait(waiting)
+        return order
 
-    with_limiter(work, concurrency=1)
+    assert with_limiter(work)[0] == [1, 3]
+
+
+@pytest.mark.parametrize(("status", "second"), [(429, 7), (500, 0)])
+def test_a_wait_for_an_overloaded_endpoint_holds_back_all_flights(tmp_path: Path, status: int, second: int) -> None:
+    sent = list[float]()
+
+    def fails(number: int) -> TryFailedError | None:
+        sent.append(now() - BEGAN)
+        return TryFailedError(status, "no", retried=True, retry_after=7) if number == 0 else None
+
+    fly(Scripted(fails=fails), tmp_path / "run", Options(concurrency=2), seeds=(14, 16))
+    assert sent[:3] == [0, second, second]
 
 
 def test_the_limit_of_calls_holds_exactly_and_a_resumed_run_goes_on(tmp_path: Path) -> None:
@@ -155,18 +120,12 @@ def test_a_flight_that_the_limit_did_not_let_begin_is_none(tmp_path: Path, capfd
     assert len(verified_run(tmp_path / "begun").results) == 1
 
 
-@pytest.mark.parametrize(
-    ("limit", "requests"),
-    [
-        # Each answer takes 102 tokens and costs 1,100 millionths of a dollar.
-        *(({"max_tokens": most}, requests) for most, requests in ((204, 2), (205, 3))),
-        *(({"max_cost": most}, requests) for most, requests in ((0.0022, 2), (0.0023, 3))),
-    ],
-)
-def test_limits_of_tokens_and_money(tmp_path: Path, limit: Any, requests: int) -> None:
+@pytest.mark.parametrize(("most", "requests"), [(204, 2), (205, 3)])
+def test_the_limit_of_tokens(tmp_path: Path, most: int, requests: int) -> None:
+    # Each answer takes 102 tokens.
     sender = Scripted("WAIT")
     for _ in range(2):
-        fly(sender, tmp_path / "run", Options(concurrency=1, price_prompt=10, price_completion=50, **limit))
+        fly(sender, tmp_path / "run", Options(concurrency=1, max_tokens=most))
         assert sender.requests == requests
 
 
@@ -180,16 +139,9 @@ def test_what_an_endpoint_does_not_meter_cannot_be_limited(tmp_path: Path) -> No
     assert "does not report its tokens" in str(flown.result.flights[0].error)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *({f"max_{name}": 0} for name in ("calls", "tokens", "cost")),
-        *({"max_cost": 1}, {"requests_per_minute": math.nan}, {"tries": 0}, {"backoff": -1}, {"concurrency": 10_001}),
-        {"price_prompt": 1, "price_completion": -1},
-    ],
-)
+@pytest.mark.parametrize("wrong", [{"max_calls": 0}, {"requests_per_minute": math.nan}, {"tries": 0}, {"backoff": -1}])
 def test_what_is_no_limit_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InvalidValueError):
+    with pytest.raises(InvalidValueError, match="must be above 0"):
         Options(**wrong)
 
 
@@ -209,5 +161,5 @@ def test_waits_are_random_below_a_bound_that_doubles(tmp_path: Path) -> None:
 def test_when_a_failing_call_is_given_up(tmp_path: Path, asked: float, requests: int) -> None:
     sender = Scripted(fails=lambda _: TryFailedError(429, "no", retried=True, retry_after=asked))
     flown = fly(sender, tmp_path / "run", Options(concurrency=1, tries=3))
-    assert (sender.requests, flown.seconds, flown.result.verdict) == (requests, 0, "invalid")
+    assert (sender.requests, flown.seconds, flown.result.verdict) == (requests, 0, "stopped")
     assert [failure.status for failure in flown.calls[0].failures] == [429] * requests

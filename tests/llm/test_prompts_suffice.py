@@ -22,8 +22,7 @@ from drone_env.planning.optimal import solve, solver_of
 from drone_env.server.openenv_session import full_text
 
 MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
-PROMPTS = [prompt for prompt in map(get_prompt, prompt_ids()) if prompt.id != "original-1"]
-PROMPTS.extend(map(read_prompt, sorted(FOLDER.glob("tools/*.toml"))))
+PROMPTS = [*map(get_prompt, prompt_ids()), *map(read_prompt, sorted(FOLDER.glob("tools/*.toml")))]
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
 EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
 ODD = [

@@ -14,40 +14,22 @@ from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Options
 from drone_env.llm.config import Sampling
-from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import summary_lines, verdict_of
+from drone_env.llm.sender import TryFailedError
 from drone_env.llm.verify import verified_run
 
 from .scripted_server import reply
 from .stored_run import Scripted, fly, put_run
 
 
-def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(tmp_path: Path) -> None:
+def test_repeats_are_other_draws_from_the_model(tmp_path: Path) -> None:
     # Of four flights over map 14, of three steps each, the second one waits to its end. The first answer is repaired.
     sender = Scripted(lambda number: "WAIT" if 4 <= number < 64 else "greedy")
     flown = fly(sender, tmp_path / "run", repeats=4, sampling=Sampling(seed=5))
     assert [flight.success for flight in flown.result.flights] == [True, False, True, True]
-    # Each flight is another draw from the model.
     assert [flight.parameters["seed"] for flight in flown.result.flights] == [5, 6, 7, 8]
-    figures = report(verified_run(tmp_path / "run"), moves=False).report
-    assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
-    assert figures["success_rate"] == 0.75
-
-
-@pytest.mark.parametrize(
-    ("usable", "waits", "labels", "accuracy"),
-    # Of three steps, the second and its repair are unusable, or all.
-    [(lambda number: number not in (2, 3), 1, 3, 1.0), (lambda _: False, 60, 0, None)],
-)
-def test_a_wait_that_the_model_did_not_choose_is_none_of_its_moves(
-    tmp_path: Path, usable: Any, waits: int, labels: int, accuracy: float | None
-) -> None:
-    fly(Scripted(lambda number: "greedy" if usable(number) else "Hm."), tmp_path / "run")
-    figures = report(verified_run(tmp_path / "run")).report
-    moves = figures["moves"]
-    assert (figures["waits"], sum(moves["labels"].values())) == (waits, labels)
-    assert (moves["decisive"], moves["accuracy"]) == (labels, accuracy)
+    assert report(verified_run(tmp_path / "run")).report["success_rate"] == 0.75
 
 
 def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
@@ -62,10 +44,9 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(tmp_path: Path) -
     once = fly(Scripted(), tmp_path / "once", seeds=(14, 16))
     sender = Scripted(fails=lambda number: TryFailedError(400, "no") if number == len(once.calls) else None)
     flown = fly(sender, tmp_path / "run", seeds=(14, 16), repeats=2)
-    figures = report(verified_run(tmp_path / "run"), moves=False).report
+    figures = report(verified_run(tmp_path / "run")).report
     assert figures["flights"]["errored"] == 1
-    assert figures["score"] == pytest.approx(figures["baselines"]["greedy"], abs=1e-12)
-    assert figures["pass_hat_k"] == {"1": 1.0}
+    assert (len(figures["maps"]), figures["success_rate"]) == (2, 1)
     assert summary_lines(flown.result)[0].startswith(f"mean score {figures['score']:.4f} over 3 flights")
 
 
@@ -73,13 +54,11 @@ def test_errored_flights_are_kept_out_and_shown(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>|x![](http://h)"
     folder, fails = tmp_path / "run", TryFailedError(500, hostile, retried=True)
     fly(Scripted(fails=lambda number: fails if number > 3 else None), folder, seeds=(14, 16), model=hostile)
-    found = report(verified_run(folder), moves=False)
+    found = report(verified_run(folder))
     figures = found.report
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
-    errored = {"seed": 15, "repeat": 0, "status": "errored", "error": f"500: {hostile}"}
-    assert figures["not_finished"] == [errored]
 
 
 def test_a_run_without_a_score_has_a_report(tmp_path: Path) -> None:
@@ -102,13 +81,13 @@ def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) 
     waits = results.replace('"waits":0', '"waits":1', 1)
     for files, told in (
         ({"calls": calls.replace(answer, left, 1)}, "has another request than this run sends"),
-        ({"calls": start + last.replace(answer, left)}, "flight 1 does not follow from the model's answers"),
+        ({"calls": start + last.replace(answer, left)}, "flight 1: its record and result do not follow"),
         ({"calls": start}, "call 1-60-1 has no answer, but the status of the flight is finished"),
         ({"calls": start, "flights": errored}, "call 1-60-1 has neither an answer nor a failure"),
         ({"calls": calls + last.replace('"turn":60', '"turn":61')}, "1 answers belong to no flight"),
-        ({"flights": waits}, "flight 0 does not follow from the model's answers"),
-        ({"episodes": f"{first}{better}\n"}, "flight 1: the record does not fit its flight: score"),
-        ({"episodes": f"{forged}\n{second}"}, "flight 0 does not follow from the model's answers"),
+        ({"flights": waits}, "flight 0: its record and result do not follow"),
+        ({"episodes": f"{first}{better}\n"}, "flight 1: its record and result do not follow"),
+        ({"episodes": f"{forged}\n{second}"}, "flight 0: its record and result do not follow"),
         ({"episodes": first}, "it contains 1 records for 2 flights"),
         ({"episodes": first, "flights": results.splitlines()[0]}, "flight 1 was begun but is not among the results"),
         ({"run": texts[0].replace('"scripted"', '"better"')}, "call 0-1-1 has another request"),
@@ -120,16 +99,15 @@ def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("usage", "tokens", "cost"),
+    ("usage", "tokens"),
     [
-        ([None] * 3, (None, None, None), None),
-        ([(None, 2)] * 3, (None, 6, 6), None),
-        ([(100, 2), None, (100, 4)], (200, 6, 206), 0.00086),
-        ([(100, 2)] * 3, (300, 6, 306), 0.00126),
+        ([None] * 3, (None, None, None)),
+        ([(None, 2)] * 3, (None, 6, 6)),
+        ([(100, 2), None, (100, 4)], (200, 6, 206)),
     ],
 )
 def test_tokens_that_no_answer_reports_are_unknown_not_0(
-    usage: list[Any], tokens: tuple[object, ...], cost: float | None, tmp_path: Path
+    usage: list[Any], tokens: tuple[object, ...], tmp_path: Path
 ) -> None:
     class Metered(Scripted):
         async def send(self, request: Mapping[str, Any], call_id: str) -> Answer:
@@ -138,10 +116,7 @@ def test_tokens_that_no_answer_reports_are_unknown_not_0(
             return Answer(text=text, prompt_tokens=prompt, completion_tokens=completion)
 
     fly(Metered(), tmp_path)
-    found = report(verified_run(tmp_path), Options(price_prompt=4, price_completion=10), moves=False)
-    figures = found.report
-    assert tuple(figures["tokens"].values()) == tokens
-    assert figures["cost_usd"] == (cost and pytest.approx(cost))
+    assert tuple(report(verified_run(tmp_path)).report["tokens"].values()) == tokens
 
 
 def boards(capsys: pytest.CaptureFixture[str], *folders: Path) -> Any:
@@ -158,8 +133,7 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     evaluate = ("evaluate", "--task", "easy", "--agents")
     assert main([*evaluate, "random", "greedy", "--repeats", "3", "--seeds", "14:18", "--out", str(agents)]) == 0
     assert main([*evaluate, "greedy", "--seeds", "14:19", "--out", str(elsewhere)]) == 0
-    waiting = put_run(tmp_path, "waiting", "WAIT", range(14, 18))
-    again = put_run(tmp_path, "again", "WAIT", range(14, 18))
+    waiting, again = (put_run(tmp_path, name, "WAIT", range(14, 18)) for name in ("waiting", "again"))
     short = tmp_path / "llm" / "short"
     fly(Scripted(), short, Options(concurrency=1, max_calls=5), seeds=(14, 18))
     found = boards(capsys, *sorted((tmp_path / "llm").iterdir()), agents, elsewhere)
@@ -176,16 +150,14 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
 
 
 def test_folders_that_cannot_be_ranked_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = str(put_run(tmp_path, "other", "WAIT", range(14, 17)))
-    for name in ("episodes.jsonl", "flights.jsonl"):
-        (Path(other) / name).unlink()
+    killed = put_run(tmp_path, "killed", "WAIT", range(14, 17))
+    (killed / "episodes.jsonl").unlink()
+    (killed / "flights.jsonl").unlink()
     (tmp_path / "empty").mkdir()
-    empty, nowhere = str(tmp_path / "empty"), str(tmp_path / "nowhere")
-    none = "no results in it; give a folder of evaluate --out or infer --out"
-    for arguments, status, told in (
-        (("leaderboard", other), 0, f"not ranked: {other}: no flights yet: it is running, or was killed"),
-        (("leaderboard", nowhere), 1, ": no such folder; give a folder of evaluate --out or infer --out"),
-        (("leaderboard", empty), 1, none),
+    for folder, status, told in (
+        (killed, 0, f"not ranked: {killed}: no flights yet: it is running, or was killed"),
+        (tmp_path / "nowhere", 1, ": no such folder; give a folder of evaluate --out or infer --out"),
+        (tmp_path / "empty", 1, "no results in it; give a folder of evaluate --out or infer --out"),
     ):
-        assert main([*arguments]) == status
+        assert main(["leaderboard", str(folder)]) == status
         assert told in " ".join(capsys.readouterr().err.split())

@@ -113,5 +113,5 @@ def test_a_killed_run_goes_on_within_its_budget(endpoint: Start) -> None:
     assert (resumed.status, len(scripted.requests())) == (3, 5)
     assert [flight["status"] for flight in resumed.flights] == ["finished", "budget_stop"]
     verified(resumed)
-    figures = report(verified_run(folder), moves=False).report
+    figures = report(verified_run(folder)).report
     assert figures["calls"] == {"answered": 4, "requests": 4, "without_usage": 0}

@@ -1,39 +1,41 @@
 """Flights that a server follows, and the store of the data folder."""
 
-import asyncio
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 
+from drone_env.client import DroneEnvClient
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.flights.store import FILE_NAME, Store
+from drone_env.llm import on_server
 from drone_env.llm.budget import Options
-from drone_env.llm.follow import following
-from tests.api.serving import serving
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
 from tests.tools import reserved_port
 
 from .conftest import Start
 from .stored_run import Scripted, fly
 
 
-def test_a_server_follows_flights_of_the_same_rules(endpoint: Start, tmp_path: Path) -> None:
-    async def follow(episode: Episode) -> None:
-        with following(server.url, "mine") as on_step:
-            await on_step(episode)
-
-    with serving(tmp_path / "data", ("-m", "drone_env.cli", "serve")) as server:
-        done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
+def test_a_server_repeats_flights_of_the_same_rules(
+    endpoint: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with TestClient(create_app(Settings(data=tmp_path / "data"))) as http:
+        monkeypatch.setattr(on_server, "DroneEnvClient", lambda _: DroneEnvClient(http=http))
+        done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", "http://server")
         assert (done.status, done.turns) == (0, {"ok": 3}), done.err
-        (stored,) = server.client.get("/memory_logs").json()["episodes"]
+        (stored,) = http.get("/memory_logs").json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # Here the battery is smaller than the server's.
+        smaller = Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14)
         with pytest.raises(InvalidValueError, match=r"other rules: map 14, step 0: battery_steps.* is 60, must be 25"):
-            asyncio.run(follow(Episode(replace(get_task("easy"), battery_capacity=25), "tiered", 14)))
+            on_server.repeat_on_server("http://server", smaller, "mine")
 
 
 def test_the_store_contains_each_finished_flight_once(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from drone_env.files import differences
 from drone_env.llm.config import InferenceSettings, Sampling, load_settings
 from tests.environment import SETTINGS
 
-from .conftest import ENDPOINTS, ROOT
+from .conftest import ROOT
 from .stored_run import run_config
 
 HF, OPENAI = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
@@ -43,9 +43,9 @@ def test_the_token_is_chosen_by_the_host() -> None:
         ({"openai_api_key": "sk-b"}, "https://router.huggingface.co./v1", "needs HF_TOKEN"),
         ({}, HF, "needs HF_TOKEN"),
         ({}, OPENAI, "needs OPENAI_API_KEY"),
-        ({"hf_token": 'hf_"quoted'}, HF, "HF_TOKEN must be .*without spaces, quotes and backslashes"),
+        ({"hf_token": "hf_two words"}, HF, "HF_TOKEN must be printable ASCII without spaces"),
         ({"hf_token": "hf_\u00e4"}, HF, "HF_TOKEN must be printable ASCII"),
-        *(({}, url, "API_BASE_URL") for url in ("ftp://x", "https://user:pass@x/v1", "x", "https://x/v1?key=1")),
+        ({"hf_token": "hf_a"}, "http://x.hf.space/v1", "HF_TOKEN is a key of Hugging Face or OpenAI"),
     ],
 )
 def test_what_has_no_token_is_named(tokens: dict[str, str], url: str, why: str) -> None:
@@ -53,20 +53,10 @@ def test_what_has_no_token_is_named(tokens: dict[str, str], url: str, why: str) 
         settings(**tokens).token_for(url)
 
 
-PUBLIC = ENDPOINTS["public hosts"]
-
-
-@pytest.mark.parametrize("host", [*ENDPOINTS["private hosts"], *PUBLIC])
-def test_plain_http_reaches_every_host_without_a_token_and_private_ones_with_a_token(host: str) -> None:
-    url, keyed = f"http://{host}:8000/v1", settings(openai_api_key="EMPTY-no-key")
-    assert settings().token_for(url) is None
-    assert settings(hf_token="hf_a").token_for(url) is None
-    assert keyed.token_for(url, allow_plain_http=True) == keyed.token_for(f"https://{host}/v1") == "EMPTY-no-key"
-    if host in PUBLIC:
-        with pytest.raises(InvalidValueError, match="a public host: use https://, or add --allow-plain-http"):
-            keyed.token_for(url)
-    else:
-        assert keyed.token_for(url) == "EMPTY-no-key"
+def test_plain_http_reaches_a_server_of_ones_own_with_and_without_a_key() -> None:
+    for url in ("http://192.168.1.20:8000/v1", "http://vllm:8000/v1"):
+        assert settings(hf_token="hf_a").token_for(url) is None
+        assert settings(openai_api_key="EMPTY-no-key").token_for(url) == "EMPTY-no-key"
 
 
 @pytest.mark.feature("I1")
@@ -117,12 +107,12 @@ def test_an_env_file_that_is_no_text_is_named() -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"model": "two words"}, "no spaces"),
-        ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
+        ({"model": "two words"}, "model\n.*match pattern"),
+        *(
+            ({"base_url": url}, "API_BASE_URL must be")
+            for url in ("ftp://x", "https://u:p@x/v1", "x", "https://x?key=1")
+        ),
         ({"prompt": "plan", "history": 1}, "shows no last steps"),
-        ({"seeds": (3, 3)}, "seeds must be"),
-        ({"sampling": {"extra": {"stop": "\ud800"}}}, "surrogates not allowed"),
-        ({"sampling": {"extra": {"seed": 1}}}, "extra cannot set 'seed'"),
     ],
 )
 def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:
@@ -146,4 +136,3 @@ def test_the_key_of_a_provider_goes_unencrypted_to_no_other_machine(key: str) ->
     with pytest.raises(InvalidValueError, match="OpenAI and is not sent unencrypted to vllm"):
         keyed.token_for("http://vllm:8000/v1")
     assert keyed.token_for("http://127.0.0.1:4000/v1") == keyed.token_for("https://gateway.example/v1") == key
-    assert keyed.token_for("http://vllm:8000/v1", allow_plain_http=True) == key

@@ -1,7 +1,6 @@
 """Data sets: every row beside the exact values, the same in every run, there whole or not at all."""
 
 import json
-import sys
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,10 @@ from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import FORMAT, DatasetConfig, fly_map, random_actions
 from drone_env.errors import InvalidValueError
 from drone_env.files import locked
-from drone_env.llm.text_episode import TextEpisode
-from drone_env.llm.trl_environment import DroneEnvironment
+from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.prompt import get_prompt
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
-
-FORMATS = ("parquet", "minari") if sys.version_info >= (3, 11) else ("parquet",)
 
 
 def made(folder: Path, config: DatasetConfig) -> Path:
@@ -33,8 +30,8 @@ def made(folder: Path, config: DatasetConfig) -> Path:
     return folder / "set"
 
 
-def config_of(task: str, *maps: Any, formats: Any = ("parquet",), **options: Any) -> DatasetConfig:
-    return DatasetConfig(get_task(task), *maps, formats=formats, **options)
+def config_of(task: str, *maps: Any, **options: Any) -> DatasetConfig:
+    return DatasetConfig(get_task(task), *maps, **options)
 
 
 def rows(folder: Path) -> list[dict]:
@@ -56,10 +53,9 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
         first = flight[0]
         episode = Episode(task, "tiered", first["seed"])
         solver = ExactSolver(episode)
-        rewards = []
         for number, row in enumerate(flight):
             seen = episode.observation()
-            assert (row["task"], row["task_version"]) == (episode.task.id, episode.task.version)
+            assert row["task"] == episode.task.id
             assert (row["seed"], row["agent"], row["step"]) == (first["seed"], first["agent"], number)
             assert row["grid"] == seen["grid"].ravel().tolist()
             assert row["telemetry"] == seen["telemetry"].tolist()
@@ -68,14 +64,10 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
             assert row["value"] == solver.value(episode)
             assert row["regret"] == solver.regret(episode, row["action"])
             assert np.flatnonzero(row["optimal_actions"]).tolist() == list(solver.optimal_actions(episode))
-            rewards.append(episode.step(row["action"]))
-            assert (row["reward"], row["score"]) == (rewards[-1], episode.score)
+            assert (row["reward"], row["score"]) == (episode.step(row["action"]), episode.score)
             assert (row["terminated"], row["event"]) == (episode.ended, episode.event.name.lower())
         assert episode.ended
-        assert {row["final_score"] for row in flight} == {episode.score}
         assert {row["optimal_score"] for row in flight} == {solve(task, first["seed"]).score}
-        left = [row["return_to_go"] for row in flight]
-        assert left == pytest.approx([sum(rewards[i:]) for i in range(len(rewards))])
 
 
 def test_random_actions_replace_the_agents_with_probability_epsilon() -> None:
@@ -84,9 +76,9 @@ def test_random_actions_replace_the_agents_with_probability_epsilon() -> None:
     assert np.mean([share < 0.25 for share, _ in draws]) == pytest.approx(0.25, abs=0.022)
     assert np.bincount([action for _, action in draws]) / len(draws) == pytest.approx(np.full(5, 0.2), abs=0.02)
     (flight,) = fly_map(config_of("easy", range(3, 4), agents=["random"], epsilon=0.25), 3)
-    own = flight.infos["agent_action"][:-1].tolist()
+    own = flight.steps["agent_action"].tolist()
     taken = [action if share < 0.25 else choice for choice, (share, action) in zip(own, draws, strict=False)]
-    assert flight.actions.tolist() == taken != own
+    assert flight.steps["action"].tolist() == taken != own
 
 
 def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
@@ -94,12 +86,11 @@ def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
     assert draws[0] not in draws[1:]
     (flight,) = fly_map(config_of("medium", range(2, 3), agents=["greedy"], epsilon=0.5), 2)
     _, same, _ = fly_map(config_of("medium", range(4), epsilon=0.5), 2)
-    assert np.array_equal(flight.actions, same.actions)
-    assert np.array_equal(flight.observations["grid"], same.observations["grid"])
+    assert all(np.array_equal(flight.steps[name], same.steps[name]) for name in ("action", "grid"))
 
 
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
-    config = config_of("easy", range(4), formats=FORMATS)
+    config = config_of("easy", range(4), prompt="plan")
     contents = []
     for name in ("first", "second"):
         build_dataset(config, tmp_path / name)
@@ -128,86 +119,35 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     assert '"package_version"' in page
 
 
-@pytest.mark.skipif("minari" not in FORMATS, reason="Minari asks for Python 3.11")
-def test_minari_loads_the_same_flights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import minari
-
-    task = "skyline_easy"
-    config = config_of(task, range(3), reward_profile="composite", formats=FORMATS)
-    monkeypatch.setattr(build, "ROWS_PER_GROUP", 60)
+@pytest.mark.parametrize(("task", "name"), [("medium", "plan"), ("skyline_easy", "compass"), ("easy", "think")])
+def test_a_conversation_is_the_request_of_a_prompt_and_an_answer_with_its_exact_values(
+    task: str, name: str, tmp_path: Path
+) -> None:
+    prompt, agents = get_prompt(name), ["optimal", "greedy"]
+    config = config_of(task, range(3, 5), "train", agents, epsilon=0.3, prompt=name)
     folder = made(tmp_path, config)
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
-    (name,) = minari.list_local_datasets()
-    dataset = minari.load_dataset(name)
-    of_rows = flights(folder)
-    assert (dataset.total_episodes, dataset.total_steps) == (len(of_rows), sum(map(len, of_rows)))
-    env = dataset.recover_environment()
-    assert dataset.env_spec.id == get_task(task).gym_id
-    assert (env.observation_space, env.action_space) == (dataset.observation_space, dataset.action_space)
-    abouts = dataset.storage.get_episode_metadata(range(len(of_rows)))
-    for flight, episode, about in zip(of_rows, dataset.iterate_episodes(), abouts, strict=True):
-        steps, infos = len(flight), episode.infos
-        for column, values in {
-            "action": episode.actions, "reward": episode.rewards, "terminated": episode.terminations,
-            "value": infos["value"][:-1], "q_values": infos["q_values"][:-1], "score": infos["score"][1:],
-            "grid": episode.observations["grid"][:-1].reshape(steps, -1),
-        }.items():  # fmt: skip
-            assert values.tolist() == [row[column] for row in flight], column
-        assert infos["value"][-1] == infos["score"][-1] == flight[0]["final_score"] == about["final_score"]
-        assert (about["agent"], about["optimal_score"]) == (flight[0]["agent"], flight[0]["optimal_score"])
-        env.reset(seed=about["seed"])
-        ends = zip(episode.rewards.tolist(), episode.terminations, episode.truncations, strict=True)
-        assert [env.step(action)[1:4] for action in episode.actions] == list(ends)
-
-
-def json_rows(folder: Path, name: str) -> list[dict]:
-    """The rows of a file of conversations."""
-    return [json.loads(line) for line in (folder / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()]
-
-
-@pytest.mark.parametrize(("task", "turns"), [("medium", "plan"), ("skyline_easy", "step"), ("medium", "route")])
-def test_a_conversation_replays_beside_the_exact_values(task: str, turns: Any, tmp_path: Path) -> None:
-    config = config_of(task, range(3, 5), "train", ["optimal", "greedy"], epsilon=0.3, turns=turns, formats=["chat"])
-    for row in json_rows(made(tmp_path, config), "chat"):
-        episode, drone = Episode(row["task"], seed=row["seed"]), DroneEnvironment()
+    chat = [json.loads(line) for line in (folder / "chat.jsonl").read_text(encoding="utf-8").splitlines()]
+    for steps in flights(folder):
+        episode = Episode(task, seed=steps[0]["seed"])
         solver = ExactSolver(episode)
-        system, user, *rest = row["messages"]
-        answers, told = rest[::2], [message["content"] for message in rest[1::2]]
-        if turns == "plan":
-            assert [system, user] == TextEpisode(task, row["seed"], "plan").messages
-            assert [json.loads(answers[0]["content"])["actions"]] == row["actions"]
-        else:
-            assert drone.reset(task, row["seed"]) == user["content"]
-            calls = [message["tool_calls"][0]["function"] for message in answers[:-1]]
-            assert [getattr(drone, call["name"])(**call["arguments"]) for call in calls] == told
-            flown = [call["arguments"].get("directions", [*call["arguments"].values()]) for call in calls]
-            assert [*flown, []] == row["actions"]
-            assert answers[-1]["content"] == "Done."
-        assert len(answers) == len(row["actions"])
-        for turn in zip(row["actions"], row["optimal_actions"], row["regrets"], strict=True):
-            for action, best, regrets in zip(*turn, strict=True):
-                assert best == [other.name for other in solver.optimal_actions(episode)]
-                assert regrets == [solver.regret(episode, other) for other in Action]
-                episode.step(Action[action])
-        assert (row["score"], row["optimal_score"]) == (episode.score, solve(task, row["seed"]).score)
-        assert row["regret"] == row["optimal_score"] - row["score"]
-
-
-def test_pairs_are_ordered_by_regret(tmp_path: Path) -> None:
-    config = config_of("easy", range(6), "train", epsilon=0.2, formats=["preference", "chat"])
-    folder = made(tmp_path, config)
-    flown = {(row["seed"], row["agent"]): row for row in json_rows(folder, "chat")}
-    differ = {(a, b) for a in flown for b in flown if a[0] == b[0] and flown[a]["regret"] < flown[b]["regret"]}
-    for row in json_rows(folder, "preference"):
-        better, worse = ((row["seed"], row[f"{side}_agent"]) for side in ("chosen", "rejected"))
-        differ.remove((better, worse))
-        assert row["prompt"] + row["chosen"] == flown[better]["messages"]
-        assert row["prompt"] + row["rejected"] == flown[worse]["messages"]
-        assert (row["chosen_regret"], row["rejected_regret"]) == (flown[better]["regret"], flown[worse]["regret"])
-    assert not differ
+        while not episode.ended:
+            row, step = chat.pop(0), steps[episode.steps]
+            assert (row["seed"], row["agent"], row["step"]) == (step["seed"], step["agent"], step["step"])
+            *request, answer = row["messages"]
+            assert request == prompt.messages(episode)
+            reading = read_answer(Answer(text=answer["content"]), prompt.plan, prompt.marks)
+            assert [action.name for action in reading.actions] == row["actions"]
+            flown = [step["action"] for step in steps] if prompt.plan else [step["agent_action"]]
+            assert list(reading.actions) == flown
+            for best, regrets in zip(row["optimal_actions"], row["regrets"], strict=True):
+                assert best == [action.name for action in solver.optimal_actions(episode)]
+                assert regrets == [solver.regret(episode, action) for action in Action]
+                episode.step(steps[episode.steps]["action"])
+        assert (row["score"], row["regret"]) == (episode.score, solve(task, episode.seed).score - episode.score)
+    assert chat == []
     page = (folder / "README.md").read_text(encoding="utf-8")
     assert config.task.digest in page
-    assert config.text_prompt.digest in page
+    assert prompt.digest in page
 
 
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,19 +160,19 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.M
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_dataset(config_of("easy", range(5), formats=FORMATS), tmp_path / "set", on_map=interrupt)
+        build_dataset(config_of("easy", range(5), prompt="plan"), tmp_path / "set", on_map=interrupt)
     assert maps == [False, False, False]
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path) -> None:
     part = tmp_path / "set.part"
-    (part / "dataset" / "minari").mkdir(parents=True)
+    (part / "dataset" / "old").mkdir(parents=True)
     with locked(part / "lock", "mine"), pytest.raises(InvalidValueError, match="another process is writing"):
         made(tmp_path, config_of("easy", range(1)))
     folder = made(tmp_path, config_of("easy", range(1)))
     assert list(tmp_path.iterdir()) == [folder]
-    assert not (folder / "minari").exists()
+    assert not (folder / "old").exists()
 
 
 def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> None:
@@ -249,7 +189,7 @@ def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "set")
-    chosen = ["--agents", "greedy", "--epsilon", "0", "--offset", "4", "--format", "parquet", "--split", "test"]
+    chosen = ["--agents", "greedy", "--epsilon", "0", "--offset", "4", "--split", "test"]
     assert main(["dataset", "--task", "easy", "--maps", "3", "--out", out, *chosen]) == 0
     flown = rows(tmp_path / "set")
     assert sorted({row["seed"] for row in flown}) == [SPLITS["test"].start + n for n in (4, 5, 6)]

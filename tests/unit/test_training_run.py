@@ -23,7 +23,7 @@ from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line, sav
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
 from drone_env.rl.trainer import Progress, Trainer
-from drone_env.server.train_log import TrainLog
+from drone_env.server.train_log import metrics
 from tests.same import assert_same
 from tests.unit.small_training import SMALL, SMALL_TOUR, finished, run_in
 
@@ -82,7 +82,7 @@ def test_maps_whose_optimum_is_not_known_are_trained_on_without(
     monkeypatch.setattr(common, "best_of", lambda *_: None)
     run = run_in(tmp_path, episodes=10)
     list(run.train())
-    assert TrainLog(tmp_path).curve()["optimum"][-1] is None
+    assert metrics(tmp_path)["optimum"][-1] is None
     assert load_network(run.network).metadata["validation_optimum"] is None
     assert run_in(tmp_path, episodes=10).trainer.episodes == run.trainer.episodes
 
@@ -178,7 +178,7 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert status == 0
     assert "on the validation maps" in told
     state = load_checkpoint(tmp_path / "data/easy.pth")
-    for name, curve in TrainLog(tmp_path / "data").curve().items():
+    for name, curve in metrics(tmp_path / "data").items():
         figures = [line["validation_optimum" if name == "optimum" else name] for line in state["history"]]
         assert [math.nan if at is None else at for at in curve] == pytest.approx(
             figures, abs=10.0 ** -DIGITS.get(name, 4), nan_ok=True

@@ -100,7 +100,7 @@ interface Address {
 }
 
 /** The map: the head of its flights, with its task. */
-type World = Omit<Answer<"FlightHeader">, "task"> & { task: Answer<"TaskInfo"> };
+type World = Omit<Answer<"FlightHeader">, "task"> & { task: Answer<"TaskInfo"> } & Pick<Answer<"TaskInfo">, "width" | "height" | "max_steps" | "battery_capacity">;
 
 /** The position of the grid in the window, in device pixels. */
 interface Layout {

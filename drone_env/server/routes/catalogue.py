@@ -12,8 +12,7 @@ from drone_env import __version__
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
-from drone_env.core.rules import HIGHEST, LOWEST, score_of
-from drone_env.core.tables import interpreted
+from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.core.terrain import Name, Terrain
 from drone_env.errors import StoreError
@@ -34,18 +33,8 @@ CellCount = Annotated[int | None, Field(description="Number of such cells; null 
 _PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in _CONVERTED}
 
 
-def _score_weights() -> dict[str, int]:
-    """The weights in `score_of`, equal for all tasks."""
-    task = TASKS["easy_delivery"]
-    empty, full, steps = 0, task.battery_capacity, task.max_steps
-    parcels, charged, at_once = (
-        score_of(interpreted(task), task.deliveries, *left) for left in ((empty, steps), (full, steps), (empty, 0))
-    )
-    weights = {"parcels": parcels, "battery": charged - parcels, "steps": at_once - parcels}
-    return {name: round(100 * weight) for name, weight in weights.items()}
-
-
-SCORE_WEIGHTS = _score_weights()
+SCORE_WEIGHTS = {"parcels": 80, "battery": 10, "steps": 10}
+"""The weights in `score_of`, equal for all tasks."""
 
 
 class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
@@ -99,31 +88,11 @@ def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[f
     return {event.name.lower(): (table[event, 1:2] if event in STAYING else table[event]).tolist() for event in events}
 
 
-class TaskList(StrictModel):
-    """All tasks."""
-
-    tasks: list[TaskInfo]
-
-
 class OneTask(StrictModel):
     """One task and its pilots."""
 
     task: TaskInfo
     pilots: list[str] = Field(description="Ids of the pilots that can fly it, as in `/pilots`.")
-
-
-class GraderInfo(StrictModel):
-    """One grader."""
-
-    id: str = Field(description="`module:function`.")
-    task: str = Field(description="Id of its task.")
-
-
-class GraderList(StrictModel):
-    """All graders."""
-
-    graders: list[GraderInfo]
-    ids: list[str] = Field(description="The ids in the same order.")
 
 
 class KindInfo(StrictModel):
@@ -161,9 +130,9 @@ class Health(StrictModel):
 
 
 @router.get("/tasks")
-async def tasks() -> TaskList:
-    """All tasks with all their numbers."""
-    return TaskList(tasks=[TaskInfo.of(task) for task in TASKS.values()])
+async def tasks() -> dict[str, list[TaskInfo]]:
+    """All tasks with all their numbers, as `tasks`."""
+    return {"tasks": [TaskInfo.of(task) for task in TASKS.values()]}
 
 
 @router.get("/tasks/{task_name}", responses=error_responses(404, 422))
@@ -179,10 +148,10 @@ def describe(task: TaskConfig, app_state: AppState) -> OneTask:
 
 
 @router.get("/graders")
-async def graders() -> GraderList:
-    """The graders: functions with these import paths."""
-    found = [GraderInfo(id=task.grader, task=task.id) for task in TASKS.values()]
-    return GraderList(graders=found, ids=[grader.id for grader in found])
+async def graders() -> dict[str, list[str | dict[str, str]]]:
+    """The graders as `graders`: import path (`id`) and `task` of each; the paths alone as `ids`."""
+    tasks = TASKS.values()
+    return {"graders": [{"id": task.grader, "task": task.id} for task in tasks], "ids": [task.grader for task in tasks]}
 
 
 @router.get("/kinds")

@@ -2,14 +2,16 @@
 
 import asyncio
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from typing_extensions import Self
 
+from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -23,7 +25,6 @@ from drone_env.models import (
     DroneObservation,
     DroneState,
     PathPoint,
-    Position,
     Score,
     Seed,
     StrictModel,
@@ -31,8 +32,8 @@ from drone_env.models import (
     openenv_json,
 )
 from drone_env.server.addresses import shared_address
-from drone_env.server.best_flights import best_flight
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
+from drone_env.server.frames import BestFlight, best_flight
 from drone_env.server.json_routes import SMALL, JsonRequest, JsonRoute
 from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
@@ -46,14 +47,6 @@ NEW = "new"
 STEP_HEADER = "x-step-count"
 STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
-IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
-OPENED: dict[str, Any] = {
-    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
-    "links": {
-        name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
-        for name in IN_SESSION
-    },
-}
 
 
 class Caller(NamedTuple):
@@ -164,21 +157,22 @@ class PathHistory(StrictModel):
     seed: Seed = Field(description="Number of the map.")
     step_count: Count = Field(description="Steps flown.")
     path: list[PathPoint] = Field(description="All steps, in order.")
-    path_history: list[PathPoint] = Field(description="Same as `path`.")
 
 
-class SolutionAnswer(StrictModel):
-    """An optimal flight on the map of an episode that has ended."""
+class ModelInfo(StrictModel):
+    """The network behind a prediction."""
 
-    task: str = Field(description="Id of the task.")
-    seed: Seed = Field(description="Number of the map.")
-    score: Score = Field(description="Score of the session's episode.")
-    optimal_score: Score = Field(description="Highest possible score on this map.")
-    regret: float = Field(ge=0, description="optimal_score - score.")
-    steps: Count = Field(description="Steps of the optimal flight.")
-    deliveries: Count = Field(description="Parcels that it delivers.")
-    actions: list[Direction] = Field(description="Its actions, in order.")
-    path: list[Position] = Field(description="Its positions [x, y], including the start.")
+    name: Literal["pathqnet"] = "pathqnet"
+    file: str = Field(description="Name of its file.")
+    digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
+
+
+class Prediction(StrictModel):
+    """The next action by the network."""
+
+    action: Direction = Field(description="The action with the highest value.")
+    q_values: dict[Direction, float] = Field(description="Value of each action.")
+    model: ModelInfo
 
 
 def read_session(app_state: AppStateDep, caller: CallerDep, answer: Response) -> Session:
@@ -192,7 +186,7 @@ SessionDep = Annotated[Session, Depends(read_session)]
 @router.post(
     "/reset",
     response_model=FlatReset | ResetResult,
-    responses={200: OPENED, **error_responses(400, 413, 415, 422, 503)},
+    responses=error_responses(400, 413, 415, 422, 503),
 )
 def reset(
     request: Request,
@@ -248,27 +242,36 @@ def grade(session: SessionDep, task_name: str) -> Grade:
 def path_history(session: SessionDep) -> PathHistory:
     """The flight of the session's episode so far."""
     flown = DroneState.of(session.episode)
-    path = flown.path_history
-    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
+    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-async def solution(request: Request, app_state: AppStateDep, session: SessionDep) -> SolutionAnswer:
+async def solution(request: Request, app_state: AppStateDep, session: SessionDep) -> BestFlight:
     """The best flight over the map of the session's episode, once that has ended."""
     episode = session.episode
     if not episode.ended:
         raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
-    best, path = await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
-    return SolutionAnswer(
-        task=episode.task.id,
-        seed=episode.seed,
-        score=episode.score,
-        optimal_score=best.score,
-        regret=best.score - episode.score,
-        steps=best.steps,
-        deliveries=best.deliveries,
-        actions=[DIRECTIONS[action] for action in best.actions],
-        path=path,
+    return await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
+
+
+@router.post("/predict", responses=SESSION_ERRORS)
+def predict(app_state: AppStateDep, session: SessionDep) -> Prediction:
+    """The action of the trained network for the session's episode."""
+    episode, networks = session.episode, app_state.networks
+    if episode.ended:
+        raise RequestError(409, "ended", "the episode has ended: start another with POST /reset")
+    task = episode.task
+    pilot = networks.preferred(task)
+    if pilot is None:
+        detail = f"there is no network for {task.id!r}; train one: drone-env train --task {task.short_name}"
+        raise RequestError(503, "no_network", detail)
+    agent = networks.network(pilot, task)
+    assert isinstance(agent, PathQNetAgent)
+    values = agent.q_values(episode.observation())
+    return Prediction(
+        action=DIRECTIONS[int(np.argmax(values))],
+        q_values=dict(zip(DIRECTIONS, values.tolist(), strict=True)),
+        model=ModelInfo(file=networks.file(pilot, task).name, digest=str(agent.config["network"])),
     )
 
 

@@ -5,12 +5,11 @@ page plays it. A person's flight is a session.
 """
 
 import secrets
-from contextlib import suppress
 from hashlib import sha256
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Body, Request, Response
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
@@ -24,9 +23,8 @@ from drone_env.flights.record import fly_directions, record_of
 from drone_env.flights.sessions import Session
 from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
-from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, shows_values
+from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, network_beside
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
-from drone_env.server.pilots import check_name
 from drone_env.server.routes.flight import CallerDep
 from drone_env.server.routes.replay import FLIGHT_ERRORS
 from drone_env.server.schemas import ResetOptions
@@ -55,27 +53,38 @@ class Fork(StrictModel):
         return self
 
 
-class Start(StrictModel):
-    """One map and one to eight pilots.
+class OnTask(StrictModel):
+    """The task of a flight, and who pays."""
 
-    With a fork, the last pilot (or the person, if the fork's step is 0) starts after the fork's actions.
+    task: str = Field(max_length=100, description="Id or short name of the task.")
+    reward_profile: str | None = Field(default=None, max_length=100)
+
+    def start(self, seed: int) -> Episode:
+        """The episode of a map at its start."""
+        return start_episode(ResetOptions(task_name=self.task, seed=seed, reward_profile=self.reward_profile), None)
+
+
+class Start(OnTask):
+    """One map and one to eight pilots, of which one may be a person.
+
+    With a fork, the person starts after its actions.
     """
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "pilots": ["greedy"]}]})
 
-    task: str = Field(max_length=100, description="Id or short name of the task.")
     pilots: list[PilotName] = Field(min_length=1, max_length=MOST_FLIGHTS, description="Ids as in `/pilots`.")
     seed: Seed | None = Field(default=None, description="Number of the map; null for any.")
-    reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
-    name: Annotated[PersonName, AfterValidator(check_name)] | None = Field(
-        default=None, description="The person's name."
-    )
+    name: PersonName | None = Field(default=None, description="The person's name.")
 
     @model_validator(mode="after")
-    def _fork_has_a_map(self) -> Self:
-        if self.fork is not None and self.seed is None:
-            raise ValueError("a fork needs the seed of its map")
+    def _check(self) -> Self:
+        if self.fork is not None:
+            flies = self.pilots[-1:] if self.fork.step else self.pilots
+            if self.seed is None or HUMAN not in flies:
+                raise ValueError(f"a fork needs the seed of its map, and as the last pilot {HUMAN!r}")
+        if self.pilots.count(HUMAN) > 1:
+            raise ValueError("one person flies")
         return self
 
 
@@ -86,22 +95,13 @@ class StartedFlight(EpisodeView):
     episode: str | None = Field(description="Id of the stored flight; null before the end, and for agents.")
 
 
-class StartedFlights(StrictModel):
-    """One flight per pilot."""
-
-    flights: list[StartedFlight]
-
-
-class AgentStart(StrictModel):
+class AgentStart(OnTask):
     """An agent's flight, as `/flights` has begun it."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "by": {"pilot": "greedy"}}]})
+    model_config = ConfigDict(json_schema_extra={"examples": [{"task": "hard", "seed": 7, "pilot": "greedy"}]})
 
-    task: str = Field(max_length=100, description="Id or short name of the task.")
     seed: Seed = Field(description="Number of the map.")
-    reward_profile: str | None = Field(default=None, max_length=100)
-    by: Provenance = Field(description="Who flies.")
-    actions: list[Direction] = Field(default=[], max_length=MAX_UNITS, fail_fast=True, description="Those of a fork.")
+    pilot: PilotName
 
 
 class AgentFlight(StrictModel):
@@ -131,9 +131,16 @@ class ChangedFlight(StrictModel):
 
 
 @router.post("/flights", responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
-def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]) -> StartedFlights:
-    """Start to fly one map with several pilots. A person's flight is a session; `/flights/agent` flies an agent's."""
-    return StartedFlights(flights=_open(app_state, caller_address(request), options))
+def flights(
+    request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]
+) -> dict[str, list[StartedFlight]]:
+    """Start to fly one map with several pilots, as `flights`.
+
+    A person's flight is a session; `/flights/agent` flies an agent's.
+    """
+    start, flying = _choose(options, app_state)
+    caller = caller_address(request)
+    return {"flights": [_begin(app_state, caller, start, *flight) for flight in flying]}
 
 
 @router.post(
@@ -144,9 +151,13 @@ def flights(request: Request, app_state: AppStateDep, options: Annotated[Start, 
 )
 async def fly_to_end(request: Request, app_state: AppStateDep, options: Annotated[AgentStart, Body()]) -> Response:
     """Fly an agent's flight to its end, and store it; one that is stored already stays one."""
-    start, actions = await run_in_threadpool(_begun, options, app_state)
-    actions, frames = await app_state.work(request, fly_agent, start, options.by, actions, task=start.task.id)
-    stored, _ = await run_in_threadpool(_store, app_state, start.copy().fly(actions), options.by)
+    start = await run_in_threadpool(options.start, options.seed)
+    if options.pilot == HUMAN:
+        raise EpisodeError(f"{HUMAN!r} is no agent: fly by /flights/change")
+    app_state.networks.require(options.pilot, start.task)
+    actions, frames = await app_state.work(request, fly_agent, start, options.pilot, task=start.task.id)
+    provenance = Provenance(pilot=options.pilot)
+    stored, _ = await run_in_threadpool(_store, app_state, start.copy().fly(actions), provenance)
     return Response(f'{{"frames":{frames},"episode":"{stored}"}}', media_type="application/json")
 
 
@@ -164,9 +175,8 @@ def _change(app_state: AppState, session: Session, body: FlightChange) -> Change
     elif body.version != _version(session.flight_id, revision - 1) or not _is_made(session, body.change):
         raise NoSessionError("another page or client flies this session now: start a new flight")
     episode, by = session.episode, session.provenance
-    network = app_state.networks.shown_network(HUMAN, episode.task) if shows_values(by, episode) else None
     return ChangedFlight(
-        frame=frame_of(episode, network),
+        frame=frame_of(episode, network_beside(app_state.networks, by, episode)),
         version=version,
         values_used=by.values_used,
         undo_used=by.undo_used,
@@ -201,66 +211,37 @@ def _is_made(session: Session, change: Change) -> bool:
     return session.episode.actions[-1:] == [Action[change]]
 
 
-def _begun(options: AgentStart, app_state: AppState) -> tuple[Episode, list[int]]:
-    """The start of an agent's flight, and the actions of its fork."""
-    start = _start(options.task, options.seed, options.reward_profile)
-    if options.by.pilot == HUMAN:
-        raise EpisodeError(f"{HUMAN!r} is no agent: fly by /flights/change")
-    app_state.networks.require(options.by.pilot, start.task)
-    *_, flown = [start, *fly_directions(start.copy(), options.actions)]
-    return start, flown.actions
-
-
-def _start(task: str, seed: int | None, reward_profile: str | None) -> Episode:
-    seed = secrets.randbelow(MAPS) if seed is None else seed
-    return start_episode(ResetOptions(task_name=task, seed=seed, reward_profile=reward_profile), None)
-
-
 def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Provenance, list[int]]]]:
     """The episode at its start, and the provenance and the first actions of each flight."""
     fork, pilots = options.fork, options.pilots
-    start = _start(options.task, options.seed, options.reward_profile)
+    start = options.start(secrets.randbelow(MAPS) if options.seed is None else options.seed)
     for pilot in pilots:
         app_state.networks.require(pilot, start.task)
-    flying = [
-        (Provenance(pilot=pilot).named(options.name if pilot == HUMAN else None), list[int]()) for pilot in pilots
-    ]
-    if fork is not None:
-        # The last pilot flies the fork; a person's own flight may be listed before others.
-        own = fork.step == 0 and HUMAN in pilots
-        forking = pilots.index(HUMAN) if own else len(pilots) - 1
-        by = fork.of.forked(fork.step, pilots[forking])
-        *_, flown = [start, *fly_directions(start.copy(), fork.actions)]
+    flying = [(Provenance(pilot=pilot), list[int]()) for pilot in pilots]
+    if HUMAN in pilots:
+        by, flown = Provenance(pilot=HUMAN), start
+        if fork is not None:
+            by = fork.of.forked(fork.step, HUMAN)
+            *_, flown = [start, *fly_directions(start.copy(), fork.actions)]
         # A finished flight is not credited to the visitor who opens its link.
-        is_own = by.pilot == HUMAN and not flown.ended
-        flying[forking] = by.named(options.name) if is_own else by, flown.actions
+        flying[pilots.index(HUMAN)] = by if flown.ended else by.named(options.name), flown.actions
     return start, flying
 
 
-def _open(app_state: AppState, caller: str, options: Start) -> list[StartedFlight]:
-    """Begin all flights; sessions for those of people, or none if one fails."""
-    start, flying = _choose(options, app_state)
-    opened, begun = list[str](), list[StartedFlight]()
-    try:
-        for provenance, actions in flying:
-            episode, session, version, stored = start.copy().fly(actions), None, None, None
-            if provenance.pilot == HUMAN and episode.ended:
-                stored, provenance = _store(app_state, episode, provenance)
-            elif provenance.pilot == HUMAN:
-                flight_id = new_id()
-                version = _version(flight_id, 0)
-                session = app_state.sessions.open(episode, provenance, owner=caller, flight_id=flight_id)
-                opened.append(session)
-            opening = FlightHeader.at_start(start, provenance, session)
-            network = app_state.networks.shown_network(provenance.pilot, start.task)
-            frames = frames_of(start.copy(), provenance, actions, network)
-            begun.append(StartedFlight(opening=opening, frames=frames, version=version, episode=stored))
-    except BaseException:
-        for session in opened:
-            with suppress(NoSessionError):
-                app_state.sessions.end(session)
-        raise
-    return begun
+def _begin(
+    app_state: AppState, caller: str, start: Episode, provenance: Provenance, actions: list[int]
+) -> StartedFlight:
+    """Begin a flight; one of a person has a session, or is stored if it has ended."""
+    episode, session, version, stored = start.copy().fly(actions), None, None, None
+    if provenance.pilot == HUMAN and episode.ended:
+        stored, provenance = _store(app_state, episode, provenance)
+    elif provenance.pilot == HUMAN:
+        flight_id = new_id()
+        version = _version(flight_id, 0)
+        session = app_state.sessions.open(episode, provenance, owner=caller, flight_id=flight_id)
+    opening = FlightHeader.at_start(start, provenance, session)
+    frames = frames_of(start, actions, network_beside(app_state.networks, provenance, episode))
+    return StartedFlight(opening=opening, frames=frames, version=version, episode=stored)
 
 
 def _store(app_state: AppState, episode: Episode, provenance: Provenance) -> tuple[str, Provenance]:

@@ -1,7 +1,7 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
 from datetime import date, datetime, time, timezone
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
@@ -11,52 +11,24 @@ from starlette.types import Receive, Scope, Send
 
 from drone_env.flights.episodes import Analysis, EpisodeSummary
 from drone_env.flights.record import EpisodeRecord
-from drone_env.flights.store import Store
-from drone_env.models import MAX_SEED, Count, Score, Seed, StrictModel
+from drone_env.models import MAX_SEED, Seed, StrictModel
 from drone_env.server import daily
-from drone_env.server.exceptions import RequestError, answer_to, error_responses
+from drone_env.server.exceptions import error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
-from drone_env.server.pilots import display_name
 from drone_env.server.state import AppStateDep
-from drone_env.server.train_log import FILE_NAME, TrainLog
+from drone_env.server.train_log import FILE_NAME, metrics, tail
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
 LINES = 50
-FOLLOWERS = 32
 LISTED = 10
 
 
-class ListedEpisode(EpisodeSummary):
-    """One row of a list of finished episodes."""
-
-    name: str = Field(description="`agent` for people.")
-
-
-def listed(store: Store, n: int, *filters: Any, **more: Any) -> list[ListedEpisode]:
-    """The last `n` finished episodes, newest first. Arguments and errors as `Store.listed`."""
-    return [ListedEpisode(**vars(row), name=display_name(row)) for row in store.listed(n, *filters, **more)]
-
-
-class EpisodeSummaries(StrictModel):
-    """Finished episodes, newest first."""
-
-    episodes: list[ListedEpisode]
-
-
-class EpisodePage(EpisodeSummaries):
+class EpisodePage(StrictModel):
     """A page of finished episodes, newest first."""
 
+    episodes: list[EpisodeSummary]
     next: int | None = Field(description="Value of `before` for the next page; null on the last page.")
-
-
-class FlightByHand(StrictModel):
-    """A flight of a person without values, undo and forks."""
-
-    id: str = Field(description="Id of the stored flight.")
-    name: str | None = Field(description="The name that the person chose; null for all without one.")
-    score: Score
-    steps: Count
 
 
 class MapOfTheDay(StrictModel):
@@ -65,14 +37,9 @@ class MapOfTheDay(StrictModel):
     date: date
     task: str = Field(description="Short name of the task.")
     seed: Seed = Field(description="Number of the map.")
-    best: list[FlightByHand] = Field(description="At most 10 flights by hand of this day, the best of each name.")
-
-
-class LogLines(StrictModel):
-    """The end of a log file."""
-
-    file: str = Field(description="Name of the file.")
-    lines: list[str] = Field(description="Its last lines, oldest first; empty if there is no file.")
+    best: list[EpisodeSummary] = Field(
+        description="At most 10 flights by hand of this day, without values, undo and forks; the best of each name."
+    )
 
 
 @router.get("/analyse/{task_name}", responses=error_responses(404, 422, 503))
@@ -82,9 +49,9 @@ def analyse(app_state: AppStateDep, task_name: str) -> Analysis:
 
 
 @router.get("/memory_logs", responses=error_responses(503))
-def memory_logs(app_state: AppStateDep) -> EpisodeSummaries:
-    """The last 5 finished episodes, newest first."""
-    return EpisodeSummaries(episodes=listed(app_state.store, SUMMARIES))
+def memory_logs(app_state: AppStateDep) -> dict[str, list[EpisodeSummary]]:
+    """The last 5 finished episodes as `episodes`, newest first."""
+    return {"episodes": app_state.store.listed(SUMMARIES)}
 
 
 @router.get("/today", responses=error_responses(503))
@@ -93,11 +60,7 @@ def today(app_state: AppStateDep) -> MapOfTheDay:
     day = daily.today()
     task, seed = daily.map_of_the_day(day)
     since = datetime.combine(day, time(), timezone.utc).timestamp()
-    flights = [
-        FlightByHand(id=row.id, name=row.person, score=row.score, steps=row.steps)
-        for row in app_state.store.best(task, seed, since, LISTED)
-    ]
-    return MapOfTheDay(date=day, task=task, seed=seed, best=flights)
+    return MapOfTheDay(date=day, task=task, seed=seed, best=app_state.store.best(task, seed, since, LISTED))
 
 
 @router.get("/episodes", responses=error_responses(404, 422, 503))
@@ -110,7 +73,7 @@ def episodes(
     before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the last page.")] = None,
 ) -> EpisodePage:
     """Finished episodes, newest first."""
-    found = listed(app_state.store, limit + 1, task, agent, before, seed=seed)
+    found = app_state.store.listed(limit + 1, task, agent, before, seed=seed)
     page = found[:limit]
     return EpisodePage(episodes=page, next=page[-1].number if len(found) > limit else None)
 
@@ -122,21 +85,21 @@ def episode(app_state: AppStateDep, episode_id: str) -> EpisodeRecord:
 
 
 @router.get("/logs", responses=error_responses(503))
-def logs(app_state: AppStateDep) -> LogLines:
-    """The last 50 lines of the training log, `train.log` in the data folder."""
-    return LogLines(file=FILE_NAME, lines=TrainLog(app_state.settings.data).tail(LINES))
+def logs(app_state: AppStateDep) -> dict[str, str | list[str]]:
+    """The last 50 lines of the training log in the data folder as `lines`, oldest first, and its name as `file`."""
+    return {"file": FILE_NAME, "lines": tail(app_state.settings.data, LINES)}
 
 
 @router.get("/logs/curve", responses=error_responses(503))
 def curve(app_state: AppStateDep) -> dict[str, list[float | None]]:
     """The metrics of the training log by name, of at most 400 of its lines; empty without a log."""
-    return TrainLog(app_state.settings.data).curve()
+    return metrics(app_state.settings.data)
 
 
 @router.get(
     "/terminal_logs",
     response_model=dict[str, list[LoggedRequest]],
-    responses=error_responses(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
 async def terminal_logs(request: Request, app_state: AppStateDep) -> Response:
     """The last 200 requests to this process as `requests`, or live with `Accept: text/event-stream`."""
@@ -146,22 +109,12 @@ async def terminal_logs(request: Request, app_state: AppStateDep) -> Response:
 
 
 class _LiveRequests(EventSourceResponse):
-    """The requests as server-sent events, for a bounded number of callers."""
+    """The requests as server-sent events."""
 
     def __init__(self, log: RequestLog) -> None:
         super().__init__(log.follow(), ping=15)
-        self._log = log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send them until the caller disconnects."""
-        if self._log.followers >= FOLLOWERS:
-            error = RequestError(503, "no_room", f"{FOLLOWERS} callers follow the requests, the maximum: try later")
-            await answer_to(error, scope)(scope, receive, send)
-            return
-        self._log.followers += 1
-        try:
-            await super().__call__(scope, receive, send)
-            # The server stops, or the caller has disconnected.
-            await send({"type": "http.response.body", "body": b"", "more_body": False})
-        finally:
-            self._log.followers -= 1
+        """Send them until the caller disconnects or the server stops, which the base class leaves unfinished."""
+        await super().__call__(scope, receive, send)
+        await send({"type": "http.response.body", "body": b"", "more_body": False})

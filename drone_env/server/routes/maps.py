@@ -1,7 +1,6 @@
 """The routes of the map editor: a map as a drawing, the optimum of a drawing, and drawings stored as tasks."""
 
 from contextlib import suppress
-from itertools import groupby
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -16,11 +15,10 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
-from drone_env.models import MAX_SEED, Count, Position, Score, StrictModel
-from drone_env.server.addresses import is_stranger
-from drone_env.server.best_flights import best_flight
+from drone_env.models import MAX_SEED, Count, StrictModel
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
+from drone_env.server.frames import BestFlight, best_flight
 from drone_env.server.json_routes import LARGE_BODY, JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.state import AppStateDep
@@ -97,16 +95,6 @@ class DrawnMap(StrictModel):
         )
 
 
-class BestFlight(StrictModel):
-    """A best flight over a map."""
-
-    score: Score = Field(description="The highest possible score.")
-    success: bool = Field(description="Whether it delivers all parcels; otherwise battery or steps do not suffice.")
-    deliveries: Count
-    steps: Count = Field(description="Length in steps.")
-    path: list[Position] = Field(description="[x, y] of the drone from the start; a wait adds none.")
-
-
 class MapWorth(StrictModel):
     """The optimum of a drawing, and its file."""
 
@@ -114,12 +102,6 @@ class MapWorth(StrictModel):
     toml: str = Field(description="Its city file, which every command accepts.")
     numbers: dict[DrawnNumber, Count] = Field(description="The numbers of its task.")
     optimum: BestFlight | None = Field(description="A best flight; null if the map is too large to be solved.")
-
-
-class CityFile(StrictModel):
-    """The file of a city."""
-
-    toml: str = Field(description="Its text.")
 
 
 @router.get("/{task_name}/{seed}", response_model=DrawnMap, responses=error_responses(404, 422, 503))
@@ -131,9 +113,9 @@ async def drawn_map(
 
 
 @router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
-async def file_as_map(request: Request, app_state: AppStateDep, file: Annotated[CityFile, Body()]) -> Response:
+async def file_as_map(request: Request, app_state: AppStateDep, toml: Annotated[str, Body(embed=True)]) -> Response:
     """The file of a city as a drawing; its map 0 if the city generates maps."""
-    return await app_state.json(request, _file_as_map, file.toml)
+    return await app_state.json(request, _file_as_map, toml)
 
 
 @router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
@@ -146,12 +128,10 @@ async def worth(request: Request, app_state: AppStateDep, drawn: Annotated[Drawn
 async def keep_map(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
-    Callers find it by its name; no list contains it. If the server is full, it deletes the least recently used map.
+    Callers find it by its name; no list contains it. If the server is full, it deletes the oldest map.
     """
-    settings = app_state.settings
-    trusted = settings.token is not None or not is_stranger(request.scope, settings.host)
     text, task = await app_state.work(request, _checked, drawn)
-    await run_in_threadpool(app_state.maps.keep, text, task, trusted)
+    await run_in_threadpool(app_state.maps.keep, text, task.id)
     return await run_in_threadpool(describe, task, app_state)
 
 
@@ -175,10 +155,7 @@ def _worth(drawn: DrawnMap) -> str:
     episode = Episode(drawn_task(city, "map"), seed=0)
     optimum = None
     with suppress(TooLargeError):
-        best, flown = best_flight(episode.task, episode.seed)
-        path = [position for position, _ in groupby(flown)]
-        found = {name: getattr(best, name) for name in ("score", "success", "deliveries", "steps")}
-        optimum = BestFlight(**found, path=path)
+        optimum = best_flight(episode.task, episode.seed)
     name, numbers = name_of(text.encode()), _numbers(episode)
     return MapWorth(name=name, toml=text, numbers=numbers, optimum=optimum).model_dump_json()
 

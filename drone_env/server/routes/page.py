@@ -1,6 +1,5 @@
 """The page, and what a browser gets for an unknown address."""
 
-import re
 from contextlib import suppress
 from datetime import datetime, time, timedelta, timezone
 from functools import lru_cache
@@ -15,13 +14,12 @@ from drone_env.flights.store import Store
 from drone_env.results.folder import SHIPPED, stored_results
 from drone_env.server import daily
 from drone_env.server.exceptions import answer_to
-from drone_env.server.page_files import PAGE, edition, is_bundled
+from drone_env.server.page_files import PAGE, edition
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"], include_in_schema=False)
 SHOWN_TASK, SHOWN_NETWORK = "skyline_medium", "tournet"
 """The greeting reports the shipped results of this network over this task."""
-SHEETS = re.compile('(<link rel="stylesheet" .*\n)+')
 
 
 @router.head("/")
@@ -30,9 +28,6 @@ def page(request: Request, app_state: AppStateDep) -> Response:
     """The page; without a query it greets the visitor before its scripts run."""
     app_state.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
-    if is_bundled():
-        html = SHEETS.sub('<link rel="stylesheet" href="static/bundle/page.css">\n', html)
-        html = html.replace("static/js/main.js", "static/bundle/main.js")
     if request.url.query:
         html = html.replace('id="hello"', 'id="hello" hidden')
     else:

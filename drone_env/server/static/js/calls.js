@@ -30,8 +30,9 @@ export function mountCalls(root, context) {
 }
 
 /** An answer, and the reason if it was unusable. */
-function answered({ attempt, answer, reasoning, failures, outcome }) {
-  const said = [reasoning, answer, ...(answer === null ? failures.map(({ reason }) => reason) : [])].filter(Boolean);
+function answered({ attempt, answer, failures, outcome }) {
+  const text = answer ? [answer.reasoning, answer.tool_arguments || answer.text] : failures.map(({ reason }) => reason);
+  const said = text.filter(Boolean);
   const unusable = outcome === "ok" ? "" : ` (${outcome.replaceAll("_", " ")})`;
   return `${attempt > 1 ? "Retry: " : ""}${said.join("\n\n")}${unusable}`;
 }

@@ -97,7 +97,7 @@ export function mountEditor(root, context) {
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
     /** Only what the board reads. @type {any} */
-    const start = { opening: { pilot: "", forked_at: null }, frames };
+    const start = { opening: { pilot: "" }, frames };
     const track = Object.assign(new Track(context, start), { colour: "--accent" });
     /** @type {any} */
     const world = { task: { short_name: "drawing", attribution: map.attribution }, seed: 0, width, height };
@@ -157,7 +157,7 @@ export function mountEditor(root, context) {
     for (const button of acts) button.disabled = wrong !== null;
     if (stage.track) {
       /** @type {any} */
-      const annotation = best ? { optimal_path: best.path, moves: [] } : null;
+      const annotation = best ? { optimum: best, moves: [] } : null;
       stage.track.annotation = annotation;
       board.refresh();
     }

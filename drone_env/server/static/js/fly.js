@@ -157,8 +157,8 @@ export function mountFly(root, context) {
         const base = await history.stored(beside);
         if (address.ghost) base.colour = "--ink-3";
         // Both fly over one map, whatever the address says.
-        const { short_name, seed } = base.opening;
-        race.start({ ...wanted, task: short_name, seed }, { beside: [base], flown: wanted.pilots.slice(-1) });
+        const { task, seed } = base.opening;
+        race.start({ ...wanted, task: context.task(task).short_name, seed }, { beside: [base], flown: wanted.pilots.slice(-1) });
         explain(context, base);
       });
     }

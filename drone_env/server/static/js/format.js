@@ -25,7 +25,7 @@ export const pointsBetween = (...scores) => scores.slice(1).map((score, i) => ro
 const rounded = (score) => Number((100 * score).toFixed(1));
 
 /** The optimum of a flight's map, or null while it is unknown. @param {Track} track */
-export const optimumOf = ({ annotation, frames }) => annotation?.optimal_score ?? frames[0].value;
+export const optimumOf = ({ annotation, frames }) => annotation?.optimum?.score ?? frames[0].value;
 
 /** What a flight has lost at a frame, in points. @param {Track} track */
 export function lossOf(track, { done, score, value }) {
@@ -75,7 +75,7 @@ export function who(context, id) {
 }
 
 /** Who flew, and with what help: `Ada with undo from step 3 of Greedy`. @param {Context} context @param {Provenance} provenance */
-function inWords(context, { pilot, person, values_used, undo_used, parent }) {
+export function inWords(context, { pilot, person, values_used, undo_used, parent }) {
   const help = [values_used && "values", undo_used && "undo"].filter(Boolean).join(" and ");
   const flown = (person ?? who(context, pilot)) + (help && ` with ${help}`);
   return parent ? `${flown} from step ${parent.step} of ${inWords(context, parent)}` : flown;
@@ -90,9 +90,9 @@ const LONGEST = 40;
 export const shortened = (name) => (name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name);
 
 /** A flight of the store or of a file in words: `Hard, map 7, Greedy`. @param {Context} context */
-export function flightName(context, { task, seed, agent, name = null, ...flown }) {
+export function flightName(context, { task, seed, agent, ...flown }) {
   const { short_name } = context.task(task) ?? { short_name: String(task) };
-  return `${title(short_name)}, map ${seed}, ${name ?? inWords(context, { ...flown, pilot: flown.pilot ?? agent })}`;
+  return `${title(short_name)}, map ${seed}, ${inWords(context, { ...flown, pilot: flown.pilot ?? agent })}`;
 }
 
 /** What the score of a task counts. @param {Answer<"TaskInfo">} task */

@@ -90,7 +90,7 @@ export class FlightHistory {
     const answer = await tried(() => this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`));
     if (!answer?.calls.length) return;
     const steps = new Map();
-    for (const call of answer.calls) steps.set(call.step, [...(steps.get(call.step) ?? []), call]);
+    for (const call of answer.calls) steps.set(call.turn, [...(steps.get(call.turn) ?? []), call]);
     track.calls = { model: answer.model, steps };
     this.context.stage.changed(track);
   }
@@ -117,7 +117,7 @@ export async function explain(context, track) {
   context.stage.changed(track);
 }
 
-const lost = (value, { optimal_score: best }) => ({ value, regret: best === null ? null : Math.max(0, best - value) });
+const lost = (value, { optimum }) => ({ value, regret: optimum && Math.max(0, optimum.score - value) });
 
 /** Where this tab keeps the flights of a file, and the map of one. */
 const FLIGHTS = "drone-env-flights";

@@ -55,7 +55,7 @@ export function drawTrails(ctx, view) {
 
 /** The best flight as a dashed line, beside the lines of the flights where they share cells. */
 export function drawBest(ctx, { track, tracks, layout, clock }) {
-  const path = track.annotation?.optimal_path;
+  const path = track.annotation?.optimum?.path;
   if (!path) return;
   const { cell, scale } = layout;
   const width = Math.max(THIN * scale, cell * 0.06);

@@ -1,11 +1,14 @@
-// Layers per cell: the best moves, the network's mistakes, and the range of the battery.
+// Layers per cell: the best moves, and the range of the battery.
 import { colourOf, font } from "./base.js";
+import { ARROWS } from "./format.js";
 import { middle, pointTo, STEP } from "./layer_flights.js";
 
 /** The minimum size of a cell in CSS pixels that shows the units left there. */
 const WRITTEN = 32;
 /** The opacity of the colour of a cell that loses nothing, and what the largest loss adds: the map stays visible. */
 const WASH = [0.1, 0.3];
+/** The actions in the order of the values. */
+const MOVES = Object.keys(ARROWS);
 /** The sides of a cell: its neighbour, and the two corners. */
 const SIDES = [
   [0, -1, 0, 0, 1, 0],
@@ -26,7 +29,7 @@ export function spanOf(values) {
 /** Colours show what each cell loses against the best one, from blue to orange; arrows are the best moves. */
 export function drawValues(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
-  if (!cells?.values) return;
+  if (!cells) return;
   const { most, least } = spanOf(cells.values);
   const { cell, left, top } = layout;
   eachCell(cells.values, (value, x, y) => {
@@ -35,19 +38,8 @@ export function drawValues(ctx, { stage, layout }) {
     ctx.globalAlpha = WASH[0] + WASH[1] * lost;
     ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
     ctx.globalAlpha = 1;
-    for (const action of cells.best_actions[y][x] ?? []) drawMove(ctx, layout, action, x, y);
-  });
-}
-
-export function drawNetwork(ctx, { stage, layout }) {
-  const cells = stage.values?.answer?.cells;
-  const { cell, left, top, scale } = layout;
-  ctx.lineWidth = Math.max(1.5, 2 * scale);
-  ctx.strokeStyle = ctx.fillStyle = colourOf("--bad");
-  eachCell(cells?.disagree, (errs, x, y) => {
-    if (!errs) return;
-    ctx.strokeRect(left + (x + 0.08) * cell, top + (y + 0.08) * cell, cell * 0.84, cell * 0.84);
-    drawMove(ctx, layout, cells.network_actions[y][x], x, y);
+    const after = cells.q_values[y][x] ?? [];
+    MOVES.filter((_, i) => after[i] === value).forEach((action) => drawMove(ctx, layout, action, x, y));
   });
 }
 

@@ -4,7 +4,7 @@ import { drawCity, drawSigns, isJoined } from "./layer_city.js";
 import { drawCosts } from "./layer_costs.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
 import { drawNames, drawScale } from "./layer_names.js";
-import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
+import { drawRange, drawValues } from "./layer_values.js";
 
 /** @type {Layer[]} */
 export const LAYERS = [
@@ -18,15 +18,6 @@ export const LAYERS = [
     key: "v",
     needsValues: true,
     draw: drawValues,
-  },
-  {
-    id: "network",
-    place: "cells",
-    name: "Network mistakes",
-    hint: "The network's moves that lose points, at each cell",
-    key: "e",
-    needsValues: true,
-    draw: drawNetwork,
   },
   {
     id: "range",

@@ -94,16 +94,13 @@ export function mountSwitches(root, context, acts) {
       box.checked = context.shows(layer.id);
     }
     const { cells, unsolved } = stage.values?.answer ?? {};
-    scale.hidden = !cells?.values || !context.shows("values");
+    scale.hidden = !cells || !context.shows("values");
     if (!scale.hidden) {
       const { most, least } = spanOf(cells.values);
       setText(scale.firstChild, `best cell ${points(most)}`);
       setText(scale.lastChild, `worst ${points(least)}`);
     }
-    const disagree = context.shows("network") ? cells?.disagree : null;
-    const errs = disagree?.flat().some(Boolean);
-    const seen = errs ? "Red: the network's move from this cell loses points." : "The network makes no mistake here.";
-    setText(note, unsolved ?? (disagree ? seen : ""));
+    setText(note, unsolved ?? "");
   }
 
   stage.on("change", draw);

@@ -22,7 +22,7 @@ export function mountPictures(root, context) {
   const film = el("button.button.small", { id: "save-film", text: "Save film", press: () => tried(saveFilm) });
   root.append(el("p.buttons", image, film));
   let saving = false;
-  const name = (suffix) => `drone-${stage.world.short_name}-${stage.world.seed}.${suffix}`;
+  const name = (suffix) => `drone-${stage.world.task.short_name}-${stage.world.seed}.${suffix}`;
 
   async function saveImage() {
     const { canvas, draw } = painter(context, IMAGE, LAYERS);
@@ -87,7 +87,7 @@ function painter(context, { side, scale }, layers) {
   };
   const ground = el("canvas", { width: side, height: side });
   paint(ground.getContext("2d"), "ground");
-  const left = `${title(world.short_name)}, map ${world.seed}: ${track.name}`;
+  const left = `${title(world.task.short_name)}, map ${world.seed}: ${track.name}`;
 
   function draw(step) {
     const clock = { cursor: step, position: step };

@@ -300,7 +300,7 @@ export class Race extends Emitter {
   async load(track) {
     if (!track.coming) return;
     const { task, seed, reward_profile } = track.opening;
-    const request = { task, seed, reward_profile, by: track.provenance, actions: track.actionsTo(track.steps) };
+    const request = { task, seed, reward_profile, pilot: track.pilot };
     const answer = await this.context.server.post("flights/agent", request, { signal: track.loading.signal });
     const { following } = this.stage.clock;
     track.fill(answer);
@@ -325,7 +325,8 @@ export class Race extends Emitter {
     this.leave(this.tracks);
     this.tracks = tracks;
     for (const track of beside) track.live = false;
-    const { seed, short_name } = tracks[0].opening;
+    const { seed, task } = tracks[0].opening;
+    const { short_name } = this.context.task(task);
     const rest = setup.pilots.slice(0, setup.pilots.length - flown.length);
     Object.assign(setup, { seed, task: short_name, pilots: [...rest, ...tracks.map(({ pilot }) => pilot)] });
     this.show(step, chosen - 1);
@@ -361,7 +362,7 @@ export class Race extends Emitter {
     while (lacks()) {
       const { all: frames, opening } = track;
       const actions = frames.slice(1).map(({ action }) => action);
-      const flight = { task: opening.task, seed: opening.seed, actions, only: "along" };
+      const flight = { task: opening.task, seed: opening.seed, actions, only: "moves" };
       const answer = await tried(() => this.context.server.post("values", flight));
       if (!answer?.along) return;
       const [optimum] = answer.along;

@@ -1,6 +1,6 @@
 // Tables of Compare: boards of pilots, the maps of one, the pair of two, and the newest flights.
 import { el, fact, grid } from "./dom.js";
-import { counted, fixed, flightName, isLost, moment, outcome, percent, points, shortened, signed, thousands, who } from "./format.js";
+import { counted, fixed, flightName, inWords, isLost, moment, outcome, percent, points, shortened, signed, thousands, who } from "./format.js";
 import { linkOf } from "./router.js";
 
 /** Means over fewer maps are marked. */
@@ -23,8 +23,8 @@ export function boardsOf(context, { rows, forks }, { boards, unranked }) {
     rows: of.map(ofRun),
   }));
   runs.sort((x, y) => y.rows[0].maps - x.rows[0].maps);
-  const ofServer = rows.map((row) => ({ ...row, key: row.agent, remark: row.kind === "model" ? " language model" : "" }));
-  const isGuest = ({ kind, maps }) => Number(kind === "person" && maps < ENOUGH);
+  const ofServer = rows.map((row) => ({ ...row, key: row.agent, pilot: row.by.pilot, name: inWords(context, row.by) }));
+  const isGuest = ({ pilot, maps }) => Number(pilot === "human" && maps < ENOUGH);
   const notes = [
     rows.length ? "" : "No flights of this task yet. Fly it to add one.",
     forks ? `Flights that continue another flight do not count (${forks}).` : "",
@@ -75,11 +75,7 @@ const unusable = ({ unusable_share: share, marked }) => (share === null ? "" : `
 const FLIGHTS = ["Flights", (row) => thousands(row.flights), true];
 const NORMALISED = ["Random to optimum", (row) => percent(row.normalised), true];
 const RUN = ["Run", (row) => el("span.named", row.run)];
-const OF_MODELS = [
-  ["Errored", (row) => thousands(row.errored), true],
-  ["Unusable answers", unusable, true],
-  ["Tokens", (row) => (row.tokens !== null && row.without_usage ? "at least " : "") + thousands(row.tokens), true],
-];
+const UNUSABLE = ["Unusable answers", unusable, true];
 
 /** A board of `boardsOf`. @param {(event: any) => void} tick @param {() => void} press Follows the link of a name. */
 export function boardTable(context, task, { name, caption, rows, note }, tick, press) {
@@ -106,7 +102,7 @@ export function boardTable(context, task, { name, caption, rows, note }, tick, p
     ...(rows.some(({ flights, maps }) => flights !== maps) ? [FLIGHTS] : []),
     ...(rows.some(({ run }) => run) ? [NORMALISED] : []),
     ...(rows.some(({ run }) => run !== rows[0].run) ? [RUN] : []),
-    ...(rows.some(({ prompt }) => prompt) ? OF_MODELS : []),
+    ...(rows.some(({ prompt }) => prompt) ? [UNUSABLE] : []),
   ];
   return el(
     "section.compare-part",
@@ -119,8 +115,8 @@ export function boardTable(context, task, { name, caption, rows, note }, tick, p
 const open = (text, label, address) => el("a.button.small", { text, "aria-label": label, href: linkOf({ view: "fly", ...address }).search });
 
 /** Whether a pilot of this page flew a row: it flies each map again. */
-const flies = (context, task, { pilot, kind = "pilot" }) =>
-  !["person", "model"].includes(kind) && context.pilots.some(({ id, tasks }) => id === pilot && tasks.includes(task.id));
+const flies = (context, task, { pilot, kind = "agent" }) =>
+  kind === "agent" && context.pilots.some(({ id, automatic, tasks }) => id === pilot && automatic && tasks.includes(task.id));
 
 /** The end of the flight of a row over a map, or the map for the visitor if the page cannot show it. */
 function flightOf(context, task, row, { id, seed, steps }, text = "Open") {
@@ -135,7 +131,7 @@ const regret = ({ optimum, score }) => (optimum === null ? null : optimum - scor
 /** The largest number of bars above zero. */
 const BARS = 12;
 
-/** The maps of a row, below a histogram of losses whose bars select maps. @param {Answer<"AgentMap">[]} maps */
+/** The maps of a row, below a histogram of losses whose bars select maps. @param {Answer<"Result">[]} maps */
 export function mapsOf(context, task, row, maps) {
   const losses = maps.map((map) => (isLost(regret(map)) ? 100 * regret(map) : 0));
   /** Of a bar, in points. */
@@ -184,13 +180,14 @@ export function pairOf(context, task, both, answer) {
   const head = el("h2", named(context, both[0]), " against ", named(context, both[1]));
   if (!answer.maps) return [head, el("p.note", { text: "No common maps yet." })];
   const interval = answer.ci95 ? `95 %: ${answer.ci95.map(gap).join(" to ")}` : "no interval for one map";
+  const pairs = answer.pairs.map((pair) => ({ ...pair, seed: pair.a.seed, optimum: pair.a.optimum }));
   const ours = both.every((row) => flies(context, task, row));
   const pilots = both.map(({ pilot }) => pilot);
   const flights = ({ seed, ...pair }) =>
     ours
       ? open("Fly both", `Fly both over map ${seed}`, { task: task.short_name, seed, pilots })
-      : el("span.buttons", ...both.map((row, i) => flightOf(context, task, row, { ...pair["ab"[i]], seed }, shortened(row.name))));
-  const most = Math.max(...answer.pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
+      : el("span.buttons", ...both.map((row, i) => flightOf(context, task, row, pair["ab"[i]], shortened(row.name))));
+  const most = Math.max(...pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
   const bar = ({ difference }) => {
     const more = difference > 0;
     const style = { "--share": Math.abs(difference) / most, "--colour": colourOf(context, both[more ? 0 : 1]) };
@@ -215,14 +212,14 @@ export function pairOf(context, task, both, answer) {
       fact("Equal", thousands(answer.ties)),
       fact(`${b} scores higher`, thousands(answer.losses)),
     ),
-    grid(`${a} against ${b}`, columns, answer.pairs, "Difference"),
+    grid(`${a} against ${b}`, columns, pairs, "Difference"),
   ];
 }
 
 /** The newest flights of a task. @param {Context} context */
 export function flightsTable(context, episodes) {
   const columns = [
-    ["Pilot", (e) => named(context, e)],
+    ["Pilot", (e) => named(context, { pilot: e.pilot, name: inWords(context, e) })],
     ["Map", (e) => String(e.seed), true],
     ["Score", (e) => points(e.score), true],
     ["Lost", (e) => points(e.regret), true],

@@ -139,13 +139,13 @@ export function mountResults(root, context, race, acts) {
     const after = nextTask(context.families, stage.world.task);
     const next = after === stage.world.task ? [] : button("next", `Next: ${title(after.short_name)}`, () => goOn(context, race, acts));
     const again = () => button("again", `${verb} from ${step ? `step ${step}` : "the start"}`, () => tryAgain(context, race, acts));
-    const watch = () =>
-      button("watch", `Watch ${context.pilot(annotation.network).name}`, () => acts.start({ pilots: [annotation.network] }, { play: true }));
+    const [pilot] = race.able(stage.world.task);
+    const watch = () => button("watch", `Watch ${context.pilot(pilot).name}`, () => acts.start({ pilots: [pilot] }, { play: true }));
     const delivered = last.outcome === "delivered";
     const shown = [
       ...(delivered ? next : []),
       ...(worst || (annotation?.unsolved && !delivered) ? again() : []),
-      ...(isOwn(track) && annotation?.network ? watch() : []),
+      ...(isOwn(track) ? watch() : []),
       ...(isOwn(track) && (!annotation?.why || annotation.rescue_step) ? button("start-over", "Start over", acts.reset) : []),
       ...(delivered || !done ? [] : next),
     ].slice(0, MOST_BUTTONS);

@@ -2,7 +2,11 @@
 import { Emitter, nextFrame } from "./base.js";
 
 /** @param {Answer<"FlightHeader">} opening @param {Answer<"TaskInfo">[]} tasks @returns {World} */
-export const worldOf = (opening, tasks) => ({ ...opening, task: tasks.find(({ id }) => id === opening.task) });
+export function worldOf(opening, tasks) {
+  const task = tasks.find(({ id }) => id === opening.task);
+  const { width, height, max_steps, battery_capacity } = task;
+  return { ...opening, width, height, max_steps, battery_capacity, task };
+}
 
 /** Steps a second that can be chosen. */
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];

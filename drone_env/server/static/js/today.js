@@ -19,7 +19,7 @@ const dayOf = (day) => day.toLocaleDateString("en-GB", { day: "numeric", month: 
 /** The name that the visitor chose, or null. The server accepts no other form. */
 export const nameOf = () => recall(NAME)?.match(/^[\p{L}\p{N}_-]{1,20}$/u)?.[0] ?? null;
 
-/** The visitor's best results: lists of map, score, optimum, pilot of the network and its score; oldest first. */
+/** The visitor's best results: lists of map, score and optimum; oldest first. */
 function results() {
   try {
     return JSON.parse(recall(BEST)).filter(([map, score]) => typeof map === "string" && score <= 1);
@@ -95,7 +95,7 @@ export function mountByHand(root, context, race, acts) {
   /** Keeps the result of a flight without values, undo and forks. */
   function keep({ annotation, plain, brought }) {
     if (!annotation || brought || !plain || best?.[1] >= annotation.score) return;
-    best = [map(), annotation.score, annotation.optimal_score, annotation.network, annotation.network_score];
+    best = [map(), annotation.score, annotation.optimum?.score ?? null];
     remember(BEST, JSON.stringify([...results().filter(([other]) => other !== best[0]), best].slice(-KEPT)));
   }
 
@@ -106,13 +106,11 @@ export function mountByHand(root, context, race, acts) {
     if (root.hidden) return;
     if (race.own) keep(race.own);
     unlisted.hidden = !race.own || race.own.plain;
-    const { optimal_score: optimum, network, network_score } = track.annotation ?? {};
     const title = day ? `Map of the day, ${dayOf(new Date(day.date))}` : "By hand";
     const shown = [
       [race.own?.name, race.own?.annotation?.score],
       ["Your best", best?.[1]],
-      ["Possible", optimum ?? best?.[2]],
-      [context.pilot(network ?? best?.[3]).name, network_score ?? best?.[4]],
+      ["Possible", track.annotation?.optimum?.score ?? best?.[2]],
       ["Best today", day?.best[0]?.score],
     ];
     const now = JSON.stringify([title, shown, day?.best]);
@@ -120,7 +118,7 @@ export function mountByHand(root, context, race, acts) {
     drawn = now;
     // A visitor who has flown the map may open the flights of others.
     const look = (id, text) => (best ? el("a", { href: `?episode=${id}`, text }) : text);
-    const row = ({ id, name, score, steps }) => el("li", look(id, name ?? "A person"), ` ${points(score)}, ${steps} steps`);
+    const row = ({ id, person, score, steps }) => el("li", look(id, person ?? "A person"), ` ${points(score)}, ${steps} steps`);
     head.textContent = title;
     record.replaceChildren(...(day ? ownDays() : []));
     figures.replaceChildren(...shown.filter(([, value]) => Number.isFinite(value)).map(([name, value]) => fact(name, points(value))));

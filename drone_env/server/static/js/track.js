@@ -78,7 +78,7 @@ export class Track {
     this.episode = null;
     /** The calls of a language model by step, or null; a retry is one more call. */
     this.calls = null;
-    this.forkedAt = opening.forked_at;
+    this.forkedAt = parent?.step ?? null;
     this.way = null;
   }
 
