@@ -30,7 +30,7 @@ def fly(url: str, options: dict[str, Any], route: list[str]) -> float:
 
     session = call("openenv/session/create")["session_id"]
     call("tools/call", name="reset", arguments=options, session_id=session)
-    flown = call("tools/call", name="fly", arguments={"route": route}, session_id=session)
+    flown = call("tools/call", name="fly", arguments={"route": " ".join(route)}, session_id=session)
     call("openenv/session/close", session_id=session)
     return flown["data"]["reward"]
 

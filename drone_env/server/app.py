@@ -11,8 +11,6 @@ import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 
-import tyro
-
 from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
 
@@ -160,6 +158,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: The options; None for those of the command line.
     """
+    import tyro  # every worker process would load it
+
     try:
         tyro.cli(run, prog="server", args=arguments)
     except (DroneEnvError, OSError) as error:

@@ -18,8 +18,7 @@ from tests.tools import missing_tool
 expect.set_options(timeout=PATIENCE_MS)
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
 """Text that must never become elements."""
-SEEDS = 27
-"""More maps than one page of flights lists."""
+SEEDS = 12
 TRAINING = [
     "episode=1 reward=3.2500 success=0.000 validation=- optimum=0.9500",
     f"warning: {MARKUP}",

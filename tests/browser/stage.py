@@ -63,9 +63,9 @@ def standings(page: Page) -> Locator:
     return page.locator("#standings tbody tr")
 
 
-def open_file(page: Page, name: str, text: str, field: str = "#flight-file") -> None:
+def open_file(page: Page, name: str, text: str) -> None:
     """Choose a file in a field of the page."""
-    page.locator(field).set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
+    page.locator("#flight-file").set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
 
 
 def over(page: Page, seed: int, path: str) -> None:

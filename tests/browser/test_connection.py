@@ -10,7 +10,7 @@ from drone_env.flights.store import Store
 from tests.api.serving import Server, serving
 from tests.browser.flights import flown
 from tests.browser.shown import expect_step
-from tests.browser.stage import enter, fly, keys, press, show, standings, until, view
+from tests.browser.stage import enter, fly, keys, press, show, standings, until
 from tests.browser.tabs import Tabs
 from tests.tools import reserved_port
 
@@ -121,15 +121,3 @@ def test_an_idle_page_draws_and_asks_nothing(shared: Tabs) -> None:
 
         until(page, idles)  # what the page loads has arrived
     page.context.close()
-
-
-def test_a_view_that_failed_is_loaded_when_the_visitor_tries_again(beside: Beside, shared: Tabs) -> None:
-    page = beside("/?task=hard&seed=7&pilot=greedy")
-    expect_step(page, 0, 160)
-    shared.expect("ERR_FAILED|compare.js|Failed to fetch")
-    page.route("**/*", lambda route: route.abort())
-    view(page, "Compare")
-    expect(page.get_by_role("alert").filter(has_text="This view could not be loaded.")).to_be_visible()
-    page.unroute("**/*")
-    press(page, "Try again")
-    expect(page.get_by_role("heading", name="Leaderboard")).to_be_visible()

@@ -39,17 +39,13 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     paint.get_by_text("Obstacle").click()
     drag(page, (2, 0), (2, 3))
     expect(note).to_have_text("The parcel in 13 steps")
-    press(page, "Undo")
-    expect(note).to_have_text("The parcel in 5 steps")
-    drag(page, (2, 0), (2, 3))
-    expect(note).to_have_text("The parcel in 13 steps")
     # With the keyboard: a second parcel below the wall. It costs no step.
     page.locator("#drawing").focus()
     keys(page, "7", "ArrowDown", "ArrowDown", "ArrowRight", "Space")
     expect(note).to_have_text("Both parcels in 13 steps")
     battery = page.get_by_role("spinbutton", name="Battery")
     enter(battery, "14")
-    expect(page.locator("#map-optimum.waiting")).to_have_count(0)
+    expect(page.locator(".draw-side .waiting")).to_have_count(0)
     shown = score.inner_text()
     with page.expect_download() as saving:
         press(page, "Save file")
@@ -64,9 +60,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     page.reload()
     problem = page.locator("#view-draw").get_by_role("alert")
     expect(problem).to_contain_text("Obstacles block every way from the start to parcel 1 [5, 0]")
-    # The saved file is opened again, by the field of Fly too, and stored and flown.
-    open_file(page, file.name, file.read_text(encoding="utf-8"), "#map-file")
-    expect(score).to_have_text(shown)
+    # The saved file is opened again, stored and flown.
     view(page, "Fly")
     open_file(page, file.name, file.read_text(encoding="utf-8"))
     expect(page).to_have_url(re.compile(rf"view=draw&file={file.name}~\w+$"))
@@ -92,8 +86,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
     held: list[Route] = []
     page.route("**/maps/worth", lambda route, _: held.append(route))
     press(page, "Empty map")
-    expect(note).to_have_text("Computing …")
-    expect(score).to_have_text("–")
+    expect(score).to_have_css("opacity", "0")
     until(page, lambda: bool(held))
     held[0].continue_()
     page.unroute("**/maps/worth")

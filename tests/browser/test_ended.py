@@ -43,7 +43,6 @@ from tests.browser.stage import (
     press,
     show,
     slider,
-    standings,
     view,
 )
 from tests.browser.tabs import Tabs
@@ -232,22 +231,6 @@ def test_a_file_may_hold_several_flights_or_an_unfinished_one(page: Page) -> Non
         choice.select_option(index=index)
         expect(map_number(page)).to_have_value(str(flights[index].seed))
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
-    # Flights over one map are shown together. A long name is broken into lines.
-    long = "model/" + "x" * 100
-    labels = [flown("easy", 4, "greedy", label=name) for name in ("greedy", "me", "greedy", long)]
-    open_file(page, "race.jsonl", "".join(flight.to_json() + "\n" for flight in [*labels, flights[0]]))
-    choices(page)
-    selected = standings(page).and_(page.locator(".selected"))
-    expect(standings(page)).to_have_count(4)
-    page.keyboard.press("4")
-    expect(selected).to_contain_text(long)
-    expect(choice).to_have_value(re.compile("^4\\."))
-    assert all(measured(page, ".side, .middle", "one.scrollWidth <= one.clientWidth"))
-    choice.select_option(index=4)
-    expect(map_number(page)).to_have_value("1")
-    expect(page.locator("#standings")).to_be_hidden()
-    choice.select_option(index=2)
-    expect(selected).to_contain_text("Greedy (3)")
     open_file(page, "flight.json", record_of(Episode("easy", "tiered", 5).fly([Action.UP]), "me").to_json(2))
     expect(page.locator(".results")).to_contain_text("me: In flight.")
     expect(page.locator(".results")).to_contain_text("This flight is not finished")
@@ -295,9 +278,10 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     over(page, 7, "/?task=hard&seed=7&pilot=greedy")
     for name, text, says in (
         ("notes.txt", "hello", "must end in .json, .jsonl, .toml"),
-        ("empty.json", " ", "is empty"),
+        ("empty.json", " ", "empty.json contains 0 flights"),
+        ("null.json", "null", "null.json is not a flight file. Body: must be an object."),
         ("map.toml", "hello = 1", "map.toml is not a map. Unknown key 'hello'; allowed: "),
-        ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
+        ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not a flight."),
         ("forged.json", json.dumps(forged), "forged.json is not a flight file. The record does not fit its flight: "),
     ):
         # The open choices would cover what the page says.

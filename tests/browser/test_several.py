@@ -40,12 +40,12 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
         expect(row.nth(2)).to_have_text(f"{flies}{points(now['Random'])}")
         expect(row.last).to_have_text(lost(best, now["Random"]))
 
-    def expect_place(when: str = "") -> None:
+    def expect_place() -> None:
         final = {name: value[-1] for name, value in values.items()}
         order = sorted(final, key=final.__getitem__, reverse=True)
         told = ", ".join(f"{name} {points(final[name])}" for name in order)
-        place = f"1st of 4, a tie: {told}. The higher score wins."
-        expect(page.locator("#standings-note")).to_have_text(f"{when}{place}")
+        place = f"At the end, place 1 of 4: {told}. The higher score wins."
+        expect(page.locator("#standings-note")).to_have_text(place)
         expect(page.locator(".results")).to_contain_text(place)
 
     names = standings(page).get_by_role("rowheader")
@@ -59,7 +59,7 @@ def test_four_keep_their_colours_are_ranked_while_they_fly_and_each_is_annotated
     expect_ranked(60)
     page.keyboard.press("Home")
     expect_ranked(0)
-    expect_place("At the end: ")
+    expect_place()
     page.keyboard.press("End")
     for number, (agent, name) in enumerate(NAMES.items(), 1):
         page.keyboard.press(str(number))

@@ -64,7 +64,6 @@ MESSAGES: list[dict[str, Any]] = [
     {"type": "reset", "data": {"seed": 8, "episode_id": "two", "reward_profile": "aligned"}},
     {"type": "step", "data": {"direction": "WAIT", "metadata": {}}},
     {"type": "reset", "data": {"task_name": "skyline_easy", "seed": 9, "episode_id": "three", "prompt": "minimal"}},
-    {"type": "step", "data": {"route": ["UP", "LEFT", 4]}},
     {"type": "step", "data": {"direction": "DOWN DOWN"}},
     {"type": "step", "data": {"direction": 2}},
     {"type": "state"},

@@ -22,10 +22,10 @@ interface ParentNode {
 interface Document {
   getElementById(id: "ask" | "help" | "token"): HTMLDialogElement;
   getElementById(
-    id: "api" | "calls" | "draw" | "fly" | "lessons" | "plan",
+    id: "api" | "calls" | "compare" | "draw" | "fly" | "learn" | "lessons" | "plan" | "race",
   ): HTMLTemplateElement;
   getElementById(
-    id: "about" | "announcer" | "banner" | "banner-countdown" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
+    id: "about" | "announcer" | "banner" | "banner-retry" | "banner-text" | "connection" | "help-button" | "map-credit"
       | "own-days" | "scoring" | "theme-button" | "toasts" | "today" | "view-fly" | "view-title",
   ): HTMLElement;
 }

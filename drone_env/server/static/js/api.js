@@ -4,8 +4,6 @@ import { toast } from "./dom.js";
 import { sentence } from "./format.js";
 
 const TOKEN = "drone-env-token";
-/** Characters that a header may contain. */
-const SENDABLE = /^[\x21-\x7e]+$/;
 
 /** An unsuccessful response; status 0 if the server cannot be reached. */
 export class ApiError extends Error {
@@ -31,16 +29,15 @@ export function createApi() {
   let token = recall(TOKEN, "sessionStorage");
   let asking = null;
 
-  /** @typedef {RequestInit & {data?: object, session?: string, accept?: string}} Given What a request has beside its address. */
+  /** @typedef {RequestInit & {data?: object, session?: string}} Given What a request has beside its address. */
   /** The response of a request. @param {Given} given @returns {Promise<Response>} @throws {ApiError} */
   async function request(method, path, given) {
-    const { data, session, accept, ...options } = given;
+    const { data, session, ...options } = given;
     const sent = token;
     /** @type {Record<string, string>} */
     const headers = token ? { Authorization: `Bearer ${token}` } : {};
     if (data !== undefined) headers["Content-Type"] = "application/json";
     if (session) headers["X-Session-Id"] = session;
-    if (accept) headers.Accept = accept;
     const body = data === undefined ? undefined : JSON.stringify(data);
     const how = { ...options, method, headers, body, credentials: "same-origin" };
     const response = await fetch(address(path), /** @type {RequestInit} */ (how)).catch(() => null);
@@ -53,7 +50,7 @@ export function createApi() {
     api.heard(true);
     if (response.status === 401) {
       // Several requests may wait for one token.
-      while (token === sent || !SENDABLE.test(token)) {
+      if (token === sent) {
         asking ??= askForToken(token !== null).finally(() => (asking = null));
         token = await asking;
       }
@@ -79,19 +76,6 @@ export function createApi() {
     post: (path, data, given) => call("POST", path, { data, ...given }),
     /** Ends a session, also while the page closes. */
     end: (session) => request("DELETE", "session", { session, keepalive: true }).catch(() => {}),
-    /** Tells the data of server-sent events, several at once, until they end. @throws {ApiError} */
-    async events(path, signal, tell) {
-      const { body } = await request("GET", path, { accept: "text/event-stream", signal });
-      const reader = body.pipeThrough(new TextDecoderStream()).getReader();
-      for (let rest = ""; ; ) {
-        const { value, done } = await reader.read();
-        if (done) return;
-        const events = (rest + value).split("\r\n\r\n");
-        rest = events.pop();
-        const data = events.map((event) => event.match(/^data: (.*)$/m)?.[1]).filter(Boolean);
-        if (data.length) tell(data.map((text) => JSON.parse(text)));
-      }
-    },
     /** Whether the server requires a token. */
     guarded: () => token !== null,
   };

@@ -4,29 +4,22 @@ import { el, snippet } from "./dom.js";
 import { fixed, LOCALE } from "./format.js";
 
 const KEPT = 200;
-const TOPICS = ["requests", "training"];
 
 /** @param {HTMLElement} root @param {Context} context */
-export function mount(root, context) {
+export function mountApi(root, context) {
   const { api, server } = context;
   const url = address(".").href.replace(/\/$/, "");
   root.append(document.getElementById("api").content);
   root.querySelector("code").textContent = url;
   root.querySelector("span").hidden = !api.guarded();
-  for (const program of root.querySelectorAll("pre")) {
-    program.replaceWith(snippet(program.title, program.textContent.replaceAll("URL", url)));
-  }
-  const [requests, training] = [...root.querySelectorAll("ol")].map((list) => log(list));
+  for (const program of root.querySelectorAll("pre")) program.replaceWith(snippet(program, { URL: url }));
+  const [requests, training] = root.querySelectorAll("ol");
 
-  server.on("requests", (message) => {
-    if (message.fresh) requests.clear();
-    requests.add(message.requests.map(requestLine));
-  });
-  server.on("training", ({ lines }) => {
-    training.clear();
-    training.add(lines.map((line) => el("li", { text: line })));
-  });
-  context.on("view", (view) => view === "api" && server.watch(TOPICS));
+  // The page's own questions for this log are no news.
+  const isNews = ({ path }) => !path.endsWith("/terminal_logs");
+  server.on("requests", (log) => fill(requests, log.requests.filter(isNews).slice(-KEPT).map(requestLine)));
+  server.on("training", ({ lines }) => fill(training, lines.map((line) => el("li", { text: line }))));
+  context.on("view", (view) => view === "api" && server.watch(["requests", "training"]));
 }
 
 function requestLine({ time, method, path, status, milliseconds }) {
@@ -39,14 +32,10 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-/** A list that stays scrolled to its newest line unless the visitor scrolls up. */
-function log(list) {
+/** Fills a list, which stays scrolled to its newest line unless the visitor scrolls up. */
+function fill(list, lines) {
   const frame = list.parentElement;
-  function add(lines) {
-    const atEnd = frame.scrollTop + frame.clientHeight >= frame.scrollHeight - 8;
-    list.append(...lines);
-    while (list.childElementCount > KEPT) list.firstElementChild.remove();
-    if (atEnd) frame.scrollTop = frame.scrollHeight;
-  }
-  return { add, clear: () => list.replaceChildren() };
+  const atEnd = frame.scrollTop + frame.clientHeight >= frame.scrollHeight - 8;
+  list.replaceChildren(...lines);
+  if (atEnd) frame.scrollTop = frame.scrollHeight;
 }

@@ -1,4 +1,4 @@
-// Sets the theme before the first paint. Modules would run too late; main.js handles later changes and clicks.
+// Sets the theme before the first paint, and follows links. Modules would run too late; main.js handles later changes.
 (() => {
   let chosen = null;
   try {
@@ -12,11 +12,12 @@
   // Swagger UI's name for it, at `/docs`.
   document.documentElement.classList.toggle("dark-mode", theme === "dark");
 
-  // A click on a link before the modules run only changes the address, which they then show: a load would start again.
+  // A click on a link within the page only changes the address, also before the modules run: a load would start again.
   document.addEventListener("click", (event) => {
     const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
-    if (!(link instanceof HTMLAnchorElement) || document.body.dataset.view || event.ctrlKey || event.metaKey || event.shiftKey) return;
+    if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
     event.preventDefault();
-    history.pushState(null, "", link.href);
+    if (link.href !== location.href) history.pushState(null, "", link.href);
+    window.dispatchEvent(new PopStateEvent("popstate"));
   });
 })();

@@ -1,4 +1,5 @@
 // DOM helpers. Text is always set as text, never as HTML.
+import { thousands } from "./format.js";
 
 /**
  * @template {string} Tag
@@ -55,6 +56,41 @@ export function table(tag, props, caption, columns, ...bodies) {
 /** A place that a wide or long table scrolls in. */
 export const scroller = (name, table) => el("div.scroller", { tabindex: "0", role: "region", "aria-label": name }, table);
 
+/** Number of rows that a long table shows at first: the layout of a thousand takes a moment. */
+const SHOWN = 200;
+
+/**
+ * A table that scrolls if it is larger than its place. A press on the head of a column with values sorts by them.
+ * @param {any[][]} columns Name, content, whether it is a number, value of a row.
+ * @param {string} [by] The column that it is sorted by at first, the largest value first.
+ */
+export function grid(caption, columns, rows, by) {
+  const cells = (row) => columns.map(([name, cell, number]) => el(number ? "td.num" : "td", { data: { name } }, cell(row)));
+  const lines = rows.map((row) => ({ row, line: el("tr", ...cells(row)) }));
+  const body = el("tbody");
+  const names = columns.map(([name, , number]) => [name, number]);
+  const shown = table("table.table", {}, caption, names, body);
+  const heads = [...shown.querySelectorAll("thead tr > *")];
+  const all = el("button.button.small", { text: `Show all ${thousands(rows.length)}`, press: () => fill(rows.length) });
+  const fill = (most) => {
+    body.replaceChildren(...lines.slice(0, most).map(({ line }) => line));
+    all.hidden = body.childElementCount === rows.length;
+  };
+  function sort(head, value) {
+    const down = head.ariaSort !== "descending";
+    for (const one of heads) one.ariaSort = null;
+    head.ariaSort = down ? "descending" : "ascending";
+    lines.sort((x, y) => (down ? 1 : -1) * (value(y.row) - value(x.row)));
+    fill(Math.max(body.childElementCount, SHOWN));
+  }
+  fill(SHOWN);
+  columns.forEach(([text, , , value], i) => {
+    if (value) heads[i].replaceChildren(el("button.sort", { text, press: () => sort(heads[i], value) }));
+    if (text === by) sort(heads[i], value);
+  });
+  return el("div", scroller(caption, shown), all);
+}
+
 /** Sets the text of a node if it differs, to avoid a layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
@@ -76,17 +112,6 @@ export function download(name, blob) {
   link.click();
   link.remove();
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
-}
-
-/** A file field, and the button that opens it. */
-export function fileField(id, accept, open) {
-  const input = el("input.visually-hidden", { type: "file", id, accept, on: { change } });
-  async function change() {
-    const [file] = input.files;
-    if (file) await open(file);
-    input.value = "";
-  }
-  return [input, el("label.button.small", { for: id, text: "Open a file…" })];
 }
 
 /** Asks a question with two answers. @returns {Promise<boolean>} Whether the visitor chose the first one. */
@@ -149,9 +174,10 @@ export async function copyText(text, message) {
   }
 }
 
-/** A named text with a button that copies it. */
-export function snippet(name, text) {
+/** A program, of which some words are replaced, below its title, with a button that copies it. @param {HTMLElement} program @param {Record<string, string>} words */
+export function snippet({ title, textContent }, words) {
+  const text = Object.entries(words).reduce((written, [word, by]) => written.replaceAll(word, by), textContent);
   const press = () => copyText(text, "Copied.");
-  const copy = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${name}`, press });
-  return el("section.snippet", el("h3", { text: name }), copy, el("pre", el("code", { text })));
+  const copy = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${title}`, press });
+  return el("section.snippet", el("h3", { text: title }), copy, el("pre", el("code", { text })));
 }

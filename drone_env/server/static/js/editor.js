@@ -1,5 +1,5 @@
 // Draw: a map editor. The server computes the optimum, stores the map as a task and writes its file.
-import { ApiError, tried } from "./api.js";
+import { tried } from "./api.js";
 import { Emitter, recall, remember } from "./base.js";
 import { mountBoard } from "./board.js";
 import { Camera } from "./camera.js";
@@ -7,8 +7,7 @@ import { add } from "./context.js";
 import { download, el, icon, onPress, setText, toast } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { mountInput } from "./editor_input.js";
-import { Worth } from "./editor_worth.js";
-import { cellName } from "./format.js";
+import { cellName, counted, points } from "./format.js";
 import { goneFrom, MAP, openField } from "./history.js";
 import { drawSign } from "./legend.js";
 import { copyLink } from "./router.js";
@@ -22,10 +21,9 @@ const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 
 
 /** Where this tab keeps the drawing of an address: Back and Reload restore it. @param {Partial<Address>} address */
 const keyOf = ({ file, task, seed }) => `${MAP} ${file ?? `${task ?? ""} ${seed ?? 0}`}`;
-const keep = (key, map) => remember(key, JSON.stringify(map), "sessionStorage");
 
 /** @param {HTMLElement} root @param {Context} context */
-export function mount(root, context) {
+export function mountEditor(root, context) {
   const { api, router, kinds } = context;
   const own = Object.assign(new Emitter(), context, {
     listeners: new Map(),
@@ -36,12 +34,20 @@ export function mount(root, context) {
   context.on("theme", () => own.emit("theme"));
   const { stage } = own;
   const drawing = new Drawing(kinds);
-  let key = null;
+  /** Where the map is kept, and its answer of `POST /maps/worth`; null while the server computes. */
+  let [key, worth] = [null, null];
+  let [isAsking, isStale] = [false, false];
 
   root.append(document.getElementById("draw").content);
+  root.classList.add("draw");
   const tools = root.querySelector("fieldset");
   tools.append(...PALETTE.map(choice));
-  const [undoing, , ...acts] = root.querySelectorAll("button");
+  const paints = [...tools.querySelectorAll("input")];
+  const [undo, , ...acts] = root.querySelectorAll("button");
+  const score = root.querySelector("#map-optimum");
+  const note = root.querySelector("#map-note");
+  /** @type {HTMLElement} */
+  const problem = root.querySelector(".problem");
   onPress(root, {
     "undo-drawing": () => drawing.undo(),
     "empty-map": () => (isOpen() ? drawing.edit(() => (drawing.map = empty())) : become(keyOf(router.address), empty())),
@@ -50,24 +56,23 @@ export function mount(root, context) {
     "link-map": () => tried(async () => copyLink(await stored(false))),
     "save-map": () => tried(save),
   });
-  const worth = new Worth(root, context, drawing);
   root.querySelector(".field").append(...openField(context, "map-file", toast));
-  const numbers = root.querySelector(".draw-numbers");
-  const fields = [...numbers.querySelectorAll("input")];
+  const fields = [...root.querySelector(".draw-numbers").querySelectorAll("input")];
   const sides = fields.slice(0, 2);
   for (const field of fields) {
-    const change = sides.includes(field) ? resize : setNumber;
-    field.addEventListener("change", () => field.reportValidity() && change(field));
     field.addEventListener("blur", fill);
+    field.addEventListener("change", () => {
+      if (!field.reportValidity()) return;
+      if (!sides.includes(field)) drawing.setNumber(field.name, field.value === "" ? null : Number(field.value));
+      else if (sides.every(({ value, validity }) => value && validity.valid)) drawing.resize(...sides.map(({ value }) => Number(value)));
+    });
   }
-  root.classList.add("draw");
   /** @type {HTMLElement} */
   const middle = root.querySelector(".middle");
   const board = mountBoard(middle, own);
   /** @type {HTMLElement} */
   const grid = middle.querySelector(".boards");
   Object.assign(grid, { id: "drawing", tabIndex: 0, ariaLabel: "Map: arrow keys move the cursor, Space or Enter paints", role: "application" });
-  const paints = [...tools.querySelectorAll("input")];
   const point = mountInput(grid, own, drawing, (i) => {
     paints[i]?.click();
     return i in paints;
@@ -81,32 +86,10 @@ export function mount(root, context) {
     return el("label.paint", { title: kind?.effect }, input, sign, el("span", { text: cellName(name) }));
   }
 
-  drawing.on("stroke", changed);
+  drawing.on("stroke", draw);
+  drawing.on("end", changed);
   drawing.on("map", show);
   drawing.on("last", () => toast("A map needs a parcel. Move this one, or add another one first."));
-  drawing.on("end", () => {
-    keep(key, drawing.map);
-    turns();
-  });
-
-  function turns() {
-    undoing.disabled = !drawing.past.length;
-  }
-
-  function setNumber({ name, value }) {
-    drawing.setNumber(name, value === "" ? null : Number(value));
-  }
-
-  function resize() {
-    if (sides.every(({ value, validity }) => value && validity.valid)) drawing.resize(...sides.map(({ value }) => Number(value)));
-  }
-
-  function show() {
-    turns();
-    changed();
-    stage.show(stage.world, stage.tracks);
-    point();
-  }
 
   function draw() {
     const { map } = drawing;
@@ -122,22 +105,8 @@ export function mount(root, context) {
     stage.tracks = [track];
     board.reload();
     setText(document.getElementById("map-credit"), map.attribution);
-    drawBest();
-  }
-
-  function drawBest() {
-    if (stage.track) {
-      /** @type {any} */
-      const best = worth.answer?.optimum ? { optimum: worth.answer.optimum, moves: [] } : null;
-      stage.track.annotation = best;
-      board.refresh();
-    }
     fill();
   }
-  worth.on("answer", (wrong) => {
-    for (const button of acts) button.disabled = wrong !== null;
-    drawBest();
-  });
 
   function fill() {
     const { map } = drawing;
@@ -145,15 +114,54 @@ export function mount(root, context) {
     for (const field of fields) {
       field.disabled = map === null;
       if (document.activeElement !== field) field.value = drawn?.[field.name] ?? "";
-      field.placeholder = worth.answer?.numbers[field.name] ?? "";
+      field.placeholder = worth?.numbers[field.name] ?? "";
     }
   }
 
   function changed() {
+    remember(key, JSON.stringify(drawing.map), "sessionStorage");
+    undo.disabled = !drawing.past.length;
+    weigh();
+  }
+
+  function show() {
     draw();
-    // Stored once per stroke: storage is slow.
-    if (!drawing.stroke) keep(key, drawing.map);
-    worth.ask();
+    changed();
+    stage.show(stage.world, stage.tracks);
+    point();
+  }
+
+  /** Asks for the optimum of the present map: one request at a time, then one for the newest map. */
+  async function weigh() {
+    isStale = true;
+    score.parentElement.classList.add("waiting");
+    if (isAsking) return;
+    for (isAsking = true; isStale && drawing.map; ) {
+      isStale = false;
+      const parcels = drawing.map.parcels.length;
+      const answer = await api.post("maps/worth", drawing.map).catch((error) => error);
+      if (!isStale) tell(answer instanceof Error ? null : answer, parcels, answer.message ?? null);
+    }
+    isAsking = false;
+  }
+
+  /** Shows an answer, or why there is none. */
+  function tell(answer, parcels, wrong) {
+    worth = answer;
+    const best = answer?.optimum;
+    score.parentElement.classList.remove("waiting");
+    setText(score, best ? points(best.score) : "–");
+    setText(note, answer ? inWords(best, parcels) : "");
+    problem.hidden = wrong === null;
+    setText(problem, wrong ?? "");
+    for (const button of acts) button.disabled = wrong !== null;
+    if (stage.track) {
+      /** @type {any} */
+      const annotation = best ? { optimum: best, moves: [] } : null;
+      stage.track.annotation = annotation;
+      board.refresh();
+    }
+    fill();
   }
 
   /** Stores the map; the address where the visitor flies it, in a race with all others who can. */
@@ -169,14 +177,6 @@ export function mount(root, context) {
     const { name, toml } = await api.post("maps/worth", drawing.map);
     download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
   }
-
-  document.addEventListener("keydown", (event) => {
-    const isNumber = event.target instanceof HTMLInputElement && event.target.type === "number";
-    const undoes = (event.ctrlKey || event.metaKey) && event.key === "z";
-    if (!undoes || context.view !== "draw" || isNumber) return;
-    event.preventDefault();
-    drawing.undo();
-  });
 
   /** Whether the editor has the map of the address. */
   const isOpen = () => key === keyOf(router.address) && drawing.map !== null;
@@ -194,13 +194,12 @@ export function mount(root, context) {
     try {
       if (!file) found ??= await api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
     } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
       wrong = error.message.replace("path.seed", "The number of the map");
     }
     // Meanwhile the visitor may have gone elsewhere, or begun an empty map.
     if (wanted !== keyOf(router.address) || isOpen()) return;
     become(wanted, found);
-    if (wrong !== null) worth.show(null, wrong);
+    if (wrong !== null) tell(null, 0, wrong);
   }
 
   function empty() {
@@ -208,16 +207,20 @@ export function mount(root, context) {
   }
 
   function become(wanted, found) {
-    key = wanted;
-    worth.answer = null;
+    [key, worth, isStale] = [wanted, null, true];
     drawing.become(found);
     point(null);
     if (found) show();
     else stage.show(null, []);
-    turns();
   }
 
   router.on("address", look);
-  context.server.on("state", ({ state }) => state === "open" && !worth.problem.hidden && (drawing.map ? worth.ask() : look()));
+  context.server.on("state", ({ state }) => state === "open" && !problem.hidden && (drawing.map ? weigh() : look()));
   look();
+}
+
+function inWords(optimum, parcels) {
+  if (!optimum) return "This map is too large for the exact solver.";
+  if (!optimum.success) return `At best ${optimum.deliveries} of ${parcels} parcels: the battery or the steps run out`;
+  return `${["The parcel", "Both parcels"][parcels - 1] ?? `All ${parcels} parcels`} in ${counted(optimum.steps, "step")}`;
 }

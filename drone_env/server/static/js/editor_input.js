@@ -63,8 +63,10 @@ export function mountInput(grid, context, drawing, choose) {
   }
   grid.addEventListener("keydown", (event) => {
     const way = ARROWS[event.key];
-    if (event.ctrlKey || event.metaKey || event.altKey || !drawing.map) return;
-    if (way) {
+    if (!drawing.map) return;
+    if ((event.ctrlKey || event.metaKey) && event.key === "z") drawing.undo();
+    else if (event.ctrlKey || event.metaKey || event.altKey) return;
+    else if (way) {
       const next = cursor ? [cursor[0] + way[0], cursor[1] + way[1]] : drawing.map.start;
       if (drawing.inside(next)) {
         drawing.goOn(next);

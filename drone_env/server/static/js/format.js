@@ -64,9 +64,7 @@ export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
 /** Whether a loss is visible with one decimal. */
 export const isLost = (regret) => regret > 0.0005;
 
-export function moment(iso) {
-  return new Date(iso).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "medium" });
-}
+export const moment = (iso) => new Date(iso).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "medium" });
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };
 

@@ -1,13 +1,13 @@
 // Finished flights from the store or from a file: the server replays and annotates them.
 import { tried } from "./api.js";
 import { recall, remember } from "./base.js";
-import { download, el, fileField } from "./dom.js";
+import { download, el } from "./dom.js";
 import { counted, flightName, sentence } from "./format.js";
 import { FLOWN } from "./race.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
-/** What is shown: the id of a stored flight, or a file as addresses name it; all its records, and the flights on the stage. */
+/** What is shown: the id of a stored flight, or a file as addresses name it; all its records, and the flight on the stage. */
 const NONE = { episode: null, file: null, records: [], tracks: null };
 
 export class FlightHistory {
@@ -42,7 +42,7 @@ export class FlightHistory {
     const request = ++this.request;
     const track = await this.stored(episode);
     if (request !== this.request) return;
-    this.show([track], { step, episode });
+    this.show(track, { step, episode });
     this.askForCalls(track);
   }
 
@@ -55,26 +55,17 @@ export class FlightHistory {
     return track;
   }
 
-  /** Shows a flight of a file, beside the others over the same map: as many as may fly together. */
   async openRecord(file, index, step) {
     const request = ++this.request;
-    const { most } = this.context;
     const name = nameOf(file);
     const records = JSON.parse(recall(`${FLIGHTS} ${file}`, "sessionStorage"));
     if (!records) throw new Error(goneFrom(file));
     if (index >= records.length) throw new Error(`${name} contains ${counted(records.length, "flight")}, none with number ${index + 1}.`);
-    const mapOf = (record) => String([record?.task, record?.seed, record?.reward_profile]);
-    const all = records.filter((record) => mapOf(record) === mapOf(records[index]));
-    const at = all.indexOf(records[index]);
-    const first = at - (at % most);
-    const tracks = await Promise.all(all.slice(first, first + most).map((record) => this.flown(record))).catch((error) => {
+    const track = await this.flown(records[index]).catch((error) => {
       if (error.code !== "invalid_request") throw error;
       throw new Error(`${name} is not a flight file. ${sentence(error.message.replace(/\bbody(\.|: )/g, ""))}.`);
     });
-    if (request !== this.request) return;
-    const named = (track) => tracks.filter(({ called }) => called === track.called).length > 1;
-    tracks.filter(named).forEach((track) => (track.called += ` (${records.indexOf(track.record) + 1})`));
-    this.show(tracks, { selected: at - first, step, file, records });
+    if (request === this.request) this.show(track, { step, file, records });
   }
 
   async flown(record) {
@@ -86,11 +77,11 @@ export class FlightHistory {
   }
 
   /** Shows the end unless a step is named: the results are beside it. */
-  show(tracks, { step = null, selected = 0, episode = null, file = null, records = [] }) {
+  show(track, { step = null, episode = null, file = null, records = [] }) {
     const { stage, tasks } = this.context;
-    this.shown = { episode, file, records, tracks };
-    stage.show(worldOf(tracks[0].opening, tasks), tracks, { step: step ?? Infinity, selected });
-    for (const track of tracks) explain(this.context, track);
+    this.shown = { episode, file, records, tracks: [track] };
+    stage.show(worldOf(track.opening, tasks), this.shown.tracks, { step: step ?? Infinity });
+    explain(this.context, track);
   }
 
   /** Loads the prompts and answers of a language model. */
@@ -137,9 +128,11 @@ export const goneFrom = (file) => `This tab does not have ${nameOf(file)} any mo
 
 const ENDINGS = [".json", ".jsonl", ".toml"];
 
-/** The field that opens a file of flights in Fly, or of a map in Draw. @param {Context} context */
-export const openField = ({ api, router }, id, wrong) =>
-  fileField(id, ENDINGS.join(), async (file) => {
+/** The field that opens a file of flights in Fly, or of a map in Draw, and its button. @param {Context} context */
+export function openField({ api, router }, id, wrong) {
+  const input = el("input.visually-hidden", { type: "file", id, accept: ENDINGS.join(), on: { change } });
+  async function change() {
+    const [file] = input.files;
     try {
       const text = await file.text();
       const isMap = file.name.toLowerCase().endsWith(".toml");
@@ -151,44 +144,47 @@ export const openField = ({ api, router }, id, wrong) =>
     } catch (error) {
       wrong(error.status === 422 ? `${file.name} is not a map. ${error.message}` : error.message);
     }
-  });
+    input.value = "";
+  }
+  return [input, el("label.button.small", { for: id, text: "Open a file…" })];
+}
 
 /** The records of a file: one JSON document, or one per line. The server checks them. @returns {object[]} */
 function readFlights(name, text) {
   if (!ENDINGS.some((ending) => name.toLowerCase().endsWith(ending))) {
     throw new Error(`${name} is neither flights nor a map: its name must end in ${ENDINGS.join(", ")}.`);
   }
+  const whole = parsed(text);
+  if (whole !== undefined) return [whole];
+  return text.split("\n").flatMap((line, i) => {
+    if (!line.trim()) return [];
+    const record = parsed(line);
+    if (["task", "seed", "agent"].every((field) => field in Object(record))) return [record];
+    throw new Error(`${name}, line ${i + 1} is not a flight.`);
+  });
+}
+
+function parsed(text) {
   try {
-    return [JSON.parse(text)];
+    return JSON.parse(text);
   } catch {
-    if (!text.trim()) throw new Error(`${name} is empty.`);
-    return text.split("\n").flatMap((line, i) => {
-      if (!line.trim()) return [];
-      try {
-        const record = JSON.parse(line);
-        if (["task", "seed", "agent"].every((field) => field in Object(record))) return [record];
-      } catch (error) {
-        throw new Error(`${name}, line ${i + 1} is not JSON: ${error.message}.`);
-      }
-      throw new Error(`${name}, line ${i + 1} is not a flight.`);
-    });
+    return undefined;
   }
 }
 
 /** The button that saves the record of a finished flight. @param {HTMLElement} root @param {Context} context */
 export function mountRecord(root, context) {
   const { stage } = context;
-  const save = el("button.button.quiet.small", { id: "save-record", text: "Save record", press: () => saveRecord(context) });
+  async function press() {
+    const { track, world } = stage;
+    const record = await tried(() => recordOf(context, track));
+    if (!record) return;
+    const name = `${world.task.short_name}-${world.seed}-${record.agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
+    download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
+  }
+  const save = el("button.button.quiet.small", { id: "save-record", text: "Save record", press });
   root.append(save);
   stage.on("change", () => (save.disabled = !stage.track?.record && !stage.track?.episode));
-}
-
-async function saveRecord(context) {
-  const { track, world } = context.stage;
-  const record = await tried(() => recordOf(context, track));
-  if (!record) return;
-  const name = `${world.task.short_name}-${world.seed}-${record.agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
-  download(`${name}.json`, new Blob([`${JSON.stringify(record, null, 2)}\n`], { type: "application/json" }));
 }
 
 /** The file field, and the choice of a flight if the file contains several. */

@@ -2,35 +2,16 @@
 import { el, scroller, table } from "./dom.js";
 import { cellName, fixed, title } from "./format.js";
 import { drawSign } from "./legend.js";
-import { LESSONS, isComplete, lessonCard, reached } from "./lessons.js";
-
-const MORE =
-  " The score counts parcels first, then the battery and the steps left. The page compares every flight with the " +
-  "exact optimum of its map. A move that loses points loses them for good.";
+import { lessonCards } from "./lessons.js";
 
 /** @param {HTMLElement} root @param {Context} context */
-export function mount(root, context) {
-  const lessons = el("ol.lessons");
-  root.append(el("h2", { text: "Learn" }), el("p.about", { text: document.getElementById("about").textContent + MORE }), lessons);
-  root.append(el("div.view-head", el("h2", { text: "Technical specifications" })));
-  for (const family of context.families.keys()) root.append(specifications(context, family));
-  root.append(legend(context));
-  context.on("view", (view) => {
-    if (view !== "learn") return;
-    const next = LESSONS.find((number) => !isComplete(number));
-    lessons.replaceChildren(...LESSONS.map((number) => card(number, number === next)));
-  });
-}
-
-function card(number, isNext) {
-  const card = lessonCard(number);
-  const title = card.querySelector("h3");
-  const link = card.querySelector("a");
-  link.classList.toggle("primary", isNext);
-  link.textContent = isComplete(number) ? "Fly again" : reached(number).size ? "Continue" : "Begin";
-  link.ariaLabel = `${link.textContent}: ${title.textContent}`;
-  title.prepend(`${number}. `);
-  return card;
+export function mountLearn(root, context) {
+  root.append(document.getElementById("learn").content);
+  root.querySelector(".about").prepend(document.getElementById("about").textContent);
+  root.querySelector(".all-specifications").append(...[...context.families.keys()].map((family) => specifications(context, family)));
+  const entry = ({ name, effect }) => el("div", el("dt", drawSign(name), cellName(name)), el("dd", { text: effect }));
+  root.querySelector("dl").append(...context.kinds.filter(({ name }) => name !== "unknown").map(entry));
+  context.on("view", (view) => view === "learn" && root.querySelector("ol").replaceChildren(...lessonCards()));
 }
 
 const NONE = "–";
@@ -82,10 +63,4 @@ function group(name, rows, tasks) {
     el("tr.group", el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
     ...rows.map(row),
   );
-}
-
-function legend({ kinds }) {
-  const entry = ({ name, effect }) => el("div", el("dt", drawSign(name), cellName(name)), el("dd", { text: effect }));
-  const shown = kinds.filter(({ name }) => name !== "unknown");
-  return el("section.glossary", { "aria-label": "Legend" }, el("h2", { text: "Legend" }), el("dl", ...shown.map(entry)));
 }

@@ -1,6 +1,6 @@
 // The tutorial: three flights over fixed maps, which index.html describes; their goals, and the bar of the present lesson.
 import { recall, remember } from "./base.js";
-import { el, icon, toast } from "./dom.js";
+import { toast } from "./dom.js";
 
 const by = (pilot, { tracks }) => tracks.filter((track) => track.pilot === pilot);
 /** A goal for any flight of the visitor. */
@@ -28,76 +28,56 @@ const GOALS = [
   [mine(charges), mine(delivers), mine(losesAtMost(0.02))],
 ];
 
-/** The numbers of the lessons. */
-export const LESSONS = GOALS.map((_, i) => i + 1);
-
 const key = (number) => `drone-env-lesson-${number}`;
 
 /** The indices of the goals that were reached. @param {number} number From 1. */
-export const reached = (number) => new Set([...(recall(key(number)) ?? "")].map(Number));
+const reached = (number) => new Set([...(recall(key(number)) ?? "")].map(Number));
 
-export const isComplete = (number) => GOALS[number - 1].every((_, goal) => reached(number).has(goal));
-
-/** The card of a lesson: its title, text, goals and link. The numbers in its text are exact. @param {number} number From 1. */
-export function lessonCard(number) {
-  const card = document.importNode(document.getElementById("lessons").content.children[number - 1], true);
-  card.querySelectorAll("li").forEach((goal, i) => mark(goal, reached(number).has(i)));
-  return card;
+/** The cards of the lessons: title, text, goals and link. The numbers in their texts are exact. */
+export function lessonCards() {
+  const cards = [...document.importNode(document.getElementById("lessons").content, true).children];
+  cards.forEach((card, i) => {
+    const done = reached(i + 1);
+    card.querySelectorAll("li").forEach((goal, i) => (goal.dataset.reached = String(done.has(i))));
+  });
+  return cards;
 }
 
-/** @param {HTMLElement} goal @param {boolean} is Whether it is reached. */
-function mark(goal, is) {
-  goal.dataset.reached = is ? "yes" : "no";
-  goal.replaceChildren(
-    icon(is ? "M5 12.5l4.5 4.5L19 7.5" : "M12 5a7 7 0 1 0 .01 0z"),
-    el("span.visually-hidden", { text: is ? "Reached: " : "Goal: " }),
-    goal.lastChild,
-  );
-}
-
-/** @param {HTMLElement} root @param {Context} context */
+/** The bar of the lesson that the address names. @param {HTMLElement} root @param {Context} context */
 export function mountLesson(root, { router, stage }) {
-  root.setAttribute("aria-label", "Lesson");
-  root.setAttribute("role", "region");
-  let shown = null;
-  let list, next, flight;
+  Object.assign(root, { role: "region", ariaLabel: "Lesson" });
+  let [drawn, flight, next] = [null, null, null];
 
   function show() {
     const number = router.address.lesson;
     const goals = GOALS[number - 1];
     const { world } = stage;
-    root.hidden = !goals;
-    if (goals && shown !== number) draw(number);
-    if (goals && world) root.hidden = world.task.short_name !== flight.get("task") || String(world.seed) !== flight.get("seed");
-    if (root.hidden) return;
+    if (goals && drawn !== number) draw(number);
+    root.hidden = !goals || (world !== null && (world.task.short_name !== flight.get("task") || String(world.seed) !== flight.get("seed")));
+    if (root.hidden || !world) return;
+    const marks = root.querySelectorAll("li");
     goals.forEach((isDone, goal) => {
-      if (!world || reached(number).has(goal) || !isDone(stage)) return;
+      if (marks[goal].dataset.reached === "true" || !isDone(stage)) return;
+      marks[goal].dataset.reached = "true";
       remember(key(number), [...reached(number), goal].join(""));
-      mark(list.children[goal], true);
     });
-    next.hidden = number === LESSONS.length || !isComplete(number);
+    next.hidden = number === GOALS.length || !goals.every((_, goal) => reached(number).has(goal));
   }
 
   function draw(number) {
-    shown = number;
-    const [head, text, goals, link] = lessonCard(number).children;
-    flight = new URLSearchParams(link.getAttribute("href"));
-    list = goals;
-    list.setAttribute("aria-live", "polite");
-    const after = number < LESSONS.length ? lessonCard(number + 1).querySelector("a").getAttribute("href") : "";
-    next = el("a.button.small.primary", { href: after, text: "Next lesson" });
-    const back = el("a.button.small", { href: "?view=learn", text: "Back to Learn" });
-    root.replaceChildren(
-      el("h2", { text: `Lesson ${number}: ${head.textContent}` }),
-      text,
-      list,
-      el("p.lesson-ways", next, back),
-    );
+    drawn = number;
+    const [card, after] = lessonCards().slice(number - 1);
+    root.replaceChildren(...card.children);
+    next = root.querySelector("a");
+    flight = new URL(next.href).searchParams;
+    if (after) next.href = after.querySelector("a").href;
+    next.classList.add("primary");
+    next.ariaLabel = next.textContent = "Next lesson";
   }
 
   function follow() {
     const { lesson } = router.address;
-    if (lesson > LESSONS.length) toast(`There is no lesson ${lesson}: the lessons are 1 to ${LESSONS.length}.`);
+    if (lesson > GOALS.length) toast(`There is no lesson ${lesson}: the lessons are 1 to ${GOALS.length}.`);
     show();
   }
 

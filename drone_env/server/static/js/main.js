@@ -1,20 +1,19 @@
 // Boots the page: loads the catalogue from the server, then mounts the views.
 import { createApi } from "./api.js";
+import { mountApi } from "./api_view.js";
 import { forgetColours, recall, remember } from "./base.js";
+import { mountCompare } from "./compare.js";
 import { createContext } from "./context.js";
-import { announce, el, setText, toast } from "./dom.js";
+import { announce, setText, toast } from "./dom.js";
+import { mountEditor } from "./editor.js";
 import { loadFigures } from "./figures.js";
 import { mountFly } from "./fly.js";
-import { Router } from "./router.js";
+import { mountLearn } from "./learn.js";
+import { linkOf, Router } from "./router.js";
 import { Server } from "./server.js";
 
-/** Views that are loaded on their first visit. */
-const LATER = {
-  compare: () => import("./compare.js"),
-  learn: () => import("./learn.js"),
-  api: () => import("./api_view.js"),
-  draw: () => import("./editor.js"),
-};
+/** What fills each view beside Fly at its first visit. */
+const MOUNTS = { compare: mountCompare, learn: mountLearn, api: mountApi, draw: mountEditor };
 
 async function boot() {
   const api = createApi();
@@ -28,29 +27,7 @@ async function boot() {
   mountTheme(context);
   mountConnection(context);
   mountFly(document.getElementById("view-fly"), context);
-  const load = () => LATER[context.view] && mountLater(context.view, context);
-  context.on("view", load);
-  // Retries a view that failed to load while the server was away.
-  server.on("state", ({ state }) => state === "open" && load());
   mountViews(context);
-}
-
-/** Loads a view and shows it. @param {Context} context */
-async function mountLater(name, context) {
-  const later = LATER[name];
-  const root = document.getElementById(`view-${name}`);
-  delete LATER[name];
-  try {
-    const view = await later();
-    root.replaceChildren();
-    view.mount(root, context);
-    if (context.view === name) context.emit("view", name);
-  } catch (error) {
-    LATER[name] = later;
-    console.warn(error);
-    const again = el("button.button.small", { text: "Try again", press: () => mountLater(name, context) });
-    root.replaceChildren(el("p.problem", { role: "alert" }, "This view could not be loaded. ", again));
-  }
 }
 
 const THEME = "drone-env-theme";
@@ -82,20 +59,18 @@ const other = (theme) => (theme === "dark" ? "light" : "dark");
 function mountConnection({ server, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
-  const again = document.getElementById("banner-countdown");
 
   document.getElementById("banner-retry").addEventListener("click", () => server.look());
-  function show({ state, wait }) {
+  function show({ state }) {
     dot.dataset.state = state;
     setText(dot.lastElementChild, state === "open" ? "Live" : "Server away");
     if (state === "open" && !banner.hidden) announce("The server is back.");
     banner.hidden = state === "open";
     const kept = stage.tracks.some((track) => track.live && !track.done) ? " Your flight is kept." : "";
     setText(document.getElementById("banner-text"), `The server is away.${kept}`);
-    setText(again, `Next try in ${Math.ceil(wait / 1000)} s …`);
   }
   server.on("state", show);
-  show({ state: server.state, wait: 0 });
+  show(server);
 }
 
 /** Shows the view of the address. @param {Context} context */
@@ -108,31 +83,25 @@ function mountViews(context) {
 
   function show({ view, unread }) {
     const first = !document.body.dataset.view;
+    const section = document.getElementById(`view-${view}`);
     // Each view asks for its own news.
     if (context.view !== view) server.watch([]);
-    context.view = view;
-    document.body.dataset.view = view;
-    for (const section of sections) section.hidden = section.id !== `view-${view}`;
-    const title = document.getElementById(`view-${view}`).getAttribute("aria-label");
+    context.view = document.body.dataset.view = view;
+    for (const one of sections) one.hidden = one !== section;
+    MOUNTS[view]?.(section, context);
+    delete MOUNTS[view];
     if (unread.length) toast(`The link contains invalid values, which were ignored: ${unread.join(", ")}.`);
     for (const link of links) {
-      if (link.dataset.view === view) {
-        link.setAttribute("aria-current", "page");
-        if (!first) link.scrollIntoView({ block: "nearest", inline: "nearest" });
-      } else link.removeAttribute("aria-current");
+      link.ariaCurrent = link.dataset.view === view ? "page" : null;
+      // That of Fly leads back to the last flight.
+      if (link.dataset.view === "fly") link.href = linkOf(router.flight).href;
+      if (link.ariaCurrent && !first) link.scrollIntoView({ block: "nearest", inline: "nearest" });
     }
-    document.getElementById("view-title").textContent = title;
-    document.title = `${title} · Drone Delivery`;
+    document.getElementById("view-title").textContent = section.ariaLabel;
+    document.title = `${section.ariaLabel} · Drone Delivery`;
     context.emit("view", view);
   }
 
-  // Links within the page do not reload it.
-  document.addEventListener("click", (event) => {
-    const link = event.target instanceof Element && event.target.closest("a[data-view], a[href^='?']");
-    if (!(link instanceof HTMLAnchorElement) || event.ctrlKey || event.metaKey || event.shiftKey) return; // opens another tab
-    event.preventDefault();
-    router.follow(link);
-  });
   router.on("address", show);
   show(router.address);
 }

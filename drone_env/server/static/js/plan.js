@@ -1,6 +1,7 @@
 // The flight plan: the tasks above the map, and the line that opens the choice of pilots and map.
 import { el, keepFocus, leaveFocus, onPress, setText } from "./dom.js";
-import { counted, title, variants } from "./format.js";
+import { title, variants } from "./format.js";
+import { specifications } from "./learn.js";
 import { copyLink } from "./router.js";
 
 /** The tasks, and the line above the map, which opens the choices. @param {HTMLElement} root @returns {Element} The choices. */
@@ -10,10 +11,9 @@ export function mountPlan(root, context, race, acts) {
   const details = root.querySelector("details");
   const heading = root.querySelector("summary");
   const pilots = root.querySelector("fieldset");
-  const form = root.querySelector("form");
-  const label = form.querySelector("label");
-  const seed = form.querySelector("input");
-  const edit = form.querySelector("a");
+  const label = root.querySelector("label");
+  const seed = root.querySelector("input");
+  const edit = root.querySelector("a");
   const [fresh, copy] = root.querySelectorAll("button");
   pilots.querySelector("legend").textContent = `Pilots, up to ${context.most}`;
   const tasks = el("nav.tasks", { "aria-label": "Tasks" });
@@ -31,8 +31,6 @@ export function mountPlan(root, context, race, acts) {
   onPress(root, { "new-map": acts.newMap, "copy-link": () => copyLink(router.address) });
   seed.addEventListener("blur", update);
   seed.addEventListener("change", openMap);
-  // Enter triggers the change event of the number, which opens the map.
-  form.addEventListener("submit", (event) => event.preventDefault());
   const rows = context.pilots.map(pilotRow);
   pilots.append(...rows.map(({ row }) => row));
 
@@ -60,7 +58,7 @@ export function mountPlan(root, context, race, acts) {
     });
     const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
     const row = el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
-    return { pilot, row, name, box, about };
+    return { pilot, row, name, box };
   }
 
   /** Whether the stage shows a flight of the store or of a file. */
@@ -92,15 +90,12 @@ export function mountPlan(root, context, race, acts) {
     edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
     copy.disabled = !stage.track || (history && !stage.track.episode);
     pilots.dataset.many = String(setup.pilots.length > 1);
-    for (const { pilot, row, name, box, about } of rows) {
-      const able = race.flies(pilot.id, task);
+    for (const { pilot, row, name, box } of rows) {
+      row.hidden = !race.flies(pilot.id, task);
       box.checked = !history && setup.pilots.includes(pilot.id);
-      const last = box.checked && setup.pilots.length === 1;
-      name.disabled = !able;
-      name.setAttribute("aria-pressed", String(box.checked));
-      box.disabled = !able || last || (!box.checked && setup.pilots.length >= context.most);
-      row.classList.toggle("unable", !able);
-      setText(about, able ? pilot.summary : "no network for this task");
+      name.ariaPressed = String(box.checked);
+      // The last one stays.
+      box.disabled = setup.pilots.length === (box.checked ? 1 : context.most);
     }
     if (document.activeElement !== seed) seed.value = map;
   }
@@ -124,14 +119,13 @@ function mountTasks(root, context, acts) {
   root.append(list, el("button.task", { text: "Specifications", popovertarget: numbers.id }), numbers);
   let [family, drawn] = ["standard", ""];
 
-  async function open({ newState }) {
-    if (newState !== "open") return;
-    const { specifications } = await import("./learn.js");
-    numbers.replaceChildren(el("button.button.small", { text: "Close", popovertarget: numbers.id }), specifications(context, family));
+  function open() {
+    const close = el("button.button.small", { text: "Close", popovertarget: numbers.id });
+    numbers.replaceChildren(close, specifications(context, family));
   }
 
-  const option = (text, flown, change, title) =>
-    el("button.task", { text, title, "aria-pressed": String(flown), data: { key: text }, press: () => acts.start(change) });
+  const option = (text, flown, change) =>
+    el("button.task", { text, "aria-pressed": String(flown), data: { key: text }, press: () => acts.start(change) });
 
   return (task, map) => {
     const isDaily = task?.short_name === daily && String(map) === seed;
@@ -142,20 +136,15 @@ function mountTasks(root, context, acts) {
       const whole = i === 0 || name === family;
       const options = (whole ? all : all.slice(0, 1)).map((one) => {
         const text = title(whole ? one.short_name : name);
-        return option(text, one === task && !isDaily, { task: one.short_name, seed: null, pilots: [] }, taskNote(one));
+        return option(text, one === task && !isDaily, { task: one.short_name, seed: null, pilots: [] });
       });
       return el("span", { role: "group", "aria-label": title(name) }, ...options);
     });
     const today = { task: daily, seed: Number(seed), pilots: [me.id] };
-    keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today, null)));
+    keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today)));
     /** @type {HTMLElement|null} */
     const flown = list.querySelector("[aria-pressed=true]");
     // In a narrow window, the tasks before it scroll out of sight.
     if (flown) root.scrollLeft = flown.offsetLeft + flown.offsetWidth - root.clientWidth;
   };
-}
-
-function taskNote(task) {
-  const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
-  return `${counted(task.deliveries, "parcel")} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }

@@ -20,6 +20,8 @@ export class Router extends Emitter {
     this.stale = false;
     this.timer = 0;
     window.addEventListener("popstate", () => this.show(read(location)));
+    // A link leaves this entry.
+    window.addEventListener("click", () => this.write(), { capture: true });
     window.addEventListener("pagehide", () => this.write());
   }
 
@@ -29,11 +31,6 @@ export class Router extends Emitter {
     this.write();
     if (linkOf(next).href !== linkOf(this.address).href) history.pushState(null, "", linkOf(next));
     this.show(next);
-  }
-
-  /** Follows a link of the page; that of Fly leads back to the last flight. @param {HTMLAnchorElement} link */
-  follow({ dataset, href }) {
-    this.go(dataset.view === "fly" ? this.flight : read(new URL(href)));
   }
 
   get bare() {
@@ -116,44 +113,35 @@ const LEAST = { step: 0, fork: 0, lesson: 1, selected: 1, ended: 0 };
 /** @returns {Address} */
 function read({ search }) {
   const link = new URLSearchParams(search);
-  const text = (name) => link.get(name) || null;
-  const number = (name) => {
-    const value = text(name);
-    // Numbers beyond JavaScript's integers stay too large; the server rejects them with a message.
-    return /^-?\d+$/.test(value ?? "") ? Math.min(Number(value), 2 ** 53) : value;
-  };
   const unread = [];
-  const ignore = (name, value, why = "") => unread.push(`${name}=${shortened(String(value))}${why}`);
-  /** @returns {number|null} */
-  const count = (name, least) => {
+  const ignore = (name, why = "") => unread.push(`${name}=${shortened(link.get(name) ?? "")}${why}`);
+  const number = (name) => {
+    const text = link.get(name) || null;
+    // Numbers beyond JavaScript's integers stay too large; the server rejects them with a message.
+    return /^-?\d+$/.test(text ?? "") ? Math.min(Number(text), 2 ** 53) : text;
+  };
+  /** @type {Address} */
+  const found = { ...NOTHING, unread, seed: number("seed") };
+  const view = link.get("view") ?? found.view;
+  if (VIEWS.has(view)) found.view = view;
+  else ignore("view");
+  for (const name of ["task", "profile", "episode", "file", "ghost", "actions", "of"]) found[name] = link.get(name) || null;
+  // Split before decoding: names may contain commas.
+  found.pilots = (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded);
+  for (const [name, least] of Object.entries(LEAST)) {
     const value = number(name);
-    if (value === null) return null;
-    if (typeof value === "number" && value >= least) return value;
-    ignore(name, value);
-    return null;
-  };
-  const named = link.get("view") ?? "fly";
-  const view = VIEWS.has(named) ? named : "fly";
-  if (view !== named) ignore("view", named);
-  const counts = Object.entries(LEAST).map(([name, least]) => [name, count(name, least)]);
-  const texts = ["task", "profile", "episode", "file", "ghost", "actions", "of"].map((name) => [name, text(name)]);
-  const found = { ...NOTHING, ...Object.fromEntries([...counts, ...texts]) };
+    if (typeof value === "number" && value >= least) found[name] = value;
+    else if (value !== null) ignore(name);
+  }
+  const before = unread.length;
+  const { fork, of } = found;
   const moves = found.actions ?? "";
-  const known = unread.length;
-  if (/[^UDLRW]/.test(moves)) ignore("actions", moves, " (moves are U, D, L, R and W)");
-  else if (moves.length < found.fork) ignore("actions", moves, ` (fork=${found.fork} needs all ${found.fork} moves from step 0)`);
-  if (found.of === null ? found.fork !== null : readProvenance(found.of) === null) ignore("of", found.of ?? "");
+  if (/[^UDLRW]/.test(moves)) ignore("actions", " (moves are U, D, L, R and W)");
+  else if (moves.length < fork) ignore("actions", ` (fork=${fork} needs all ${fork} moves from step 0)`);
+  if (of === null ? fork !== null : readProvenance(of) === null) ignore("of");
   // Without its step, a fork has no moves: they would be the visitor's own.
-  const forkless = unread.length > known || (text("fork") && found.fork === null);
-  return {
-    ...found,
-    ...(forkless && { fork: null, actions: null, of: null }),
-    view,
-    seed: number("seed"),
-    // Split before decoding: names may contain commas.
-    pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
-    unread,
-  };
+  const isForkless = unread.length > before || (link.get("fork") && fork === null);
+  return isForkless ? { ...found, fork: null, actions: null, of: null } : found;
 }
 
 /** @param {Partial<Address>} address */

@@ -10,22 +10,16 @@ const EPISODES = 50;
 
 const sleep = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
-/** The questions for news; a hidden page does not ask. The requests are a stream: questions would be requests, too. */
+/** The questions for news; a hidden page does not ask. */
 const NEWS = {
-  async requests(api, tell, signal) {
-    let fresh = true;
-    await api.events("terminal_logs", signal, (requests) => {
-      tell({ requests, fresh });
-      fresh = false;
-    });
-  },
-  training: async (api, tell) => document.hidden || tell(await api.get("logs")),
-  episodes: async (api, tell) => document.hidden || tell(await api.get("episodes", { limit: EPISODES })),
+  requests: (api) => api.get("terminal_logs"),
+  training: (api) => api.get("logs"),
+  episodes: (api) => api.get("episodes", { limit: EPISODES }),
 };
 
 /**
- * Events: "state" ({state: "open" or "away", wait: ms until the next try}), and news: "requests" ({requests, fresh:
- * whether they are all}), "training" (`GET /logs`), "episodes" (`GET /episodes`).
+ * Events: "state" ({state: "open" or "away", wait: ms until the next try}), and news: "requests"
+ * (`GET /terminal_logs`), "training" (`GET /logs`), "episodes" (`GET /episodes`).
  */
 export class Server extends Emitter {
   /** @param {ReturnType<typeof import("./api.js").createApi>} api */
@@ -87,13 +81,11 @@ export class Server extends Emitter {
   /** Asks until the next `watch`, and emits answers that differ from the last. */
   async follow(topic, signal) {
     let told = "";
-    const tell = (answer) => {
-      const text = JSON.stringify(answer);
-      if (text !== told && !signal.aborted) this.emit(topic, answer);
-      told = text;
-    };
     while (!signal.aborted) {
-      await NEWS[topic](this.api, tell, signal).catch(() => {});
+      const answer = document.hidden ? null : await NEWS[topic](this.api).catch(() => null);
+      const text = JSON.stringify(answer);
+      if (answer && text !== told && !signal.aborted) this.emit(topic, answer);
+      if (answer) told = text;
       await sleep(PAUSE);
       await this.back();
     }

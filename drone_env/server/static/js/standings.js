@@ -1,20 +1,17 @@
 // The ranking of the flights over the map.
-import { el, keepFocus, setText, table } from "./dom.js";
+import { el, keepFocus, setText } from "./dom.js";
 import { lossOf, points } from "./format.js";
-
-const COLUMNS = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Lost", true]];
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mountStandings(root, { stage }) {
-  const body = el("tbody");
-  const note = el("p.note", { id: "standings-note" });
-  const shown = table("table.table.standings", { id: "standings" }, "Standings", COLUMNS, body);
-  root.append(el("h2.eyebrow", { text: "Standings" }), shown, note);
+  root.append(document.getElementById("race").content);
+  const body = root.querySelector("tbody");
+  const note = root.querySelector("p");
   let rows = [];
 
   function build() {
     rows = stage.tracks.map((track, i) => {
-      const cells = COLUMNS.slice(1).map(() => el("td.num"));
+      const cells = Array.from({ length: 4 }, () => el("td.num"));
       const name = el("button.standing-name", { data: { key: i }, press: () => stage.select(i) }, el("span", { text: track.name }));
       const node = el("tr", { style: { "--lane": `var(${track.colour})` } }, el("th", { scope: "row" }, name), ...cells);
       return { track, cells, node };
@@ -38,37 +35,23 @@ export function mountStandings(root, { stage }) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", track === stage.track);
     }
-    const over = rows.every(({ track }) => track.frameAt(cursor).done);
-    const rank = ({ track }) => (over ? track.last.score : earned(track, cursor));
-    const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
+    const rank = ({ track }) => track.frameAt(cursor).score;
+    const ranked = rows.toSorted((a, b) => rank(b) - rank(a));
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
       keepFocus(body, () => body.replaceChildren(...ranked.map(({ node }) => node)));
     }
-    const place = placeOf(stage);
-    const result = cursor < stage.clock.end() && place ? `At the end: ${place}` : place;
-    setText(note, result || "Ranked by parcels delivered, then by who was first; at the end by score.");
+    setText(note, placeOf(stage) || "Ranked by score.");
   }
 
   stage.on("load", build);
   stage.on("change", draw);
 }
 
-const PLACES = ["1st", "2nd", "3rd"];
-
 /** The result of the selected flight among others, which does not depend on the moment; empty before the end. @param {import("./stage.js").Stage} stage */
 export function placeOf({ over, tracks, track }) {
   if (!over || tracks.length < 2) return "";
-  const sorted = [...tracks].sort((a, b) => b.last.score - a.last.score);
-  const scores = sorted.map(({ last }) => last.score);
-  const place = scores.indexOf(track.last.score);
-  const tie = place < scores.lastIndexOf(track.last.score) ? ", a tie" : "";
+  const sorted = tracks.toSorted((a, b) => b.last.score - a.last.score);
+  const place = 1 + sorted.findIndex(({ last }) => last.score === track.last.score);
   const all = sorted.map(({ name, last }) => `${name} ${points(last.score)}`).join(", ");
-  return `${PLACES[place] ?? `${place + 1}th`} of ${tracks.length}${tie}: ${all}. The higher score wins.`;
-}
-
-/** Ranks a flight by delivered parcels; at equal numbers by its score, or by how early it delivered the last one. */
-function earned(track, step) {
-  const { score, outcome, deliveries_done: parcels } = track.frameAt(step);
-  const since = track.frames.findIndex(({ deliveries_done }) => deliveries_done === parcels);
-  return parcels + (outcome === "delivered" ? score : 1 / (2 + since));
+  return `At the end, place ${place} of ${tracks.length}: ${all}. The higher score wins.`;
 }

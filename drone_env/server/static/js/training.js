@@ -10,17 +10,11 @@ const DRAWN = {
   reward: ["Reward", fixed],
 };
 
-/** @returns {(curve: Object<string, (number|null)[]>) => void} Shows the answer of `GET /logs/curve`; its first series is the x axis. */
-export function mountTraining(root) {
-  const charts = el("div.charts");
-  const part = el("section.compare-part", { hidden: true }, el("h2", { text: "Newest training" }), charts);
-  root.append(part);
-  return (curve) => {
-    const [count] = Object.keys(curve);
-    part.hidden = count === undefined;
-    const drawn = Object.keys(DRAWN).filter((name) => curve[name]?.some((value) => value !== null));
-    charts.replaceChildren(...drawn.map((name) => chart(name, curve, count)));
-  };
+/** The charts of `GET /logs/curve`, whose first series is the x axis. @param {Record<string, (number|null)[]>} curve */
+export function chartsOf(curve) {
+  const [count] = Object.keys(curve);
+  const drawn = Object.keys(DRAWN).filter((name) => curve[name]?.some((value) => value !== null));
+  return drawn.map((name) => chart(name, curve, count));
 }
 
 function chart(name, curve, count) {
