@@ -65,7 +65,6 @@ MESSAGES: list[dict[str, Any]] = [
     {"type": "step", "data": {"direction": "WAIT", "metadata": {}}},
     {"type": "reset", "data": {"task_name": "skyline_easy", "seed": 9, "episode_id": "three", "prompt": "minimal"}},
     {"type": "step", "data": {"direction": "DOWN DOWN"}},
-    {"type": "step", "data": {"direction": 2}},
     {"type": "state"},
 ]
 
