@@ -28,8 +28,8 @@ if sys.platform != "win32":
     import resource
 
 log = logging.getLogger(__name__)
-Registered = tuple[dict[str, TaskConfig], dict[str, RewardProfile]]
-"""The tasks and reward profiles of the server."""
+Registered = tuple[tuple[str, ...], dict[str, TaskConfig], dict[str, RewardProfile]]
+"""The plugins, tasks and reward profiles of the server."""
 
 
 class JobContext:
@@ -66,7 +66,7 @@ def serve(connection: Connection, others: Connection, settings: Settings, regist
         connection: Receives functions and arguments, sends results and errors.
         others: The server's end. It is closed here, so that the worker notices if the server dies.
         settings: The settings of the server.
-        registered: The tasks and reward profiles of the server.
+        registered: The plugins, tasks and reward profiles of the server.
     """
     others.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
@@ -74,9 +74,11 @@ def serve(connection: Connection, others: Connection, settings: Settings, regist
         os.nice(10)  # stepping has priority
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # the limit of time would leave a dump
         _lift_when_compiling()
-    load_plugins()
-    TASKS.update(registered[0])
-    REWARD_PROFILES.update(registered[1])
+    # A process that the forkserver starts has the environment that was there when the forkserver started.
+    plugins, tasks, profiles = registered
+    load_plugins(plugins)
+    TASKS.update(tasks)
+    REWARD_PROFILES.update(profiles)
     TASK_FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
     _contexts.append(JobContext(settings))
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.

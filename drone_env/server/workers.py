@@ -25,6 +25,7 @@ from typing import Any
 
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.envs.registry import plugin_names
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.flights.optima import Scores, solve_maps
 from drone_env.flights.sessions import in_share
@@ -174,7 +175,7 @@ class _Worker(threading.Thread):
         if METHOD == "forkserver":
             context.set_forkserver_preload(["__main__", "drone_env.server.worker_preload"])
         self._connection, theirs = context.Pipe()
-        arguments = theirs, self._connection, self._settings, (TASKS, REWARD_PROFILES)
+        arguments = theirs, self._connection, self._settings, (plugin_names(), TASKS, REWARD_PROFILES)
         process = context.Process(target=serve, args=arguments, daemon=True)
         process.start()
         self.process = process
