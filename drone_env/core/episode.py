@@ -131,7 +131,7 @@ class Episode:
             InvalidValueError: if the action is not an integer from 0 to 4; the state does not change.
             EpisodeError: before the first reset.
         """
-        number = check_action(action)
+        number = int(action) if isinstance(action, Action) else check_action(action)
         state = self._state
         if state[OUTCOME]:
             self._refused = True

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass
 
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import PACKAGE_TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
@@ -46,7 +47,7 @@ class Flight:
             UnknownNameError: if its task or profile is no longer registered.
         """
         task = get_task(self.task, self.task_version)
-        return Episode(task, self.reward_profile, self.seed).fly(map(int, self.actions))
+        return Episode(task, self.reward_profile, self.seed).fly(map(Action, map(int, self.actions)))
 
 
 COLUMNS = ", ".join(Flight.__dataclass_fields__)
