@@ -19,8 +19,7 @@ from drone_env.core.tasks import TASKS
 from drone_env.llm.config import InferenceSettings
 from drone_env.results.evaluate import summarise
 from drone_env.results.folder import SHIPPED, stored_results
-from drone_env.results.statistics import with_interval
-from drone_env.results.tables import number
+from drone_env.results.tables import number, with_interval
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -16,8 +16,8 @@ from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, 
 from drone_env.planning.optimal import require_solvable
 from drone_env.results.evaluate import FIGURES, episodes_key, evaluate_keys, figures_of, local_engine, repeats_of
 from drone_env.results.result import EpisodesKey, Results, repeated
-from drone_env.results.statistics import PairedComparison, Summary, with_interval
-from drone_env.results.tables import Table, number, percent, print_table
+from drone_env.results.statistics import PairedComparison, Summary
+from drone_env.results.tables import Table, number, percent, print_table, with_interval
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
 Cluster = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]

@@ -10,8 +10,8 @@ import tyro
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
 from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
-from drone_env.results.statistics import DIFFERENCES, PairedComparison, ci95, mean_of, with_interval
-from drone_env.results.tables import Table, known_sum, number, percent, print_table
+from drone_env.results.statistics import DIFFERENCES, PairedComparison, ci95, mean_of
+from drone_env.results.tables import Table, known_sum, number, percent, print_table, with_interval
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 EVALUATION, RUN = "evaluation.json", "run.json"

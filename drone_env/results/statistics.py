@@ -131,14 +131,6 @@ def student(freedom: float, comparisons: int = 1) -> float:
     return z + math.fsum(term / freedom**power for power, term in enumerate(series, 1))
 
 
-def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
-    """Format a mean with both ends of its interval."""
-    if mean is None or interval is None:
-        return "-" if mean is None else format(mean, form)
-    low, high = interval
-    return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
-
-
 def mean_of(values: Values) -> float | None:
     """Return the exactly rounded mean, which does not depend on the order; None without values."""
     return fmean(values) if len(values) else None

@@ -26,6 +26,14 @@ def number(value: float | None, form: str = ".4f") -> str:
     return "-" if value is None else format(value, form)
 
 
+def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
+    """Format a mean with both ends of its interval."""
+    if mean is None or interval is None:
+        return number(mean, form)
+    low, high = interval
+    return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
+
+
 def known_sum(value: float | None, missing: int, form: str) -> str:
     """Format a sum of which some terms are missing; `-` if all are."""
     return f"at least {value:{form}}" if missing and value is not None else number(value, form)
