@@ -77,7 +77,7 @@ class Endpoint:
         """
         try:
             # httpx limits each read, so a slow server can take longer.
-            return await asyncio.wait_for(self._send(request, call_id), self._timeout)
+            answer = await asyncio.wait_for(self._send(request, call_id), self._timeout)
         except asyncio.TimeoutError:
             advice = "a slow server needs a larger --timeout, or a smaller --max-answer-tokens or --concurrency"
             raise TryFailedError(0, f"no answer within {self._timeout:g} s: {advice}", retried=True) from None
@@ -90,6 +90,10 @@ class Endpoint:
         except (ValueError, AttributeError, LookupError, TypeError, RecursionError) as error:
             # Servers send anything in place of the objects and lists of the protocol.
             raise TryFailedError(200, self._clean(f"not an answer: {error}")) from None
+        if finish_kind(answer.finish_reason) == "failed":
+            reason = f"the answer was not finished: finish reason {self._clean(str(answer.finish_reason))!r}"
+            raise TryFailedError(200, reason, retried=True)
+        return answer
 
     async def close(self) -> None:
         """Close all connections."""
@@ -111,11 +115,7 @@ class Endpoint:
             reason = f"{self._clean(_message_of(error or 'the message is empty'))} (in a 200 response)"
             raise self._refusal(status, reason, response, request)
         texts = {name: self._hidden(value) for name, value in fields.items() if isinstance(value, str)}
-        answer = Answer.model_validate(fields | texts)
-        if finish_kind(answer.finish_reason) == "failed":
-            reason = f"the answer was not finished: finish reason {self._clean(str(answer.finish_reason))!r}"
-            raise TryFailedError(200, reason, retried=True)
-        return answer
+        return Answer.model_validate(fields | texts)
 
     def _refusal(
         self, status: int, reason: str, response: httpx.Response, request: Mapping[str, Any]

@@ -5,7 +5,6 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drone_env.core.actions import Action
 from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import StoreError
 from drone_env.flights.store import Store
@@ -40,9 +39,12 @@ class Progress:
     _line_shown: float = field(default_factory=time.monotonic)
     _wait_shown: float = 0.0
 
+    def __post_init__(self) -> None:
+        self._one_by_one = min(self.config.flights, self.budget.options.concurrency) == 1
+
     def on_steps(self, run: EpisodeRun) -> None:
         """Print the new log lines of a flight, and a line of progress if the last one is old."""
-        if min(self.config.flights, self.budget.options.concurrency) == 1:
+        if self._one_by_one:
             self._print(run)
         now = time.monotonic()
         if now - self._line_shown >= LINE_SECONDS:
@@ -91,12 +93,9 @@ def log_lines(run: EpisodeRun, model: str, printed: int = 0) -> list[str]:
         model: Name of the pilot.
         printed: Number of lines to leave out.
     """
-    episode, first = run.episode, max(printed - 1, 0)
-    steps, ended = list(zip(episode.actions, episode.rewards, run.step_errors, strict=True)), episode.ended
-    lines = [] if printed else [start_line(episode.task, model)]
-    for number, (action, reward, error) in enumerate(steps[first:], first + 1):
-        lines.append(step_line(number, Action(action), reward, ended and number == len(steps), error))
-    return lines
+    first = max(printed - 1, 0)
+    start = [] if printed else [start_line(run.episode.task, model)]
+    return start + [step_line(number, *step) for number, step in enumerate(run.flown[first:], first + 1)]
 
 
 def last_line(run: EpisodeRun) -> str:

@@ -47,7 +47,7 @@ class FlightResult(StrictModel):
             repeat=run.repeat,
             status=run.status,
             error=run.error,
-            steps=len(run.step_errors),
+            steps=len(run.flown),
             ended=run.episode.ended,
             success=run.success,
             score=run.score,

@@ -10,8 +10,8 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Reading, Unusable, in_common
-from drone_env.llm.budget import LimitReachedError, RateLimiter, now
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
+from drone_env.llm.budget import LimitReachedError, RateLimiter
 from drone_env.llm.config import RunConfig
 from drone_env.llm.on_server import repeat_on_server
 from drone_env.llm.progress import Progress
@@ -19,7 +19,7 @@ from drone_env.llm.rejections import Changes, described
 from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
 from drone_env.llm.sender import Sender, TryFailedError
 from drone_env.llm.text_episode import EpisodeRun
-from drone_env.llm.transcript import Call, CallKey, Failure, Transcript, digest
+from drone_env.llm.transcript import Call, Failure, Transcript, answered_calls, digest
 from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
@@ -70,7 +70,7 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
 
 @dataclass
 class Calls:
-    """Makes the calls of a run: an answer comes from the transcript, or from the sender with retries.
+    """Makes the calls of a run, with retries.
 
     Attributes:
         config: The run.
@@ -95,36 +95,23 @@ class Calls:
 
     async def fly_turn(self, run: EpisodeRun) -> None:
         """Make the next call of a flight and fly its answer; stop the flight if there is none."""
-        key = run.key
-        stored = self.transcript.answered.get(key)
-        if stored is not None:
-            run.answer(stored.answer_to(run.request(stored.changes)))
-        elif (reading := await self._reading(run, key)) is not None:
-            run.take(reading)
-        else:
-            return
-        self.progress.on_steps(run)
-
-    async def _reading(self, run: EpisodeRun, key: CallKey) -> Reading | None:
-        """The answer to a new call, which is in the transcript; None if there is none, and the flight stops."""
         failures, answer, reading, latency = list[Failure](), None, None, 0.0
         try:
-            answer, latency = await self._send(run, key, failures)
-            reading = run.read(answer)
+            answer, reading, latency = await self._send(run, failures)
             outcome = reading.kind
         except LimitReachedError as error:
             run.stop(outcome := "budget_stop", str(error))
             if not failures:
-                return None
+                return
         except TryFailedError as failed:
             # If the very first call fails, such as for a rejected parameter or by a redirect, all others would.
-            if failed.fatal or not self.transcript.answered:
+            if failed.fatal or not self.limiter.budget.answers:
                 verb = "returned" if failed.status else "gives"
                 self.fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
             run.stop("errored", str(failed))
             outcome = "api_error"
         call = Call(
-            **key._asdict(),
+            **run.key._asdict(),
             messages=run.body["messages"],
             request_digest=digest(run.body),
             changes=dict(run.changes),
@@ -136,16 +123,20 @@ class Calls:
         )
         self.transcript.append(call)
         self.limiter.budget.count(call)
-        return reading
+        if reading is not None:
+            run.take(reading)
+            self.progress.on_steps(run)
 
-    async def _send(self, run: EpisodeRun, key: CallKey, failures: list[Failure]) -> tuple[Answer, float]:
+    async def _send(self, run: EpisodeRun, failures: list[Failure]) -> tuple[Answer, Reading, float]:
         """The answer, and its seconds without any wait for a turn; appends each failed try to `failures`."""
         options = self.limiter.options
         while True:
             await self.limiter.turn()
-            sent = now()
+            sent = time.monotonic()
             try:
-                return await self.sender.send(run.request(self.changes), str(key)), now() - sent
+                answer = await self.sender.send(run.request(self.changes), str(run.key))
+                latency = time.monotonic() - sent
+                return answer, read_answer(answer, run.prompt.plan, run.prompt.marks), latency
             except TryFailedError as error:
                 failed = error
             if failed.changes:
@@ -163,7 +154,7 @@ class Calls:
                 raise failed
             if failed.status in OVERLOADED:
                 self.limiter.pause(wait)
-            attempt = f"map {run.seed}, turn {key.turn}: attempt {len(failures)} of {options.tries} failed"
+            attempt = f"map {run.seed}, turn {run.key.turn}: attempt {len(failures)} of {options.tries} failed"
             self.progress.on_wait(f"{attempt}: {failed}; next attempt in {wait:.1f} s")
             await asyncio.sleep(wait)
 
@@ -181,11 +172,14 @@ async def run_flights(config: RunConfig, folder: Path, sender: Sender, progress:
     prompt, numbers, options = config.load_prompt(), iter(range(config.flights)), progress.budget.options
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
         budget.resume(transcript.calls)
+        answered = answered_calls(transcript.calls)
         calls = Calls(config, sender, transcript, RateLimiter(budget), progress)
 
         async def worker() -> None:
             for number in numbers:
                 run = config.episode_run(number, prompt)
+                if run.replay(answered.get(number, {})):
+                    progress.on_steps(run)
                 while run.messages:
                     await calls.fly_turn(run)
                 if options.server is not None:

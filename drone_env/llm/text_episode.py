@@ -1,7 +1,7 @@
 """A flight by text: messages out, answers in. No other policy ever acts for the model."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -11,7 +11,9 @@ from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named, read_answer
 from drone_env.llm.prompt import Prompt, below_text, get_prompt
 from drone_env.llm.rejections import NO_CHANGES, Changes, changed
-from drone_env.llm.transcript import CallKey
+
+if TYPE_CHECKING:
+    from drone_env.llm.transcript import Call
 
 Status = Literal["finished", "errored", "budget_stop"]
 
@@ -39,7 +41,7 @@ class TextEpisode:
         turns: The outcome of each request for actions, in order.
         attempt: 1, or 2 if `messages` ask for a repaired answer.
         faults: The answers that stayed unusable after their repair.
-        step_errors: For each step, why it is a WAIT that the model did not choose; None if the model chose it.
+        flown: The action of each step, its reward, whether it ended the episode, and its entry in `step_errors`.
 
     Raises:
         UnknownNameError: if the task, prompt or profile does not exist.
@@ -59,7 +61,7 @@ class TextEpisode:
         self.seed = self.episode.seed
         self.turns: list[TurnKind] = []
         self.faults: list[Reading] = []
-        self.step_errors: list[str | None] = []
+        self.flown: list[tuple[Action, float, bool, str | None]] = []
         self.attempt: Literal[1, 2] = 1
         self._history = history
         self._steps: list[str] = []
@@ -72,14 +74,11 @@ class TextEpisode:
             EpisodeError: if the flight is over.
             EndpointError: if the server did not finish the answer; ask for another one.
         """
-        return self.take(self.read(Answer(text=answer) if isinstance(answer, str) else answer))
-
-    def read(self, answer: Answer) -> Reading:
-        """The actions that an answer means in the current state: the first half of `answer`."""
-        return read_answer(answer, self.prompt.plan, self.prompt.marks)
+        given = Answer(text=answer) if isinstance(answer, str) else answer
+        return self.take(read_answer(given, self.prompt.plan, self.prompt.marks))
 
     def take(self, reading: Reading) -> list[ChatMessage]:
-        """Fly an answer that has been parsed: the other half."""
+        """Fly an answer that has been parsed."""
         if not self.messages:
             raise EpisodeError("the flight is over: start another TextEpisode")
         if self.attempt == 1 and not reading.actions:
@@ -93,14 +92,15 @@ class TextEpisode:
             self.faults.append(reading)
         episode = self.episode
         for action in reading.actions or (Action.WAIT,):
-            episode.step(action)
-            self.step_errors.append(None if reading.actions else outcome)
+            reward = episode.step(action)
+            ended = episode.ended
+            self.flown.append((action, reward, ended, None if reading.actions else outcome))
             if self._history:
                 x, y = episode.position
                 self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
-            if episode.ended:
+            if ended:
                 break
-        done = episode.ended or self.prompt.plan
+        done = self.prompt.plan or self.flown[-1][2]
         self.messages = [] if done else self.prompt.messages(episode, self._steps[-self._history :])
         return self.messages
 
@@ -130,6 +130,11 @@ class TextEpisode:
         return f"{' '.join(told)} {status_text(episode)}"
 
     @property
+    def step_errors(self) -> list[str | None]:
+        """For each step, why it is a WAIT that the model did not choose; None if the model chose it."""
+        return [error for _, _, _, error in self.flown]
+
+    @property
     def score(self) -> float:
         """The graded score; before the end, the score of waiting from here on."""
         return self.episode.counted_score()
@@ -157,6 +162,17 @@ def status_text(episode: Episode) -> str:
     ) + (f" {below}." if below else "")
 
 
+class CallKey(NamedTuple):
+    """Identifies a call of a run: flight from 0, turn from 1, attempt 1, or 2 after an unusable answer."""
+
+    flight: int
+    turn: int
+    attempt: int
+
+    def __str__(self) -> str:
+        return f"{self.flight}-{self.turn}-{self.attempt}"
+
+
 class EpisodeRun(TextEpisode):
     """A flight of a run. Its calls can fail.
 
@@ -164,21 +180,23 @@ class EpisodeRun(TextEpisode):
         index: Its number in the run, from 0.
         repeat: The number of earlier flights of the run over the same map.
         parameters: The fields of its requests besides the messages.
-        changes: What the last request changed, because the endpoint rejects it.
-        body: The body of the last request.
+        key: The key of the last request.
+        changes: What it changed, because the endpoint rejects it.
+        body: Its body.
         status: `finished` also if a route ended before the episode did.
         error: Why it is not finished.
     """
 
     index = repeat = 0
     parameters: Mapping[str, Any]
+    key: CallKey
     changes: Changes = NO_CHANGES
     body: Mapping[str, Any]
     status: Status = "finished"
     error: str | None = None
 
     @property
-    def key(self) -> CallKey:
+    def next_key(self) -> CallKey:
         """The key of the next call."""
         return CallKey(self.index, len(self.turns) + 1, self.attempt)
 
@@ -188,13 +206,36 @@ class EpisodeRun(TextEpisode):
         Args:
             changes: What it changes because the endpoint rejects it; kept in `changes`.
         """
-        self.changes, self.body = changes, changed({"messages": self.messages, **self.parameters}, changes)
+        body = {"messages": self.messages, **self.parameters}
+        self.key, self.changes, self.body = self.next_key, changes, changed(body, changes) if changes else body
         return self.body
+
+    def replay(self, calls: "Mapping[CallKey, Call]") -> int:
+        """Fly the answers of earlier calls, up to the first that is missing; returns their number.
+
+        Args:
+            calls: Those of this flight that have an answer, in the order of its turns.
+
+        Raises:
+            InvalidValueError: if a call sent another request than the flight makes.
+        """
+        readings = [
+            read_answer(call.answer, self.prompt.plan, self.prompt.marks) for call in calls.values() if call.answer
+        ]
+        sent: list[Mapping[str, Any]] = []
+        for (key, call), reading in zip(calls.items(), readings, strict=True):
+            if not self.messages or key != self.next_key:
+                break
+            sent.append(self.request(call.changes))
+            self.take(reading)
+        for call, request in zip(calls.values(), sent, strict=False):
+            call.check(request)
+        return len(sent)
 
     @property
     def begun(self) -> bool:
         """Whether it is more than a flight that a limit stopped before its first answer."""
-        return self.status != "budget_stop" or self.attempt == 2 or bool(self.step_errors)
+        return self.status != "budget_stop" or self.attempt == 2 or bool(self.flown)
 
     def stop(self, status: Literal["errored", "budget_stop"], error: str) -> None:
         """End the flight because a call has no answer."""

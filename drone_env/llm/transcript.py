@@ -7,9 +7,9 @@ leaves at most a cut last line, and the answer on it was not used.
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -17,21 +17,11 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import append_line, read_lines
 from drone_env.llm.answers import Answer, ChatMessage
 from drone_env.llm.rejections import Part
+from drone_env.llm.text_episode import CallKey
 from drone_env.models import Count, StrictModel
 
 LONGEST_CALL = 1 << 24
 """Bytes of a line: an answer has at most 4 MiB, and JSON can escape it."""
-
-
-class CallKey(NamedTuple):
-    """Identifies a call of a run: flight from 0, turn from 1, attempt 1, or 2 after an unusable answer."""
-
-    flight: int
-    turn: int
-    attempt: int
-
-    def __str__(self) -> str:
-        return f"{self.flight}-{self.turn}-{self.attempt}"
 
 
 class Failure(StrictModel):
@@ -64,11 +54,10 @@ class Call(StrictModel):
         """Its key."""
         return CallKey(self.flight, self.turn, self.attempt)
 
-    def answer_to(self, request: Mapping[str, Any]) -> Answer:
-        """The answer, if this call sent the same request as the run sends now."""
-        if self.answer is None or (self.messages, self.request_digest) != (request["messages"], digest(request)):
+    def check(self, request: Mapping[str, Any]) -> None:
+        """Check that this call sent the request that the run sends now."""
+        if (self.messages, self.request_digest) != (request["messages"], digest(request)):
             raise InvalidValueError(f"call {self.key} has another request than this run sends")
-        return self.answer
 
 
 def digest(value: object) -> str:
@@ -84,24 +73,18 @@ class Transcript:
         path: The file; it is created if it is missing, and a cut last line is removed.
 
     Attributes:
-        calls: All calls.
-        answered: The calls with an answer.
+        calls: The calls that it contained at first.
     """
 
     def __init__(self, path: Path) -> None:
         path.touch()
-        self.calls = list(read_calls(path))
+        self.calls = read_calls(path)
         self._file = path.open("ab", buffering=0)
         self._file.truncate(sum(len(line) for _, line in _whole_lines(path)))
-        self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
     def append(self, call: Call) -> None:
         """Write a call; it is in the file when this returns."""
-        key = call.key
         append_line(self._file, call.model_dump_json())
-        self.calls.append(call)
-        if call.answer is not None:
-            self.answered[key] = call
 
     def close(self) -> None:
         """Sync and close the file."""
@@ -109,16 +92,24 @@ class Transcript:
         self._file.close()
 
 
-def read_calls(path: Path) -> Iterator[Call]:
+def read_calls(path: Path) -> list[Call]:
     """The calls of a transcript, without a cut last line."""
+    calls = [Call.read(line, f"line {number} of {path} is no call") for number, line in _whole_lines(path)]
     seen: set[CallKey] = set()
-    for number, line in _whole_lines(path):
-        call = Call.read(line, f"line {number} of {path} is no call")
+    for number, call in enumerate(calls, 1):
         if call.answer is not None:
             if call.key in seen:
                 raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
             seen.add(call.key)
-        yield call
+    return calls
+
+
+def answered_calls(calls: Iterable[Call]) -> dict[int, dict[CallKey, Call]]:
+    """The calls with an answer of each flight, in the order of its turns."""
+    flights: dict[int, dict[CallKey, Call]] = {}
+    for call in sorted((call for call in calls if call.answer is not None), key=lambda call: call.key):
+        flights.setdefault(call.flight, {})[call.key] = call
+    return flights
 
 
 def _whole_lines(path: Path) -> list[tuple[int, bytes]]:
