@@ -1,8 +1,7 @@
-"""Compare: the leaderboard down to flights, two pilots by map, runs of models, trainings, and the newest flights."""
+"""Compare: the leaderboard down to flights, two pilots by map, runs of models, and the newest flights."""
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
@@ -122,7 +121,6 @@ def test_nothing_moves_while_it_loads(beside: Callable[..., Page]) -> None:
             .observe({type: "layout-shift", buffered: true});"""
     )
     page.goto("/?view=compare&task=easy")
-    expect(page.locator("[data-chart=validation]")).to_be_visible()
     expect(rows(page, "Flights, newest first").first).to_be_visible()
     expect(board(page)).to_be_visible()
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -201,15 +199,8 @@ def test_a_tick_moves_no_row_and_people_with_few_maps_are_last(page: Page, serve
     expect(page.locator("#results-title")).to_have_text(re.compile("^Person-29: "))
 
 
-def test_runs_of_models_and_trainings(page: Page, server: Server, data: Path) -> None:
+def test_runs_of_models(page: Page, server: Server) -> None:
     compare(page)
-    chart = page.locator("[data-chart=validation]")
-    expect(chart).to_contain_text("50.0 at episode 3. Optimum of these maps: 95.0.")
-    with (data / "train.log").open("a", encoding="utf-8") as file:
-        file.write("episode=4 reward=5.0000 success=0.500 validation=0.6000 optimum=0.9500\n")
-    expect(chart).to_contain_text("60.0 at episode 4.")
-    # The line runs from the least value at the first episode to the greatest at the last.
-    expect(chart.locator("path")).to_have_attribute("d", re.compile(r"^M[0-9.]+ 100L100 0h0$"))
     run = get(server, "leaderboard/easy/runs")["boards"][0]["rows"][0]
     lines = rows(page, "Runs over maps 14 to 15 (custom)")
     expect(lines).to_have_count(2)

@@ -54,8 +54,7 @@ export function mountBoard(root, context) {
     if (moving) spin += passed * SPIN;
     const size = { width: air.width, height: air.height, scale: measured.scale };
     const layout = camera.layout(world, size, track.at(clock.position));
-    const breath = moving ? 0.5 - 0.5 * Math.cos(now / 260) : 0;
-    const view = { size, stage, world, track, tracks: stage.tracks, clock, layout, names: context.names, spin, breath };
+    const view = { size, stage, world, track, tracks: stage.tracks, clock, layout, names: context.names, spin };
     const shown = LAYERS.filter((layer) => context.shows(layer.id));
     // Cells are drawn for the whole map; CSS moves them with the camera.
     drawCells(ground, view, shown, "ground", "");

@@ -1,8 +1,7 @@
-// Compare: boards of pilots, maps of one or a pair, the newest flights, how to add results, training curves.
+// Compare: boards of pilots, maps of one or a pair, the newest flights, how to add results.
 import { el, keepFocus, snippet } from "./dom.js";
 import { title, variants, who } from "./format.js";
 import { boardsOf, boardTable, flightsTable, mapsOf, pairOf } from "./rankings.js";
-import { chartsOf } from "./training.js";
 
 /** The number of newest flights that are listed. */
 const NEWEST = 100;
@@ -18,7 +17,7 @@ export function mountCompare(root, context) {
   const problem = root.querySelector(".problem");
   /** @type {HTMLElement} */
   const parts = root.querySelector(".compare-parts");
-  const [boards, detail, flights, adding, training] = /** @type {NodeListOf<HTMLElement>} */ (root.querySelectorAll(".compare-part"));
+  const [boards, detail, flights, adding] = /** @type {NodeListOf<HTMLElement>} */ (root.querySelectorAll(".compare-part"));
   const programs = [...adding.querySelectorAll("pre")];
   const option = ({ short_name }) => el("option", { value: short_name, text: title(short_name) });
   for (const [family, all] of context.families) choice.append(el("optgroup", { label: title(family) }, ...all.map(option)));
@@ -112,18 +111,12 @@ export function mountCompare(root, context) {
 
   context.on("view", (view) => {
     if (view !== "compare") return;
-    server.watch(["episodes", "training"]);
+    server.watch(["episodes"]);
     show();
   });
   server.on("state", ({ state }) => state === "open" && context.view === "compare" && !problem.hidden && show());
   server.on("episodes", ({ episodes }) => {
     const last = episodes.find(({ task }) => task === context.task(choice.value)?.id);
     if (last && newest !== null && last.id !== newest) show();
-  });
-  server.on("training", async () => {
-    if (context.view !== "compare") return;
-    const charts = chartsOf(await api.get("logs/curve"));
-    training.lastElementChild.replaceChildren(...charts);
-    training.hidden = !charts.length;
   });
 }

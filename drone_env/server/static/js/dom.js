@@ -126,16 +126,6 @@ export function ask(question, yes, no) {
   });
 }
 
-let fingers = 0;
-for (const type of /** @type {const} */ (["touchstart", "touchend", "touchcancel"]))
-  document.addEventListener(type, ({ touches }) => (fingers = touches.length), { passive: true });
-
-/** Scrolls an element into sight, but not under a finger that moves the page. */
-export function bring(node) {
-  if (fingers) document.addEventListener("touchend", () => bring(node), { once: true });
-  else node.scrollIntoView({ block: "nearest" });
-}
-
 /** The next key is for the drone, not for the focused element. */
 export const leaveFocus = () => document.activeElement instanceof HTMLElement && document.activeElement.blur();
 

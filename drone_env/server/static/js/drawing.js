@@ -94,11 +94,7 @@ export class Drawing extends Emitter {
     const held = name === "start" || (tool === "move" && name !== "road") ? cell : null;
     if (tool === "move" && !held) return;
     this.stroke = { before: JSON.stringify(map), cell, held };
-    // Painting a parcel again removes it.
-    if (!held && tool === "parcel" && name === "parcel" && map.parcels.length > 1) {
-      map.parcels.splice(this.parcelAt(cell), 1);
-      this.stroke.done = true;
-    } else if (!held) {
+    if (!held) {
       if (tool === "start" && name !== "parcel") this.put(cell, this.road);
       this.paint(cell);
     }
@@ -112,16 +108,14 @@ export class Drawing extends Emitter {
     const from = stroke.cell;
     const [dx, dy] = [cell[0] - from[0], cell[1] - from[1]];
     const n = Math.max(Math.abs(dx), Math.abs(dy));
-    let seen = false;
-    for (let i = 1; i <= n && !stroke.done; i++) {
+    for (let i = 1; i <= n; i++) {
       const to = [from[0] + Math.round((i * dx) / n), from[1] + Math.round((i * dy) / n)];
-      seen ||= this.inside(to);
       if (!stroke.held) this.paint(to);
       else if (this.move(stroke.held, to)) stroke.held = to;
     }
     // A held item that could not follow goes on from where it is.
     stroke.cell = stroke.held ?? cell;
-    if (seen) this.emit("stroke");
+    this.emit("stroke");
   }
 
   end() {

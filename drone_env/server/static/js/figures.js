@@ -80,9 +80,9 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
   ctx.restore();
 }
 
-/** Brackets around the current target. @param {number} breath In [0, 1], widens them. */
-export function drawTarget(ctx, x, y, cell, breath, colour) {
-  const side = cell * (0.94 + 0.14 * breath);
+/** Brackets around the current target. */
+export function drawTarget(ctx, x, y, cell, colour) {
+  const side = cell * 0.94;
   const corner = cell * 0.2;
   ctx.strokeStyle = colour;
   ctx.lineWidth = Math.max(1.5, cell * 0.08);

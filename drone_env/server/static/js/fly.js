@@ -6,7 +6,6 @@ import { mountCellNote, mountTextMap } from "./cells.js";
 import { mountControls } from "./controls.js";
 import { mountCycle } from "./cycle.js";
 import { el } from "./dom.js";
-import { help } from "./help.js";
 import { explain, FlightHistory, mountFiles, mountRecord } from "./history.js";
 import { mountGauges, mountInstruments, mountLivePoints } from "./instruments.js";
 import { mountHuman, mountKeys } from "./keys.js";
@@ -58,9 +57,7 @@ export function mountFly(root, context) {
   part(".calls", mountCalls);
   part(".moves-panel", mountMoves);
   part(".record-panel", mountRecord);
-  const show = () => help(context);
-  mountKeys(context, race, acts, show);
-  document.getElementById("help-button").addEventListener("click", show);
+  mountKeys(context, race, acts);
   mountMapValues(context);
 
   /** An error above the map, null for none; if nothing is flown, with a button that starts a flight. @param {string|null} message */

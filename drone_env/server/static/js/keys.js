@@ -1,5 +1,6 @@
-// Keyboard shortcuts, the pad of buttons, and swipes on the map.
-import { leaveFocus } from "./dom.js";
+// Keyboard shortcuts and their list in the help, the pad of buttons, and swipes on the map.
+import { el, leaveFocus } from "./dom.js";
+import { scoring } from "./format.js";
 import { STEP } from "./layer_flights.js";
 import { LAYERS } from "./layers.js";
 
@@ -16,7 +17,7 @@ const FLY = {
 };
 
 /** @param {Context} context @param {Race} race */
-export function mountKeys(context, race, acts, help) {
+export function mountKeys(context, race, acts) {
   const { camera, stage } = context;
   const KEYS = {
     " ": acts.toggle,
@@ -37,8 +38,21 @@ export function mountKeys(context, race, acts, help) {
     const [x, y] = STEP[FLY[arrow]];
     KEYS[`Shift${arrow}`] = () => context.emit("camera", camera.pan(-2 * x, -2 * y));
   }
-  for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
+  const dialog = document.getElementById("help");
+  const list = dialog.querySelector(".for-keyboards");
+  for (const layer of LAYERS.filter(({ key }) => key)) {
+    KEYS[layer.key] = () => acts.flick(layer);
+    list.append(el("dt", el("kbd", { text: layer.key.toUpperCase() })), el("dd", { text: layer.name }));
+  }
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
+
+  function help() {
+    document.getElementById("scoring").textContent = scoring(stage.world?.task ?? context.tasks[0]);
+    dialog.showModal();
+  }
+  document.getElementById("help-button").addEventListener("click", help);
+  // A click on the link or outside closes it.
+  dialog.addEventListener("click", ({ target }) => target instanceof Element && target.matches("dialog, a") && dialog.close());
 
   // After a choice by mouse or finger, the next key is for the drone, not for the form or the button.
   let pointed = false;

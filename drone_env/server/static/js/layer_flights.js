@@ -66,7 +66,7 @@ export function drawBest(ctx, { track, tracks, layout, clock }) {
 }
 
 /** The parcels and the target of the selected flight, and its moves that lost something. */
-export function drawParcels(ctx, { world, track, layout, clock, breath }) {
+export function drawParcels(ctx, { world, track, layout, clock }) {
   const { cell, scale } = layout;
   const frame = track.frameAt(Math.round(clock.position));
   const side = Math.max(cell, SMALLEST_PARCEL * scale);
@@ -74,7 +74,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
   for (const parcel of world.parcels) {
     drawFigure(ctx, delivered.has(String(parcel)) ? "delivered" : "parcel", ...middle(layout, parcel), side);
   }
-  if (frame.target) drawTarget(ctx, ...middle(layout, frame.target), side, breath, colourOf(track.colour));
+  if (frame.target) drawTarget(ctx, ...middle(layout, frame.target), side, colourOf(track.colour));
   for (const move of track.annotation?.moves ?? []) {
     const size = DOT[move.label];
     if (!size) continue;
@@ -128,19 +128,8 @@ export function drawDrones(ctx, view) {
     const front = one === track;
     const aside = front ? 0 : (i + 1) * ASIDE * cell;
     ctx.globalAlpha = front ? 1 : 0.75;
-    if (front) drawBetterMoves(ctx, view, x, y, size);
     const wide = front ? size : size * 0.8;
     drawDrone(ctx, x + aside, y + aside, wide, one.heading(clock.position), spin, lift, colourOf(one.colour));
   });
   ctx.globalAlpha = 1;
-}
-
-function drawBetterMoves(ctx, { track, clock, layout }, x, y, size) {
-  const next = track.annotation?.moves[clock.cursor];
-  if (!next || next.label === "best" || clock.position !== clock.cursor) return;
-  const { cell, scale } = layout;
-  ctx.fillStyle = colourOf("--map-ghost");
-  for (const action of next.best_actions) {
-    if (STEP[action]) pointTo(ctx, action, x, y, size * 0.56, cell * 0.8, Math.max(THIN * scale, cell * 0.13));
-  }
 }

@@ -74,7 +74,7 @@ function painter(context, { side, scale }, layers) {
   const canvas = el("canvas", { width: side, height: side + ((attribution ? 3 : 2) * LINE + 8) * scale });
   const ctx = canvas.getContext("2d", { willReadFrequently: true });
   const size = { width: side, height: side, scale };
-  const view = { size, stage, world, track, tracks, names: context.names, layout: fitted(world, size), spin: 0, breath: 0 };
+  const view = { size, stage, world, track, tracks, names: context.names, layout: fitted(world, size), spin: 0 };
   const shown = layers.filter((layer) => context.shows(layer.id));
   const paint = (pen, place, clock) => {
     for (const layer of shown) if (layer.place === place) layer.draw(pen, { ...view, clock });

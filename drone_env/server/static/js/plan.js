@@ -116,7 +116,8 @@ function mountTasks(root, context, acts) {
   const me = context.pilots.find(({ automatic }) => !automatic);
   const list = el("span");
   const numbers = el("div.numbers-of-tasks", { id: "specifications", popover: "auto", on: { beforetoggle: open } });
-  root.append(list, el("button.task", { text: "Specifications", popovertarget: numbers.id }), numbers);
+  const button = el("button.task", { text: "Specifications", popovertarget: numbers.id });
+  root.append(list, button, numbers);
   let [family, drawn] = ["standard", ""];
 
   function open() {
@@ -144,7 +145,7 @@ function mountTasks(root, context, acts) {
     keepFocus(list, () => list.replaceChildren(...groups, option("Map of the day", isDaily, today)));
     /** @type {HTMLElement|null} */
     const flown = list.querySelector("[aria-pressed=true]");
-    // In a narrow window, the tasks before it scroll out of sight.
-    if (flown) root.scrollLeft = flown.offsetLeft + flown.offsetWidth - root.clientWidth;
+    // In a narrow window, the tasks before it scroll out of sight; the button stays above the last ones.
+    if (flown) root.scrollLeft = flown.offsetLeft + flown.offsetWidth + button.offsetWidth - root.clientWidth;
   };
 }

@@ -72,8 +72,6 @@ const enough = ({ maps }) => el("span", thousands(maps), el("span.margin", { tex
 const unusable = ({ unusable_share: share, marked }) => (share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`);
 
 /** Columns that are shown if they say something. */
-const FLIGHTS = ["Flights", (row) => thousands(row.flights), true];
-const NORMALISED = ["Random to optimum", (row) => percent(row.normalised), true];
 const RUN = ["Run", (row) => el("span.named", row.run)];
 const UNUSABLE = ["Unusable answers", unusable, true];
 
@@ -99,8 +97,6 @@ export function boardTable(context, task, { name, caption, rows, note }, tick, p
     ["Success", (row) => within(row.success_rate, row.success_ci95, percent), true, ({ success_rate }) => success_rate],
     ["Steps", (row) => fixed(row.steps, 1), true, ({ steps }) => steps],
     ["Maps", enough, true, ({ maps }) => maps],
-    ...(rows.some(({ flights, maps }) => flights !== maps) ? [FLIGHTS] : []),
-    ...(rows.some(({ run }) => run) ? [NORMALISED] : []),
     ...(rows.some(({ run }) => run !== rows[0].run) ? [RUN] : []),
     ...(rows.some(({ prompt }) => prompt) ? [UNUSABLE] : []),
   ];

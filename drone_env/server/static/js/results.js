@@ -1,6 +1,6 @@
 // Mission Results: a card over the map at the end of a flight of this page, else the first panel beside it.
 import { nextFrame, TOUCH } from "./base.js";
-import { announce, bring, el, fact, leaveFocus, onPress, setText } from "./dom.js";
+import { announce, el, fact, leaveFocus, onPress, setText } from "./dom.js";
 import { counted, fixed, optimumOf, outcome, percent, points, pointsBetween, signed, title } from "./format.js";
 import { drawPoints } from "./instruments.js";
 import { placeOf } from "./standings.js";
@@ -132,7 +132,7 @@ export function mountResults(root, context, race, acts) {
     analysis.replaceChildren(...statistics(answer, title(task.short_name)));
   }
   race.on("ended", analyse);
-  race.on("ended", (track) => track === stage.track && nextFrame(() => isOver() || bring(root.firstElementChild)));
+  race.on("ended", (track) => track === stage.track && nextFrame(() => isOver() || root.firstElementChild.scrollIntoView({ block: "nearest" })));
 }
 
 /** The parts of the final score, and what is lost of the optimum. @returns {[string, number, string][]} */

@@ -18,7 +18,7 @@ const NEWS = {
 };
 
 /**
- * Events: "state" ({state: "open" or "away", wait: ms until the next try}), and news: "requests"
+ * Events: "state" ({state: "open" or "away"}), and news: "requests"
  * (`GET /terminal_logs`), "training" (`GET /logs`), "episodes" (`GET /episodes`).
  */
 export class Server extends Emitter {
@@ -38,7 +38,7 @@ export class Server extends Emitter {
     this.timer = 0;
     if (this.state === "open") return;
     this.state = "open";
-    this.emit("state", { state: "open", wait: 0 });
+    this.emit("state", { state: "open" });
     for (const go of this.waiting.splice(0)) go();
   }
 
@@ -46,7 +46,7 @@ export class Server extends Emitter {
     if (this.timer) return;
     this.timer = setTimeout(() => this.look(), WAIT);
     this.state = "away";
-    this.emit("state", { state: "away", wait: WAIT });
+    this.emit("state", { state: "away" });
   }
 
   /** Asks at once whether the server is back. */
