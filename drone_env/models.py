@@ -7,6 +7,8 @@ immutable. Positions are `[x, y]` in JSON.
 from functools import lru_cache
 from typing import Annotated, Any, Literal, cast
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
 from typing_extensions import Self
@@ -102,7 +104,7 @@ class DroneObservation(StrictModel):
 
 def observation_fields(episode: Episode) -> dict[str, Any]:
     """Return the fields of `DroneObservation.of(episode)` without validation, which takes a third of a step's time."""
-    rows = [row_as_emoji(row) for row in _rows(episode)]
+    rows = [row_as_emoji(row) for row in _rows(episode.grid())]
     return {
         "grid": [emoji for emoji, _ in rows],
         "cell_types": [list(names) for _, names in rows],
@@ -137,12 +139,13 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
     }
 
 
-def flat_json(episode: Episode) -> str:
+def flat_json(episode: Episode) -> bytes:
     """Return the JSON of `DroneObservation.of(episode)`."""
-    return _with_map(episode, {**observation_numbers(episode), "legend": LEGEND}).decode()
+    numbers = observation_numbers(episode)
+    return _with_map(episode.grid(), {**numbers, "legend": LEGEND})
 
 
-def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
+def openenv_json(episode: Episode, reward: float | None, **more: object) -> bytes:
     """Return the observation in OpenEnv's format, with `reward` and `done` outside.
 
     Args:
@@ -154,20 +157,20 @@ def openenv_json(episode: Episode, reward: float | None, **more: object) -> str:
     outside = {"reward": reward, "done": numbers.pop("done")}
     if more.get("metadata"):
         outside["metadata"] = more["metadata"]
-    observation = _with_map(episode, {**numbers, "legend": LEGEND, "metadata": {}, **more})
-    return b"".join((b'{"observation":', observation, b",", to_json(outside)[1:])).decode()
+    observation = _with_map(episode.grid(), {**numbers, "legend": LEGEND, "metadata": {}, **more})
+    return b"".join((b'{"observation":', observation, b",", to_json(outside)[1:]))
 
 
-def _rows(episode: Episode) -> list[bytes]:
-    width, cells = episode.task.width, episode.grid().tobytes()
+def _rows(grid: npt.NDArray[np.uint8]) -> list[bytes]:
+    width, cells = grid.shape[1], grid.tobytes()
     return [cells[start : start + width] for start in range(0, len(cells), width)]
 
 
-def _with_map(episode: Episode, fields: dict[str, Any]) -> bytes:
+def _with_map(grid: npt.NDArray[np.uint8], fields: dict[str, Any]) -> bytes:
     """Return JSON of the map and of further fields."""
-    rows = [_row_as_json(row) for row in _rows(episode)]
-    grid, cell_types = b",".join([emoji for emoji, _ in rows]), b",".join([names for _, names in rows])
-    return b"".join((b'{"grid":[', grid, b'],"cell_types":[', cell_types, b"],", to_json(fields)[1:]))
+    emoji, names = zip(*map(_row_as_json, _rows(grid)), strict=True)
+    rows = b'{"grid":[', b",".join(emoji), b'],"cell_types":[', b",".join(names), b"],"
+    return b"".join((*rows, to_json(fields)[1:]))
 
 
 @lru_cache(maxsize=4096)

@@ -4,7 +4,7 @@ import os
 import sqlite3
 import threading
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drone_env.errors import StoreError
@@ -112,8 +112,10 @@ class Database:
         Raises:
             StoreError: if it is not.
         """
-        if not self.path.exists() or not os.path.samestat(self.path.stat(), self._opened):
-            raise StoreError(f"store {self.path} was deleted, moved or replaced while in use: start the server again")
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.stat(self.path), self._opened):
+                return
+        raise StoreError(f"store {self.path} was deleted, moved or replaced while in use: start the server again")
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""

@@ -26,11 +26,8 @@ SELECT_SESSION = f"""
     SELECT {COLUMNS}, revision, address FROM flights
     JOIN (SELECT flight_id, address FROM sessions WHERE id = ?) ON flights.id = flight_id
 """
-CHANGE = """
-    UPDATE flights SET actions = substr(actions, 1, ?) || ?, values_used = ?, undo_used = ?, agent = ?,
-        revision = revision + 1
-    WHERE id = ?
-"""
+FLY = "UPDATE flights SET actions = substr(actions, 1, ?) || ?, revision = revision + 1 WHERE id = ?"
+USE_HELP = "UPDATE flights SET values_used = ?, undo_used = ?, agent = ? WHERE id = ?"
 TOUCH = "UPDATE sessions SET touched_at = ?, address = ?, flight_id = ? WHERE id = ?"
 COUNT = "SELECT count(*), count(owner = :owner OR NULL) FROM sessions"
 EVICT = """
@@ -252,7 +249,7 @@ class Sessions:
                     connection.execute("DELETE FROM flights WHERE id = ? AND number IS NULL", (row["id"],))
                     insert_flight(connection, session.flight_id, session.episode, session.provenance)
                 elif session.unstored or session.provenance is not by:
-                    _change(connection, session)
+                    _change(connection, session, by)
             # Only after the commit: a session that could not be stored is flown again from its row.
             has_ended = session.has_ended
             session.unstored, session.has_ended = "", False
@@ -386,11 +383,12 @@ def _session(row: sqlite3.Row) -> Session:
     return Session(flown.id, flown.fly(), flown.provenance, revision)
 
 
-def _change(connection: sqlite3.Connection, session: Session) -> None:
-    """Store what a session has flown, and its provenance."""
-    by, kept = session.provenance, session.episode.steps - len(session.unstored)
-    values = (kept, session.unstored, by.values_used, by.undo_used, by.label, session.flight_id)
-    connection.execute(CHANGE, values)
+def _change(connection: sqlite3.Connection, session: Session, before: Provenance) -> None:
+    """Store what a session has flown, and its provenance if it differs from the one before."""
+    kept, by = session.episode.steps - len(session.unstored), session.provenance
+    connection.execute(FLY, (kept, session.unstored, session.flight_id))
+    if by is not before:
+        connection.execute(USE_HELP, (by.values_used, by.undo_used, by.label, session.flight_id))
     session.revision += 1
     if session.has_ended:
         finish_flight(connection, session.flight_id, session.episode)

@@ -24,17 +24,17 @@ def is_local_name(host: str) -> bool:
         return False
 
 
-def listens_on_loopback(scope: Scope, host: str) -> bool:
+@lru_cache(maxsize=1024)
+def listens_on_loopback(local: str, host: str) -> bool:
     """Return whether only programs on this machine can reach the server.
 
     A request that arrives at loopback does not prove it, because a server on all addresses receives it as well.
 
     Args:
-        scope: The request; `server` is the local end of its connection.
+        local: The local end of its connection.
         host: The configured address; uvicorn started by hand may use another.
     """
-    server = scope.get("server")
-    return server is not None and is_local_name(server[0].lower()) and host not in EVERYWHERE
+    return is_local_name(local.lower()) and host not in EVERYWHERE
 
 
 def shared_address(scope: Scope) -> str | None:

@@ -97,6 +97,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         docs_url=None,
         redoc_url=None,
         openapi_url=None,
+        # FastAPI would look for exporters of OpenTelemetry in each request.
+        telemetry={"tracing": False, "metrics": False, "logs": False},
     )
     app.state.shared = app_state
     app.state.socket = socket

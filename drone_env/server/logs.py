@@ -44,12 +44,15 @@ class RequestLog:
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
         """Add a request."""
         self.count += 1
+        path = path[:LONGEST_PATH]
+        if not path.isprintable():
+            # Control characters, and those that change the direction of text, as they were sent.
+            path = "".join(one if one.isprintable() else quote(one, errors="replace") for one in path)
         entry = LoggedRequest(
             number=self.count,
             time=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
             method=method,
-            # Control characters, and those that change the direction of text, as they were sent.
-            path="".join(one if one.isprintable() else quote(one, errors="replace") for one in path[:LONGEST_PATH]),
+            path=path,
             status=status,
             milliseconds=round(seconds * 1000, 3),
         )

@@ -112,7 +112,7 @@ class OpenEnvSession:
             fields = openenv_fields(episode, None, metadata)
         else:  # takes milliseconds, and some prompts compile code
             fields = await asyncio.to_thread(openenv_fields, episode, self._prompt, metadata)
-        return openenv_json(episode, reward, **fields)
+        return openenv_json(episode, reward, **fields).decode()
 
     async def _use(self, change: Callable[[Session], object]) -> Episode:
         """Call a function with the session, store what ended, and return the episode."""

@@ -74,6 +74,15 @@ def run(
     from uvicorn.config import STARTUP_FAILURE
     from uvicorn.supervisors import Multiprocess
 
+    class Supervisor(Multiprocess):
+        """Starts a process again as soon as it has ended."""
+
+        def keep_subprocess_alive(self) -> None:
+            for process in self.processes:
+                # uvicorn also holds the other end of the pipe, so it would wait for a starting process that was killed.
+                process.child_conn.close()
+            super().keep_subprocess_alive()
+
     with listen(settings.host, settings.port) as listening:
         Store(settings.data).close()
         url = f"http://{settings.host}:{listening.getsockname()[1]}"
@@ -102,7 +111,7 @@ def run(
                 # A thread receives Ctrl-C, and no process that this one starts: it tells them to stop.
                 threading.Thread(target=threading.Event().wait, name="drone_env-ctrl-c", daemon=True).start()
                 leave_ctrl_c()
-                first = Multiprocess(config, [listening])
+                first = Supervisor(config, [listening])
                 first.run()
                 failed = any(process.exitcode == STARTUP_FAILURE for process in first.processes)
             else:

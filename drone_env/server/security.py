@@ -70,7 +70,7 @@ class Security:
             elif message["type"] == "http.response.start":
                 status = message["status"]
                 headers = [*message.get("headers", ()), *HEADERS]
-                if not any(name.lower() == b"cache-control" for name, _ in headers):
+                if b"cache-control" not in dict(headers):
                     # Browsers must revalidate the page, so that users see an update of the package at once.
                     is_page = path in ("/", "/docs") or path.startswith("/static/")
                     headers.append((b"cache-control", b"no-cache" if is_page else b"no-store"))
@@ -110,7 +110,8 @@ class Security:
     def _answers(self, host: str, scope: Scope) -> bool:
         if host in self.hosts:
             return True
-        if not listens_on_loopback(scope, self.listens):
+        server = scope.get("server")
+        if server is None or not listens_on_loopback(server[0], self.listens):
             return not self.hosts
         return is_local_name(host) or host == self.listens
 

@@ -207,7 +207,8 @@ def reset(
     session, episode = app_state.sessions.reset(caller.named, start, options.agent, caller.address, owner)
     first = flat_json(episode) if options.episode_id is None else openenv_json(episode, None)
     # Not validated again, for speed; tests compare it with the documented models.
-    response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
+    named = b"%b,%b" % (first[:-1], to_json({"session_id": session})[1:])
+    response = Response(named, media_type="application/json")
     response.headers[HEADER] = session
     secure = request.url.scheme == "https"
     # A frame in another site requires SameSite=None, which browsers accept over https only.
@@ -330,7 +331,7 @@ def _advance(app_state: AppState, caller: Caller, body: StepRequest, after: int 
     return response
 
 
-def _step_result(episode: Episode) -> str:
+def _step_result(episode: Episode) -> bytes:
     return openenv_json(episode, episode.reward_last)
 
 
