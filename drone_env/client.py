@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, cast
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
-from drone_env.errors import DroneEnvError, needs
+from drone_env.errors import DroneEnvError, InvalidValueError, needs
 
 with needs("server", __name__):
     import httpx
@@ -64,6 +64,8 @@ class DroneEnvClient:
     def __init__(
         self, base_url: str = DEFAULT_URL, timeout: float = 30.0, token: str | None = None, http: Any = None
     ) -> None:
+        if not base_url.startswith(("http://", "https://")):
+            raise InvalidValueError(f"base_url must begin with http:// or https://, got {base_url!r}")
         token = token or os.environ.get("DRONE_ENV_TOKEN")
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._owns = http is None

@@ -146,6 +146,9 @@ PLAIN = {
     "^Field required": "missing",
     "^[A-Z][a-z]+ should ": "must ",
     "a valid integer.*": "a whole number",
+    "a valid (number|decimal).*": "a number",
+    "a valid boolean.*": "true or false",
+    "^Extra inputs are not permitted": "unknown field",
     "a valid dictionary.*": "an object",
     " after validation, not .*": "",
 }
@@ -155,7 +158,11 @@ PLAIN = {
 def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
     """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
     return [
-        (".".join(map(str, part["loc"]))[:LONGEST_NAME], _plain(part["msg"]), part["type"])
+        (
+            ".".join(str(name) for name in part["loc"] if name != "[key]")[:LONGEST_NAME],
+            _plain(part["msg"]),
+            part["type"],
+        )
         for part in error.errors()[:20]
     ]
 

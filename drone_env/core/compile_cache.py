@@ -57,10 +57,12 @@ def cache_folder() -> Path:
 def _users_folder() -> Path:
     from platformdirs import user_cache_path  # imported lazily: most processes compile nothing
 
-    folder = user_cache_path("drone_env", appauthor=False)
-    if not folder.is_absolute():
-        raise FileNotFoundError("this user has no home folder; set DRONE_ENV_CACHE")
-    return folder
+    # Without a home folder, a new platformdirs raises an error, and an old one returns "~/.cache".
+    with suppress(RuntimeError):
+        folder = user_cache_path("drone_env", appauthor=False)
+        if folder.is_absolute():
+            return folder
+    raise FileNotFoundError("this user has no home folder; set DRONE_ENV_CACHE")
 
 
 class CodeCache:

@@ -190,6 +190,8 @@ def load_record(path: str | Path) -> EpisodeRecord:
         OSError: if the file cannot be read.
         InvalidValueError: if it is not a record; the message names the invalid field.
     """
+    if str(path).endswith(".jsonl"):
+        raise InvalidValueError(f"{path} has a record per line: name a .json file with one line of it")
     return parse_record(read_file(path, LONGEST_RECORD), str(path))
 
 

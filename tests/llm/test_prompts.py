@@ -61,7 +61,7 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
     rest = '\nplan = false\nsystem = ""\nuser = "{{ weather }}"\nrepair = ""'
     for text, why in [
         ("plan = ", "mine.toml: "),
-        ("plan = 1", "mine.toml is not a prompt: format: missing; plan: must be a valid boolean"),
+        ("plan = 1", "mine.toml is not a prompt: format: missing; plan: must be true or false"),
         ("format = 2" + rest, "format: must be 1"),
         ("format = 1" + rest, "prompt mine cannot be rendered: 'weather' is undefined; values: x, y, battery_percent"),
         ("format = 1" + rest.replace("}}", ""), "unexpected end of template"),
