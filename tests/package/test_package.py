@@ -82,7 +82,7 @@ def test_the_version_stands_in_one_place_and_in_files_that_agree() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", [".whl", ".gz"])
+@pytest.mark.parametrize("kind", [".whl", pytest.param(".gz", marks=pytest.mark.campaign)])
 def test_what_is_handed_out_works_outside_the_checkout(built: dict[str, Path], kind: str) -> None:
     page = page_files(built[".whl"])
     assert len(page) > 50

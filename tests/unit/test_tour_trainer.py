@@ -31,9 +31,9 @@ def test_samples_come_from_train_maps_of_the_tasks_by_their_shares(monkeypatch: 
             return super().generate(seeds)
 
     monkeypatch.setattr("drone_env.rl.tournet.SampleGenerator", Recorded)
-    config = replace(SMALL_TOUR, task="all", updates=8, validation_maps=1, states_per_map=4, maps_per_chunk=2,
-                     validation_every=8)  # fmt: skip
-    trainer = finished(TourTrainer(config))
+    config = replace(SMALL_TOUR, task="all", updates=9, states_per_map=4, maps_per_chunk=2, validation_every=9)
+    trainer = TourTrainer(config)
+    list(islice(trainer.train(), 8))  # without the validation, which flies all tasks
     seeds = [seed for _, maps in chunks for seed in maps]
     assert len(set(seeds)) == 2 * len(chunks) >= 16
     assert max(seeds) < SPLITS["train"].stop
