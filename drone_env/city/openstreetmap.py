@@ -230,7 +230,7 @@ def _opened(path: Path) -> Generator[Source, None, None]:
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
     except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
-        raise InvalidValueError(f"{path}: cut short, damaged or no such file: {error}; {ALLOWED}") from None
+        raise InvalidValueError(f"{path}: it is cut short, damaged or of another format: {error}; {ALLOWED}") from None
 
 
 class Collection:

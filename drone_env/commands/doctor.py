@@ -18,7 +18,7 @@ from drone_env.errors import DISTRIBUTION, install_command
 from drone_env.files import data_folder
 
 Finding = tuple[str, str, str, str]
-"""Topic, name, status and detail. The status is `ok`, `absent` (an extra) or `broken` (flights may fail)."""
+"""Topic, name, status and detail. The status is `ok`, `absent` (an extra, the cache) or `broken` (flights may fail)."""
 
 
 def doctor() -> int:
@@ -44,8 +44,10 @@ def _diagnose() -> Iterator[Finding]:
     for task in ("easy_delivery", "medium_delivery", "hard_delivery"):
         yield _checked("networks", task, partial(_network, "pathqnet", task))
     yield _checked("networks", "tournet", partial(_network, "tournet", "easy"))
-    for name, find in {"data": data_folder, "results": partial(data_folder, "results"), "cache": cache_folder}.items():
+    for name, find in {"data": data_folder, "results": partial(data_folder, "results")}.items():
         yield _checked("folders", name, partial(_writable, find))
+    # Without the cache, every process compiles anew, and flies.
+    yield _checked("folders", "cache", partial(_writable, cache_folder), "absent")
     for plugin in plugin_names():
         yield _checked("plugins", plugin, partial(load_plugins, [plugin]))
 

@@ -146,7 +146,7 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
     "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
     "a history": (with_objects('<way id="9" visible="false"/>'), "osmium time-filter"),
-    "half": (lambda text: text[:700], "cut short, damaged or no such file: .*unclosed token"),
+    "half": (lambda text: text[:700], "cut short, damaged or of another format: .*unclosed token"),
     "JSON": (lambda text: '{"elements": []}', "not well-formed .* allowed are XML"),
 }
 
