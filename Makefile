@@ -97,7 +97,7 @@ PYTHONS := python-lowest python-highest
 ANY_PYTHON := test_env.py test_api.py parity contract/test_gymnasium.py contract/test_openenv.py \
     $(addprefix api/test_,golden_output.py socket.py starting.py) $(addprefix llm/test_,endpoint.py failures.py settings.py) \
     $(patsubst %,unit/test_%.py,city_file cli cli_records compile_cache doctor errors files graders imports maps \
-    provenance public_names record registry reward_files rewards rules sessions store tables tasks toml_text)
+    provenance public_names record registry reward_files rewards rules sessions store tables tasks)
 python-lowest: VERSIONS := 3.10
 python-highest: VERSIONS := 3.14 3.13
 python: $(PYTHONS)
