@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from drone_env.envs.registry import register_envs
 
 if TYPE_CHECKING:
-    from drone_env.agents import AGENTS, Agent, make_agent, register_agent
+    from drone_env.agents import AGENTS, make_agent, register_agent
+    from drone_env.agents.base import Agent
     from drone_env.core.actions import Action, Event, Outcome
     from drone_env.core.cells import Cell
     from drone_env.core.episode import Episode, EpisodeState
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 __version__ = "0.5.0"
 
 _HOMES = {
-    "agents": ("AGENTS", "Agent", "make_agent", "register_agent"),
+    "agents": ("AGENTS", "make_agent", "register_agent"),
+    "agents.base": ("Agent",),
     "core.actions": ("Action", "Event", "Outcome"),
     "core.cells": ("Cell",),
     "core.episode": ("Episode", "EpisodeState"),

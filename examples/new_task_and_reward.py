@@ -62,4 +62,5 @@ with tempfile.TemporaryDirectory() as folder:
     amount = ["--episodes", str(args.episodes), "--validation-maps", str(args.maps)]
     main(["train", "--task", "courier", "--reward-profile", "parcels", *amount, *data])
     network = f"pathqnet:{Path(folder, 'courier.safetensors')}"
-    main(["evaluate", "--task", "courier", "--agents", "random", "greedy", network, "--episodes", str(args.maps)])
+    agents = ["--agents", "random", "greedy", network, "optimal"]
+    main(["evaluate", "--task", "courier", *agents, "--episodes", str(args.maps)])

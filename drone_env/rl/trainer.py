@@ -79,7 +79,8 @@ class ReplayBuffer:
     Args:
         capacity: Transitions to hold, rounded down to whole rows; at least two of them.
         num_envs: N.
-        height, width: Size of the grid.
+        height: Rows of the grid.
+        width: Columns of the grid.
         telemetry_size: Values in the telemetry.
     """
 
