@@ -113,17 +113,6 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
         InvalidValueError: if the seed is not in [0, 2^53), the city has changed, there are actions after the end, or
             the flight differs from the record.
     """
-    *_, episode = replay_steps(record, reward_profile)
-    return episode
-
-
-def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | None = None) -> Iterator[Episode]:
-    """Yield the same episode at its reset and after each action. The check against the record follows the last one.
-
-    Raises:
-        UnknownNameError: as `replay`.
-        InvalidValueError: as `replay`; the steps before it belong to an invalid record.
-    """
     task = get_task(record.task, record.task_version)
     terrain = terrain_digest(task)
     if record.terrain != terrain:
@@ -132,8 +121,7 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
             "replay it with the original file, and rename the changed city"
         )
     episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
-    yield episode
-    yield from fly_directions(episode, record.actions)
+    fly_directions(episode, record.actions)
     result = record_of(episode, record.provenance)
     wrong = [
         f"{name} {getattr(record, name)!r} where the flight gives {getattr(result, name)!r}"
@@ -144,10 +132,11 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
         wrong += _wrong_rewards(record.rewards, result.rewards)
     if wrong:
         raise InvalidValueError(f"the record does not fit its flight: {'; '.join(wrong)}")
+    return episode
 
 
-def fly_directions(episode: Episode, actions: Sequence[Direction]) -> Iterator[Episode]:
-    """Fly actions given by name and yield the episode after each.
+def fly_directions(episode: Episode, actions: Sequence[Direction]) -> Episode:
+    """Fly actions given by name and return the episode.
 
     Raises:
         InvalidValueError: if there are actions after the end.
@@ -156,7 +145,7 @@ def fly_directions(episode: Episode, actions: Sequence[Direction]) -> Iterator[E
         if episode.ended:
             raise InvalidValueError(f"the flight ends after {number} steps, but there are {len(actions)} actions")
         episode.step(Action[action])
-        yield episode
+    return episode
 
 
 def _wrong_rewards(recorded: Sequence[float], paid: Sequence[float]) -> list[str]:

@@ -79,12 +79,10 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
     return MapAudit(start.seed, solution.score, flight.score, actions, maximum, returns)
 
 
-def audit_maps(
-    task: TaskConfig, seeds: range, reward_profile: RewardProfile, gamma: float, jobs: int | None = None
-) -> Iterator[MapAudit]:
-    """Yield the audits of these maps in order, in `jobs` threads; None for one per core."""
+def audit_maps(task: TaskConfig, seeds: range, reward_profile: RewardProfile, gamma: float) -> Iterator[MapAudit]:
+    """Yield the audits of these maps in order, in one thread per core."""
     one = partial(audit_map, task, reward_profile=reward_profile, gamma=gamma)
-    with ThreadPoolExecutor(jobs or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield one(seeds[0])  # the first map compiles the kernels for the others
         yield from pool.map(one, seeds[1:])
 

@@ -1,6 +1,5 @@
 """What the server says there is, its logs, its predictions, and its description of itself."""
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from drone_env.server.routes.catalogue import SCORE_WEIGHTS
 from drone_env.server.routes.flight import Prediction
 from drone_env.server.routes.history import LINES
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import POINTS, metrics, tail
+from drone_env.server.train_log import tail
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
@@ -37,18 +36,6 @@ class TestLogs:
         path = tmp_path / "train.log"
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
         assert tail(tmp_path, LINES) == ["short"] * 3
-
-    def test_the_curve_of_a_long_training_is_thinned(self, tmp_path: Path) -> None:
-        path = tmp_path / "train.log"
-        lines = [f"episode={n} loss={'-' if n < 10 else n / 2} score=nan" for n in range(1, 2001)]
-        path.write_text("\n".join(["started", *lines, "episode=2001 loss="]))
-        curve = metrics(tmp_path)
-        assert curve.keys() == {"episode", "loss", "score"}
-        episodes = curve["episode"]
-        assert len(episodes) <= POINTS
-        assert {b - a for a, b in pairwise(episodes)} == {episodes[1] - episodes[0]}
-        assert curve["loss"] == [None if n < 10 else n / 2 for n in episodes]
-        assert set(curve["score"]) == {None}
 
     @pytest.mark.feature("H9")
     def test_requests_are_logged_without_what_they_carried(self, client: TestClient) -> None:

@@ -222,7 +222,7 @@ def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Pr
         by, flown = Provenance(pilot=HUMAN), start
         if fork is not None:
             by = fork.of.forked(fork.step, HUMAN)
-            *_, flown = [start, *fly_directions(start.copy(), fork.actions)]
+            flown = fly_directions(start.copy(), fork.actions)
         # A finished flight is not credited to the visitor who opens its link.
         flying[pilots.index(HUMAN)] = by if flown.ended else by.named(options.name), flown.actions
     return start, flying

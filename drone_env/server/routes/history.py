@@ -16,7 +16,7 @@ from drone_env.server import daily
 from drone_env.server.exceptions import error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
 from drone_env.server.state import AppStateDep
-from drone_env.server.train_log import FILE_NAME, metrics, tail
+from drone_env.server.train_log import FILE_NAME, tail
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
@@ -88,12 +88,6 @@ def episode(app_state: AppStateDep, episode_id: str) -> EpisodeRecord:
 def logs(app_state: AppStateDep) -> dict[str, str | list[str]]:
     """The last 50 lines of the training log in the data folder as `lines`, oldest first, and its name as `file`."""
     return {"file": FILE_NAME, "lines": tail(app_state.settings.data, LINES)}
-
-
-@router.get("/logs/curve", responses=error_responses(503))
-def curve(app_state: AppStateDep) -> dict[str, list[float | None]]:
-    """The metrics of the training log by name, of at most 400 of its lines; empty without a log."""
-    return metrics(app_state.settings.data)
 
 
 @router.get(

@@ -207,7 +207,7 @@ def _part(model: type[Part], part: object) -> Part:
 
 def _values(flight: FlightSoFar) -> str:
     start = Episode(get_task(flight.task), seed=flight.seed)
-    *_, episode = [start, *fly_directions(start.copy(), flight.actions)]
+    episode = fly_directions(start.copy(), flight.actions)
     found: dict[str, Any] = {}
     if flight.only != "moves" and not episode.ended:
         # Loads Numba, which the process that serves does without.
