@@ -33,7 +33,7 @@ def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> Scores:
 
 
 class Optima:
-    """Solves maps, those of a task one after another, and stores their optima.
+    """Solves maps and stores their optima. The maps of one task are solved in order.
 
     Args:
         database: The database of the store.
@@ -50,7 +50,7 @@ class Optima:
     def solve(self, maps: Iterable[Map], patience: float) -> None:
         """Start to solve maps and wait for them.
 
-        While maps of a task are being solved, others of it wait for the next call. Errors are logged; the next call
+        If a task has a running job, its new maps wait for the next call. Errors are logged; the next call
         for the same map tries again.
 
         Args:

@@ -4,7 +4,7 @@ The graded score is paid once, at the end, without discount. So the value of a s
 be reached: V*(s) = max over a of Q*(s, a), and Q*(s, a) = V*(step(s, a)) (Bellman, "Dynamic Programming", 1957). There
 are only maxima, no sums, so values equal scores to the last bit.
 
-`LegSolver` stores a value as the rank of a score among all scores of the task, which takes two bytes instead of eight.
+`LegSolver` stores the rank of a score among all scores of the task: two bytes instead of eight.
 """
 
 from abc import ABC, abstractmethod

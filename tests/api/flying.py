@@ -30,7 +30,7 @@ def agent_start(shown: Message) -> Message:
 
 
 def label(shown: Message) -> str:
-    """Who flies a flight, in words."""
+    """The label of a flight's pilot."""
     return Provenance.model_validate({name: shown["opening"][name] for name in Provenance.model_fields}).label
 
 

@@ -231,7 +231,7 @@ def _choose(options: Start, app_state: AppState) -> tuple[Episode, list[tuple[Pr
 def _begin(
     app_state: AppState, caller: str, start: Episode, provenance: Provenance, actions: list[int]
 ) -> StartedFlight:
-    """Begin a flight; one of a person has a session, or is stored if it has ended."""
+    """Begin a flight. A person's flight has a session, or is stored if it has ended."""
     episode, session, version, stored = start.copy().fly(actions), None, None, None
     if provenance.pilot == HUMAN and episode.ended:
         stored, provenance = _store(app_state, episode, provenance)

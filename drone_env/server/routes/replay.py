@@ -120,7 +120,7 @@ class CellValues(StrictModel):
 
 
 class FlightValues(StrictModel):
-    """What can still be reached after a step of a flight. What was not asked for is null."""
+    """What can still be reached after a step of a flight. Fields that the request did not ask for are null."""
 
     position: Position = Field(description="[x, y] of the drone.")
     unsolved: str | None = Field(default=None, description="Why the exact values are null.")
