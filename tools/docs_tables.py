@@ -118,8 +118,7 @@ def agents(*families: str) -> str:
         ),
     }
     parts: list[str] = []
-    best_last = sorted(AGENTS, key=lambda agent: agent == BEST)
-    flown = [agent for agent in best_last if any(agent in of for of in figures)]
+    flown = [agent for agent in sorted(AGENTS, key=lambda name: name == BEST) if any(agent in of for of in figures)]
     for title, cell in cells.items():
         rows = [["agent", *(task.short_name for task in tasks)]]
         rows += [[agent, *(cell(of[agent]) if agent in of else "-" for of in figures)] for agent in flown]
