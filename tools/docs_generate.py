@@ -134,7 +134,7 @@ def write_curves() -> None:
         shares = [f"{last.success:.1%}", f"{last.validation:.4f}", f"{last.validation_optimum:.4f}"]
         rows.append([f"`{reward}`", f"{last.reward:.2f}", f"{last.length:.1f}", *shares])
         print(rows[-1], file=sys.stderr)
-    for name in ("reward", "length", "loss", "epsilon", "validation"):
+    for name in ("reward", "length", "loss", "validation"):
         pyplot.figure(figsize=(7, 4), layout="constrained")
         for reward, history in histories.items():
             pyplot.plot([line.episode for line in history], [getattr(line, name) for line in history], label=reward)

@@ -1,7 +1,6 @@
 """Take the screenshots of the page for the docs, in half a minute.
 
     docs/images/dashboard-fly.png        the trained network over hard map 7
-    docs/images/dashboard-fly-light.png  the same in light colours
     docs/images/dashboard-narrow.png     the same on a telephone
     docs/images/dashboard-fork.png       a fork of a failed flight at the last step that could be won
     docs/images/dashboard-layers.png     the best moves from each cell of a skyline city, and the battery range
@@ -53,10 +52,9 @@ def fly_to_the_end(page: Page) -> None:
 
 
 def alone(tabs: Tabs) -> None:
-    """One flight, dark, light and narrow."""
+    """One flight, wide and narrow."""
     views: tuple[tuple[str, dict[str, Any]], ...] = (
         ("fly", {"viewport": WIDE}),
-        ("fly-light", {"viewport": WIDE, "color_scheme": "light"}),
         ("narrow", {"viewport": NARROW, "device_scale_factor": 2, "is_mobile": True, "has_touch": True}),
     )
     for name, options in views:

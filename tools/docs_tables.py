@@ -118,10 +118,10 @@ def agents(*families: str) -> str:
         ),
     }
     parts: list[str] = []
+    flown = [agent for agent in sorted(AGENTS, key=lambda name: name == BEST) if any(agent in of for of in figures)]
     for title, cell in cells.items():
         rows = [["agent", *(task.short_name for task in tasks)]]
-        for agent in (*(agent for agent in AGENTS if agent != BEST), BEST):
-            rows.append([agent, *(cell(of[agent]) if agent in of else "-" for of in figures)])
+        rows += [[agent, *(cell(of[agent]) if agent in of else "-" for of in figures)] for agent in flown]
         parts.append(f"**{title}**\n\n{table(rows)}")
     return "\n\n".join(parts)
 
