@@ -16,7 +16,6 @@ from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.drone_delivery import DRAW, DroneDeliveryEnv, check_render_mode
 from drone_env.envs.forms import observation_space
-from drone_env.envs.registry import check_gym_id
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.reward_file import chosen_profile
 
@@ -42,13 +41,12 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             a `reset` with a mask. An `AutoresetMode`, its name or its value.
         copy: If True, observations, rewards and masks are copies. If False, they are read-only views of the live
             buffers, which the next step overwrites.
-        gym_id: The Gymnasium id that made the environment, which must be the task's own.
         render_mode: `ansi` or `rgb_array`, as in `DroneDeliveryEnv`, or None. Pictures have no trail.
         max_episode_steps: None, or a limit that no episode reaches before its end: nothing is truncated.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if a number, a mode or the id is not allowed.
+        InvalidValueError: if a number or a mode is not allowed.
     """
 
     def __init__(
@@ -59,7 +57,6 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
-        gym_id: str | None = None,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
     ) -> None:
@@ -69,7 +66,6 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             raise InvalidValueError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}")
         self.autoreset_mode = modes[0]
         self.task = get_task(task, version)
-        check_gym_id(gym_id, self.task)
         if max_episode_steps is not None and max_episode_steps < self.task.max_steps:
             raise InvalidValueError(
                 f"max_episode_steps must be at least {self.task.max_steps}, the steps of {self.task.id!r}, got "

@@ -144,8 +144,6 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
     for number in (0, 2.0):
         with pytest.raises(InvalidValueError, match=f"num_envs must be an integer of at least 1, got {number}"):
             gymnasium.make_vec(EASY, num_envs=number)
-    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
-        make(task="hard")
     with pytest.raises(InvalidValueError, match="allowed: reset_mask"):
         make().reset(options={"seed": 1})
 
