@@ -19,7 +19,6 @@ def fly(
     reward_profile: ProfileName = ORIGINAL_PROFILE,
     render: bool = False,
     picture: Path | None = None,
-    film: Path | None = None,
     record: Path | None = None,
 ) -> None:
     """Fly one map and print its log lines.
@@ -36,16 +35,14 @@ def fly(
         reward_profile: A reward profile, or a TOML file with one.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file.
-        film: Save a film of the flight to this GIF file.
         record: Save the flight to this JSON file, for `replay` and `analyse-flight`, or append it to this .jsonl file.
     """
     episode = Episode(task, reward_profile)
     pilot = make_agent(agent, task)
-    for option, path, suffix in (("--picture", picture, ".png"), ("--film", film, ".gif")):
-        if path is not None:
-            if path.suffix != suffix:
-                raise InvalidValueError(f"{option} takes a file that ends in {suffix}, got {path}")
-            prepare_file(option, path)
+    if picture is not None:
+        if picture.suffix != ".png":
+            raise InvalidValueError(f"--picture takes a file that ends in .png, got {picture}")
+        prepare_file("--picture", picture)
     if record is not None:
         prepare_file("--record", record)
     episode.reset(seed)
@@ -55,11 +52,6 @@ def fly(
 
         save_picture(episode, picture)
         print(f"picture: {picture}", file=sys.stderr)
-    if film is not None:
-        from drone_env.envs.rendering import save_film
-
-        save_film(episode, film)
-        print(f"film: {film}", file=sys.stderr)
     if record is not None:
         # Loads Pydantic, which only a record needs.
         from drone_env.flights.record import record_of, save_record
