@@ -68,19 +68,16 @@ def test_an_agent_that_cannot_fly_a_task_says_why_and_one_must_fly(
     assert "is not an exported network" in " ".join(capsys.readouterr().err.split())
 
 
-def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
+def test_solve_prints_a_flight_that_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
     # The battery does not last for all four parcels.
     seed = next(seed for seed in range(1000) if solve("skyline_medium", seed).deliveries == 3)
-    assert main(["solve", "--task", "skyline_medium", "--seed", str(seed), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    episode = Episode(report["task"], seed=report["seed"])
-    assert tuple(report["path"][0]) == episode.position
-    for action, position in zip(report["actions"], report["path"][1:], strict=True):
-        episode.step(Action[action])
-        assert tuple(position) == episode.position
-    assert (episode.score, episode.success, episode.steps) == (report["score"], report["success"], report["steps"])
-    assert report["success"] is False
-    assert len(report["order"]) == report["deliveries"] == 3
+    assert main(["solve", "--task", "skyline_medium", "--seed", str(seed)]) == 0
+    shown = dict(line.split(": ", 1) for line in capsys.readouterr().out.splitlines() if ": " in line)
+    episode = Episode("skyline_medium", seed=seed)
+    order = [f"{stop}" for stop in (episode.position, *solve("skyline_medium", seed).order)]
+    episode.fly(Action[name] for name in shown["Actions"].split())
+    assert shown["Best score"] == f"{episode.score:.4f} with 3 of 4 delivered"
+    assert (shown["Steps"], shown["Order"]) == (f"{episode.steps}", " -> ".join(order))
 
 
 def test_the_maps_of_a_command() -> None:
