@@ -26,8 +26,8 @@ def dataset(
 
     For imitation learning, offline reinforcement learning and process rewards: states, actions, rewards, V*, Q* of all
     actions, the set of optimal actions, and regret. The same arguments give the same rows. The folder contains
-    steps.parquet and a README.md that explains the columns. If an error occurs, nothing is left. Needs the extra
-    `data`.
+    steps.parquet, whose schema describes the columns and contains the configuration. If an error occurs, nothing is
+    left. Needs the extra `data`.
 
     For libraries of offline reinforcement learning, `--minari` also writes the flights as a Minari dataset.
 

@@ -21,12 +21,10 @@ from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.datasets.chat import COLUMNS as CHAT_COLUMNS
 from drone_env.datasets.chat import chat_rows
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
 from drone_env.errors import InvalidValueError, needs
 from drone_env.files import locked
-from drone_env.results.pages import render
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
@@ -79,7 +77,6 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
             rows = _write(config, folder, on_map)
-            (folder / "README.md").write_text(_readme(config, rows), encoding="utf-8")
             if out.exists():
                 out.rmdir()
             folder.rename(out)
@@ -106,22 +103,6 @@ def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) ->
                 rows, batch = rows + steps, []
             on_map()
     return rows
-
-
-def _readme(config: DatasetConfig, rows: int) -> str:
-    """Render the dataset's README.md, with the front matter of dataset hubs."""
-    return render(
-        "dataset.md",
-        config=config,
-        task=config.task,
-        columns=columns(config.task),
-        rows=rows,
-        parquet=PARQUET_FILE,
-        chat_file=CHAT_FILE,
-        chat_columns=CHAT_COLUMNS,
-        minari=MINARI_FOLDER,
-        about=config.as_json(),
-    )
 
 
 def columns(task: TaskConfig) -> list[Column]:
