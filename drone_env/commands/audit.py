@@ -40,7 +40,7 @@ def audit(
         gamma: The learner's discount, 0 to 1.
         maps: Number of maps.
         split: The split; its first maps are used.
-        replay: Write the flight over the worst map to this JSON file, for analyse-flight.
+        replay: Write the flight over the worst map to this JSON file, which the page opens.
         json: Print JSON instead.
     """
     # Imported lazily: they load a compiler.

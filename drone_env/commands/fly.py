@@ -35,7 +35,7 @@ def fly(
         reward_profile: A reward profile, or a TOML file with one.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file.
-        record: Save the flight to this JSON file, for `replay` and `analyse-flight`, or append it to this .jsonl file.
+        record: Save the flight to this JSON file, for `replay` and the page, or append it to this .jsonl file.
     """
     episode = Episode(task, reward_profile)
     pilot = make_agent(agent, task)
