@@ -23,17 +23,6 @@ DRAW: dict[str, Callable[[Episode], Any]] = {"ansi": draw_text, "rgb_array": dra
 """The render modes."""
 
 
-def check_render_mode(mode: str | None) -> str | None:
-    """Return the render mode.
-
-    Raises:
-        InvalidValueError: if it does not exist.
-    """
-    if mode is not None and mode not in list(DRAW):
-        raise InvalidValueError(f"unknown render_mode {mode!r}; allowed: {', '.join(DRAW)}")
-    return mode
-
-
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     """Deliver parcels on a generated city grid.
 
@@ -69,7 +58,9 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         render_mode: str | None = None,
     ) -> None:
         self.task = get_task(task, version)
-        self.render_mode = check_render_mode(render_mode)
+        if render_mode not in (None, *DRAW):
+            raise InvalidValueError(f"unknown render_mode {render_mode!r}; allowed: {', '.join(DRAW)}")
+        self.render_mode = render_mode
         self.episode = Episode(self.task, chosen_profile(reward_profile))
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
