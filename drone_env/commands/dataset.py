@@ -1,13 +1,15 @@
 """`drone-env dataset`: states, actions and their exact values; conversations."""
 
 from pathlib import Path
+from typing import Annotated
 
-from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName
+from drone_env.commands.arguments import OPTIONAL, AgentNames, ProfileName, Split, TaskName
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
+from drone_env.results.tables import plural
 
 
 def dataset(
@@ -19,7 +21,7 @@ def dataset(
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
     reward_profile: ProfileName = DEFAULT_PROFILE,
-    prompt: str | None = None,
+    prompt: Annotated[str | None, OPTIONAL] = None,
 ) -> None:
     """Write a dataset of flights with the exact values of every step.
 
@@ -56,4 +58,4 @@ def dataset(
     config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, prompt)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
         rows = build_dataset(config, out, on_map=advance)
-    print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")
+    print(f"{out}: {rows:,} steps of {plural(config.episodes, 'flight')} over {plural(maps, 'map')}")

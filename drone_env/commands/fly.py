@@ -1,11 +1,10 @@
 """`drone-env fly`: one flight, as log lines."""
 
 import sys
-from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
-from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
+from drone_env.commands.arguments import AgentName, OptionalPath, ProfileName, Seed, TaskName
 from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
@@ -18,8 +17,8 @@ def fly(
     seed: Seed = None,
     reward_profile: ProfileName = ORIGINAL_PROFILE,
     render: bool = False,
-    picture: Path | None = None,
-    record: Path | None = None,
+    picture: OptionalPath = None,
+    record: OptionalPath = None,
 ) -> None:
     """Fly one map and print its log lines.
 
