@@ -1,17 +1,15 @@
 """`drone-env serve`: the server."""
 
 from pathlib import Path
-from typing import Annotated
 
-from drone_env.commands.arguments import OPTIONAL, OptionalPath
 from drone_env.errors import needs
 
 
 def serve(
-    host: Annotated[str | None, OPTIONAL] = None,
-    port: Annotated[int | None, OPTIONAL] = None,
-    workers: Annotated[int | None, OPTIONAL] = None,
-    data: OptionalPath = None,
+    host: str | None = None,
+    port: int | None = None,
+    workers: int | None = None,
+    data: Path | None = None,
     reward_profiles: tuple[Path, ...] = (),
 ) -> None:
     """Serve the environment: JSON over HTTP, OpenEnv over WebSocket; /docs describes both.
