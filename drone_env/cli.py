@@ -18,13 +18,13 @@ DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
 )
 COMMANDS = (
-    *("fly", "evaluate", "leaderboard", "solve", "audit", "analyse-flight"),
+    *("fly", "evaluate", "leaderboard", "solve", "audit"),
     *("train", "infer", "replay", "dataset", "city", "serve", "doctor"),
 )
 
 
 def _module(name: str) -> Any:
-    return import_module(f"drone_env.commands.{name.replace('-', '_')}")
+    return import_module(f"drone_env.commands.{name}")
 
 
 def _run_command(arguments: Sequence[str]) -> int | None:
@@ -32,7 +32,7 @@ def _run_command(arguments: Sequence[str]) -> int | None:
     if arguments[:1] in (["-h"], ["--help"]):
         overview = SubcommandApp()
         for name in COMMANDS:
-            overview.command(getattr(_module(name), name.replace("-", "_")))
+            overview.command(getattr(_module(name), name))
         overview.cli(prog="drone-env", description=DESCRIPTION, args=["--help"])
     if not arguments or arguments[0].startswith("-"):
         raise InvalidValueError("name a command, such as fly, evaluate or train; drone-env --help lists all")
@@ -40,7 +40,7 @@ def _run_command(arguments: Sequence[str]) -> int | None:
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
     module, rest = _module(name), register_files(rest)
-    command = module.train_command(rest) if name == "train" else getattr(module, name.replace("-", "_"))
+    command = module.train_command(rest) if name == "train" else getattr(module, name)
     return tyro.cli(command, prog=f"drone-env {name}", args=rest, config=[tyro.conf.DisallowNone])
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drone_env.agents.base import Agent
-from drone_env.agents.custom import as_agent, imported, is_address
+from drone_env.agents.custom import MODULE_AND_NAME, as_agent, imported
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.planned import BeamAgent, NearestAgent, OptimalAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
@@ -81,6 +81,6 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         return BeamAgent(task, name.removeprefix("beam:"))
     if network := network_file(name):
         return NETWORK_AGENTS[network[0]](task, network[1])
-    if is_address(name):
+    if MODULE_AND_NAME.fullmatch(name):
         return as_agent(imported(name), task)
     raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME"])

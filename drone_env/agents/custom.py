@@ -20,7 +20,8 @@ from drone_env.errors import InvalidValueError, UnsupportedTaskError
 from drone_env.planning.from_observation import episode_of
 
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
-MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+MODULE_AND_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+"""The form `MODULE:NAME`."""
 
 
 class FunctionAgent:
@@ -123,11 +124,6 @@ def as_agent(policy: Any, task: TaskConfig) -> Agent:
         return FunctionAgent(cast(Callable[[Observation], int], agent), identity(agent))
     allowed = "a function of the observation, an object or class with reset and act, or a model of Stable-Baselines3"
     raise InvalidValueError(f"an agent is {allowed}; got {policy!r}")
-
-
-def is_address(name: str) -> bool:
-    """Whether a name has the form `MODULE:NAME`."""
-    return MODULE.fullmatch(name) is not None
 
 
 def imported(address: str) -> Any:

@@ -3,15 +3,12 @@
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.agents.weights_file import PATHQNET, WEIGHTS, Array, Shapes, Weights, in_one_thread, read_weights
-from drone_env.core.actions import N_ACTIONS
-from drone_env.core.cells import N_CELL_KINDS
+from drone_env.agents.weights_file import PATHQNET, WEIGHTS, Array, Weights, in_one_thread, read_weights, rejecting
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, UnsupportedTaskError
@@ -20,21 +17,6 @@ POOLED = 4
 EPSILON = 1e-5
 """What PyTorch's LayerNorm adds to the variance."""
 MAP_FEATURES = 64
-SHAPES: dict[str, tuple[int, ...]] = {
-    "encoder.embedding.weight": (N_CELL_KINDS, 8),
-    "encoder.conv1.weight": (16, 8, 3, 3),
-    "encoder.conv2.weight": (32, 16, 3, 3),
-    "encoder.linear.weight": (MAP_FEATURES, 32 * POOLED * POOLED),
-    "head.0.weight": (128, MAP_FEATURES),  # and a column for each value of the telemetry
-    "head.1.weight": (128,),
-    "head.3.weight": (128, 128),
-    "head.5.weight": (64, 128),
-    "head.7.weight": (N_ACTIONS, 64),
-}
-SHAPES.update(
-    {name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"}
-)
-"""The shapes of the parameters, here and in `rl.model`; a layer has a bias for each of its outputs."""
 
 
 class Network:
@@ -101,15 +83,10 @@ def load_network(path: Path) -> Network:
         OSError: if the file cannot be read.
         CheckpointError: if it is not an exported network.
     """
-    return Network(read_weights(path, PATHQNET, _shapes))
-
-
-def _shapes(metadata: dict[str, Any]) -> Shapes:
-    telemetry_size = metadata.get("telemetry_size")
-    if type(telemetry_size) is not int or not 0 < telemetry_size <= MAP_FEATURES:
-        raise ValueError("its metadata lacks telemetry_size, the number of telemetry values")
-    rows, inputs = SHAPES["head.0.weight"]
-    return SHAPES | {"head.0.weight": (rows, inputs + telemetry_size)}
+    network = Network(read_weights(path, PATHQNET))
+    with rejecting(path):  # one call shows whether the parameters fit
+        network(np.zeros((1, POOLED, POOLED), np.uint8), np.zeros((1, network.metadata["telemetry_size"]), np.float32))
+    return network
 
 
 MAPS_AT_ONCE = 256

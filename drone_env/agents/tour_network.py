@@ -7,34 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.pathqnet import EPSILON
-from drone_env.agents.tour_features import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES, Features
-from drone_env.agents.weights_file import TOURNET, Array, Weights, in_one_thread, read_weights
+from drone_env.agents.tour_features import Features, make_features
+from drone_env.agents.weights_file import TOURNET, Array, Weights, in_one_thread, read_weights, rejecting
 
 WIDTH, HEADS, LAYERS, EDGE, EDGE_HIDDEN, HIDDEN = 64, 4, 4, 16, 32, 64
 HEAD = WIDTH // HEADS
-LAYER_SHAPES: dict[str, tuple[int, ...]] = {
-    "tokens": (WIDTH, TOKEN_FEATURES),
-    "edges1": (EDGE_HIDDEN, EDGE_FEATURES),
-    "edges2": (EDGE, EDGE_HIDDEN),
-    "node": (HIDDEN, WIDTH),
-    "option": (HIDDEN, OPTION_FEATURES),  # without a bias
-    "hidden": (HIDDEN, HIDDEN),
-    "head": (2, HIDDEN),
-    "norm": (WIDTH,),
-}
-BLOCK_SHAPES: dict[str, tuple[int, ...]] = {
-    "norm1": (WIDTH,),
-    "qkv": (3 * WIDTH, WIDTH),
-    "bias": (HEADS, EDGE),
-    "out": (WIDTH, WIDTH + HEADS * EDGE),
-    "norm2": (WIDTH,),
-    "up": (2 * WIDTH, WIDTH),
-    "down": (WIDTH, 2 * WIDTH),
-}
-LAYER_SHAPES.update({f"blocks.{i}.{name}": shape for i in range(LAYERS) for name, shape in BLOCK_SHAPES.items()})
-SHAPES: dict[str, tuple[int, ...]] = {f"{name}.weight": shape for name, shape in LAYER_SHAPES.items()}
-SHAPES.update({f"{name}.bias": shape[:1] for name, shape in LAYER_SHAPES.items() if name != "option"})
-"""The shapes of the parameters, under the names of `rl.model`."""
 
 
 class TourNetwork:
@@ -95,5 +72,14 @@ def relu(x: Array) -> Array:
 
 
 def load_tour_network(path: Path) -> TourNetwork:
-    """Read an exported network."""
-    return TourNetwork(read_weights(path, TOURNET, lambda metadata: SHAPES))
+    """Read an exported network.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it is not an exported network.
+    """
+    network, features = TourNetwork(read_weights(path, TOURNET)), make_features(1, 1, 1)
+    features.present[:], features.begins[1] = True, 1
+    with rejecting(path):  # one call shows whether the parameters fit
+        network(features)
+    return network

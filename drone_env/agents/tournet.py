@@ -11,7 +11,7 @@ from drone_env.agents.base import StatelessAgent
 from drone_env.agents.weights_file import WEIGHTS
 from drone_env.core.actions import Action
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import CheckpointError, UnsupportedTaskError
+from drone_env.errors import CheckpointError
 
 if TYPE_CHECKING:
     from drone_env.agents.tour_features import FeatureEncoder, Features
@@ -38,7 +38,6 @@ class TournetAgent(StatelessAgent):
         OSError: if the file cannot be read.
         CheckpointError: if it holds no tour network.
         TooLargeError: if the features of a state would take too much memory.
-        UnsupportedTaskError: if no network is shipped.
     """
 
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
@@ -46,8 +45,6 @@ class TournetAgent(StatelessAgent):
         from drone_env.agents.tour_features import FeatureEncoder
         from drone_env.agents.tour_network import load_tour_network
 
-        if network is None and not SHIPPED.is_file():
-            raise UnsupportedTaskError(f"no tour network is shipped as {SHIPPED}: name a file, as in tournet:FILE")
         self._network = load_tour_network(SHIPPED if network is None else network)
         self._encoder = FeatureEncoder(task)
         self.config: Mapping[str, object] = {"agent": "tournet", "version": 1, "network": self._network.digest}

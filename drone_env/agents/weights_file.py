@@ -1,4 +1,4 @@
-"""Files of networks. They may come from anybody, so everything in them is checked.
+"""Files of networks.
 
 A file is in the safetensors format: float32 parameters under PyTorch's names and, in the metadata, a JSON object as the
 entry `drone_env`. The object's entry `network` names the network, PathQNet if it is missing.
@@ -6,13 +6,13 @@ entry `drone_env`. The object's entry `network` names the network, PathQNet if i
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
-from safetensors import SafetensorError
 from safetensors.numpy import load, save
 from threadpoolctl import ThreadpoolController
 
@@ -22,15 +22,11 @@ from drone_env.files import read_file, replacing
 WEIGHTS = Path(__file__).parents[1] / "weights"
 """The folder of the shipped networks."""
 Array = npt.NDArray[np.float32]
-Shapes = Mapping[str, tuple[int, ...]]
-"""The shape of each parameter of a network, by its name."""
 PATHQNET, TOURNET = "pathqnet", "tournet"
 """The networks."""
 METADATA = "drone_env"
 MOST_BYTES = 1 << 20
 """Maximum size of a file."""
-LARGEST = 100.0
-"""Maximum absolute value of a parameter: trained ones stay below 3, and up to it nothing overflows."""
 in_one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
 """Decorator: NumPy multiplies matrices in the calling thread. The matrices are small: on a busy machine, threads of the
 BLAS library would take several times as long."""
@@ -53,60 +49,53 @@ def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping
         temporary.write_bytes(content)
 
 
-def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]], Shapes]) -> Weights:
+def read_weights(path: Path, network: str) -> Weights:
     """Read the file of a network.
-
-    Args:
-        path: The file.
-        network: The expected network.
-        shapes_of: Returns the expected shapes, by the metadata; raises ValueError if these are incomplete.
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it is not such a file.
+        CheckpointError: if it contains no such network. `rejecting` turns errors of parameters that do not fit into it.
     """
-    weights = _read(path)
-    try:
+    with rejecting(path):
+        weights = _read(path)
         found = weights.metadata.get("network", PATHQNET)
         if found != network:
             raise ValueError(f"it contains a network of {abbreviate(found)}, not of {network!r}")
-        _require_shapes(weights.parameters, shapes_of(weights.metadata))
-    except (ValueError, TypeError) as error:
-        raise _rejected(path, error) from None
-    return weights
+        for name, array in weights.parameters.items():
+            if array.dtype != np.float32 or not np.isfinite(array).all():
+                raise ValueError(f"{name} is not float32, or has NaN or infinity")
+        return weights
 
 
 def network_of(path: Path) -> str:
     """The network that a file names in its metadata."""
-    return str(_read(path).metadata.get("network", PATHQNET))
+    with rejecting(path):
+        return str(_read(path).metadata.get("network", PATHQNET))
+
+
+@contextmanager
+def rejecting(path: Path) -> Generator[None, None, None]:
+    """Inside the `with`, an error means that a file is not an exported network.
+
+    Raises:
+        CheckpointError: from any error but an OSError.
+    """
+    try:
+        yield
+    except OSError:
+        raise
+    except Exception as error:  # damaged files, and parameters that do not fit, raise many types
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{path} ")
+        raise CheckpointError(
+            f"{path} is not an exported network (.safetensors, beside the checkpoint): {reason}"
+        ) from None
 
 
 def _read(path: Path) -> Weights:
-    try:
-        content = read_file(path, MOST_BYTES)
-        parameters = load(content)
-        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
-        metadata = json.loads(header["__metadata__"][METADATA])
-        if not isinstance(metadata, dict):
-            raise ValueError("its metadata is not a JSON object")
-    except KeyError as error:
-        raise _rejected(path, ValueError(f"it lacks {error}")) from None
-    except (SafetensorError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise _rejected(path, error) from None
+    content = read_file(path, MOST_BYTES)
+    parameters = load(content)
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    metadata = json.loads(header["__metadata__"][METADATA])
+    if not isinstance(metadata, dict):
+        raise ValueError("its metadata is not a JSON object")
     return Weights(parameters, cast(dict[str, Any], metadata), hashlib.sha256(content).hexdigest()[:16])
-
-
-def _rejected(path: Path, error: Exception) -> CheckpointError:
-    reason = str(error).removeprefix(f"{path} ")
-    return CheckpointError(f"{path} is not an exported network (.safetensors, beside the checkpoint): {reason}")
-
-
-def _require_shapes(parameters: Mapping[str, npt.NDArray[Any]], shapes: Shapes) -> None:
-    if parameters.keys() != shapes.keys():
-        raise ValueError("its parameters are not those of the network")
-    for name, shape in shapes.items():
-        array = parameters[name]
-        if array.dtype != np.float32 or array.shape != shape:
-            raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of float32{list(shape)}")
-        if not (np.abs(array) <= LARGEST).all():
-            raise ValueError(f"{name} has NaN, or values beyond {LARGEST:g}")

@@ -152,7 +152,7 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     """
     columns, rows = size
     if not (MIN_SIDE <= min(size) and max(size) <= MAX_SIDE):
-        raise InvalidValueError(f"--size must be {MIN_SIDE}x{MIN_SIDE} to {MAX_SIDE}x{MAX_SIDE}, got {columns}x{rows}")
+        raise InvalidValueError(f"--size takes two numbers of {MIN_SIDE} to {MAX_SIDE}, got {columns} {rows}")
     if not MIN_CELL <= cell <= MAX_CELL:
         raise InvalidValueError(f"--cell must be {MIN_CELL:g} to {MAX_CELL:g} metres, got {cell:g}")
     with _opened(path) as source:

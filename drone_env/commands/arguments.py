@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from reprlib import repr as shortened
 from typing import Annotated, Any
 
@@ -16,20 +17,23 @@ from drone_env.errors import InvalidValueError
 
 SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
+OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
+"""An option whose help names what happens without it; tyro would add `(default: None)`."""
 TASK = "|".join((*SHORT_NAMES, "CITY.toml"))
 TaskName = Annotated[str, tyro.conf.arg(metavar=TASK)]
-ChosenTask = Annotated[str | None, tyro.conf.arg(metavar=TASK)]
+ChosenTask = Annotated[str | None, tyro.conf.arg(metavar=TASK), OPTIONAL]
 AGENT = "|".join((*AGENTS, "MODULE:NAME"))
 AgentName = Annotated[str, tyro.conf.arg(metavar=AGENT)]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=AGENT)]
-ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT)]
+ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT), OPTIONAL]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
-SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
-SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
+SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS)), OPTIONAL]
+SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B"), OPTIONAL]
 PROFILE = "|".join((*REWARD_PROFILES, "FILE.toml"))
 ProfileName = Annotated[str, tyro.conf.arg(metavar=PROFILE)]
-ChosenProfile = Annotated[str | None, tyro.conf.arg(metavar=PROFILE)]
-Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
+ChosenProfile = Annotated[str | None, tyro.conf.arg(metavar=PROFILE), OPTIONAL]
+Seed = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
+OptionalPath = Annotated[Path | None, OPTIONAL]
 
 REGISTERED: dict[str, Callable[[str], Any]] = {
     "--task": register_city,
@@ -68,15 +72,13 @@ def select_maps(seeds: str | None, split: str | None, episodes: int | None, defa
     """Return split and seeds of `--seeds`, `--split` and `--episodes`; the split of `--seeds` is `custom`.
 
     Args:
-        seeds: `A:B`.
+        seeds: `A:B`; they replace those of the split.
         split: A split; None for test.
         episodes: Number of its first maps.
         default: The default of `episodes`.
     """
-    if seeds is None:
-        if episodes is not None and episodes < 1:
-            raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
-        return split or "test", split_seeds(split or "test", episodes or default)
-    if split is not None or episodes is not None:
-        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
-    return "custom", parse_seeds(seeds)
+    if seeds is not None:
+        return "custom", parse_seeds(seeds)
+    if episodes is not None and episodes < 1:
+        raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    return split or "test", split_seeds(split or "test", episodes or default)

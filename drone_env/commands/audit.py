@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from drone_env.commands.arguments import ProfileName, Split, TaskName
+from drone_env.commands.arguments import OptionalPath, ProfileName, Split, TaskName
 from drone_env.commands.flights import prepare_file
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.actions import Action
@@ -12,7 +12,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.results.tables import Table, number, print_table
+from drone_env.results.tables import Table, number, plural, print_table
 
 
 def audit(
@@ -21,7 +21,7 @@ def audit(
     gamma: float = 1.0,
     maps: int = 20,
     split: Split = "test",
-    replay: Path | None = None,
+    replay: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Compute the flight that maximises a reward, and its score.
@@ -40,7 +40,7 @@ def audit(
         gamma: The learner's discount, 0 to 1.
         maps: Number of maps.
         split: The split; its first maps are used.
-        replay: Write the flight over the worst map to this JSON file, for analyse-flight.
+        replay: Write the flight over the worst map to this JSON file, which the page opens.
         json: Print JSON instead.
     """
     # Imported lazily: they load a compiler.
@@ -80,7 +80,8 @@ RETURNS = {
 
 def _print(report: dict[str, Any], replay: Path | None) -> None:
     shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
-    title = f"{report['reward']} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps"
+    maps = plural(report["maps"], "map")
+    title = f"{report['reward']} on {report['task']}, gamma {report['gamma']:g}{shaping}, {maps}"
     returns, worst = report["mean_returns"], report["worst"]
     rows = [(RETURNS[name], number(value, ".3f")) for name, value in returns.items()]
     better = [i for i, name in enumerate(returns) if name != "maximiser" and returns[name] > returns["honest"] + 1e-9]

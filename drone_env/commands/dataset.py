@@ -1,13 +1,15 @@
 """`drone-env dataset`: states, actions and their exact values; conversations."""
 
 from pathlib import Path
+from typing import Annotated
 
-from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName
+from drone_env.commands.arguments import OPTIONAL, AgentNames, ProfileName, Split, TaskName
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
+from drone_env.results.tables import plural
 
 
 def dataset(
@@ -19,17 +21,14 @@ def dataset(
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
     reward_profile: ProfileName = DEFAULT_PROFILE,
-    prompt: str | None = None,
-    minari: bool = False,
+    prompt: Annotated[str | None, OPTIONAL] = None,
 ) -> None:
     """Write a dataset of flights with the exact values of every step.
 
     For imitation learning, offline reinforcement learning and process rewards: states, actions, rewards, V*, Q* of all
     actions, the set of optimal actions, and regret. The same arguments give the same rows. The folder contains
-    steps.parquet and a README.md that explains the columns. If an error occurs, nothing is left. Needs the extra
-    `data`.
-
-    For libraries of offline reinforcement learning, `--minari` also writes the flights as a Minari dataset.
+    steps.parquet, whose schema describes the columns and contains the configuration. If an error occurs, nothing is
+    left. Needs the extra `data`.
 
     For language models, `--prompt` also writes chat.jsonl: each request that `drone-env infer` sends with this prompt,
     and the agent's answer, as TRL's SFTTrainer reads them.
@@ -49,7 +48,6 @@ def dataset(
         reward_profile: A reward profile, or a TOML file with one. V*, Q* and regret are in score and do not depend on
             it.
         prompt: The prompt of conversations: name (the newest version), id, or your own file. Default: none are written.
-        minari: Also write a Minari dataset (Python 3.11 or newer). A flight takes about 50 KB (easy) to 500 KB (city).
     """
     from drone_env.datasets.build import build_dataset  # slow to load
     from drone_env.datasets.trajectories import DatasetConfig
@@ -57,7 +55,7 @@ def dataset(
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
     seeds = split_seeds(split, maps, offset)
-    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, prompt, minari)
+    config = DatasetConfig(get_task(task), seeds, split, agents, epsilon, reward_profile, prompt)
     with progress_bar(f"{config.task.short_name} maps", maps) as advance:
         rows = build_dataset(config, out, on_map=advance)
-    print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")
+    print(f"{out}: {rows:,} steps of {plural(config.episodes, 'flight')} over {plural(maps, 'map')}")

@@ -9,7 +9,7 @@ import tyro
 
 from drone_env import __version__
 from drone_env.agents import Agent, make_agent
-from drone_env.commands.arguments import TASK, AgentNames, ChosenAgent, SeedRange, SplitName, select_maps
+from drone_env.commands.arguments import TASK, AgentNames, ChosenAgent, OptionalPath, SeedRange, Split, select_maps
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
@@ -17,10 +17,10 @@ from drone_env.planning.optimal import require_solvable
 from drone_env.results.evaluate import FIGURES, episodes_key, evaluate_keys, figures_of, local_engine, repeats_of
 from drone_env.results.result import EpisodesKey, Results, repeated
 from drone_env.results.statistics import PairedComparison, Summary
-from drone_env.results.tables import Table, number, percent, print_table, with_interval
+from drone_env.results.tables import Table, number, percent, plural, print_table, with_interval
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
-Cluster = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
+Cluster = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT", help_behavior_hint="(optional)")]
 Row = tuple[TaskConfig, str]
 """A task and an agent."""
 
@@ -28,12 +28,12 @@ Row = tuple[TaskConfig, str]
 def evaluate(
     task: TaskNames = ("all",),
     agents: AgentNames = ("random", "nearest", "beam", "optimal"),
-    split: SplitName = None,
-    episodes: int | None = None,
+    split: Split = "test",
+    episodes: int = 1000,
     seeds: SeedRange = None,
     against: ChosenAgent = None,
     repeats: int = 1,
-    out: Path | None = None,
+    out: OptionalPath = None,
     json: bool = False,
     ray: Cluster = None,
 ) -> None:
@@ -50,9 +50,9 @@ def evaluate(
         task: One or more tasks; `all` for every registered task.
         agents: One or more agents: names, `pathqnet:FILE` or `tournet:FILE` for a network, `MODULE:NAME` for your own
             agent or a model of Stable-Baselines3 and its observation wrapper (docs/agents.md).
-        split: Fly the first maps of this split. Default: test. Training never uses validation and test.
-        episodes: Number of maps of the split. Default: 1000.
-        seeds: Fly maps A to B - 1 instead.
+        split: Fly the first maps of this split. Training never uses validation and test.
+        episodes: Number of maps of the split.
+        seeds: Fly maps A to B - 1 instead of a split's.
         against: Compare all others with this agent, map by map, in a second table. Better: share of maps with a higher
             score; ties count half. The intervals of a task hold together.
         repeats: Flights per map of stochastic agents; their mean counts.
@@ -90,7 +90,7 @@ def evaluate(
     if json:
         print_json(_report(cells, differences, maps, chosen_split, repeats))
         return
-    caption = f"{len(maps):,} maps a task, split {chosen_split}, seeds {maps.start} to {maps.stop - 1}"
+    caption = f"{plural(len(maps), 'map')} a task, split {chosen_split}, seeds {maps.start} to {maps.stop - 1}"
     if repeats > 1:
         caption += f", {repeats} flights of each stochastic agent per map"
     _print(cells, caption)

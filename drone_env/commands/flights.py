@@ -10,6 +10,7 @@ from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text, end_line, start_line, step_line
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
+from drone_env.results.tables import plural
 
 
 def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], render: bool) -> None:
@@ -31,9 +32,8 @@ def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], r
     optimum = best_of(episode.task, episode.seed)
     known = f"the optimum is {optimum.score:.4f} in {optimum.steps}" if optimum else "the optimum is not known"
     unfinished = "" if episode.ended else ", unfinished and counted as waiting to the end"
-    print(
-        f"map {episode.seed}: {agent} scored {score:.4f} in {episode.steps} steps{unfinished}; {known}", file=sys.stderr
-    )
+    flown = f"{score:.4f} in {plural(episode.steps, 'step')}{unfinished}"
+    print(f"map {episode.seed}: {agent} scored {flown}; {known}", file=sys.stderr)
 
 
 def prepare_file(option: str, path: Path) -> None:

@@ -1,11 +1,10 @@
 """`drone-env fly`: one flight, as log lines."""
 
 import sys
-from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
-from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
+from drone_env.commands.arguments import AgentName, OptionalPath, ProfileName, Seed, TaskName
 from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
@@ -18,9 +17,8 @@ def fly(
     seed: Seed = None,
     reward_profile: ProfileName = ORIGINAL_PROFILE,
     render: bool = False,
-    picture: Path | None = None,
-    film: Path | None = None,
-    record: Path | None = None,
+    picture: OptionalPath = None,
+    record: OptionalPath = None,
 ) -> None:
     """Fly one map and print its log lines.
 
@@ -36,16 +34,14 @@ def fly(
         reward_profile: A reward profile, or a TOML file with one.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file.
-        film: Save a film of the flight to this GIF file.
-        record: Save the flight to this JSON file, for `replay` and `analyse-flight`, or append it to this .jsonl file.
+        record: Save the flight to this JSON file, for `replay` and the page, or append it to this .jsonl file.
     """
     episode = Episode(task, reward_profile)
     pilot = make_agent(agent, task)
-    for option, path, suffix in (("--picture", picture, ".png"), ("--film", film, ".gif")):
-        if path is not None:
-            if path.suffix != suffix:
-                raise InvalidValueError(f"{option} takes a file that ends in {suffix}, got {path}")
-            prepare_file(option, path)
+    if picture is not None:
+        if picture.suffix != ".png":
+            raise InvalidValueError(f"--picture takes a file that ends in .png, got {picture}")
+        prepare_file("--picture", picture)
     if record is not None:
         prepare_file("--record", record)
     episode.reset(seed)
@@ -55,11 +51,6 @@ def fly(
 
         save_picture(episode, picture)
         print(f"picture: {picture}", file=sys.stderr)
-    if film is not None:
-        from drone_env.envs.rendering import save_film
-
-        save_film(episode, film)
-        print(f"film: {film}", file=sys.stderr)
     if record is not None:
         # Loads Pydantic, which only a record needs.
         from drone_env.flights.record import record_of, save_record

@@ -10,6 +10,7 @@ from drone_env.commands.flights import log_flight
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.results.tables import plural
 
 File = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
@@ -44,7 +45,7 @@ def replay(file: File, verify: bool = False, render: bool = False, reward: Chose
         except (InvalidValueError, UnknownNameError) as error:
             raise InvalidValueError(f"{name}: {error}") from None
         if verify:
-            rewards, ended = f"{len(record.rewards)} rewards", "" if record.ended else ", unfinished"
+            rewards, ended = plural(len(record.rewards), "reward"), "" if record.ended else ", unfinished"
             print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")
         else:
             start = Episode(episode.task, episode.reward_profile, record.seed)

@@ -1,14 +1,12 @@
 """`drone-env solve`: an optimal flight over a map."""
 
-import json as json_format
-
 from drone_env.commands.arguments import Seed, TaskName
 from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text, draw_tour
 from drone_env.planning.optimal import solve_episode
 
 
-def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> None:
+def solve(task: TaskName = "easy", seed: Seed = None) -> None:
     """Show a map, an optimal flight over it and its score.
 
     Example: drone-env solve --task hard --seed 7
@@ -16,27 +14,11 @@ def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> Non
     Args:
         task: The task, by short name, id or grader.
         seed: Number of the map, 0 to 2^53 - 1. Default: a random train map.
-        json: Print JSON instead: positions are [x, y]; `path` starts at the start of the drone.
     """
     episode = Episode(task)
     episode.reset(seed)
     solution = solve_episode(episode)
     path = [(step.x, step.y) for step in episode.copy().fly(solution.actions).path]
-    if json:
-        report = {
-            "task": episode.task.id,
-            "version": episode.task.version,
-            "seed": episode.seed,
-            "score": solution.score,
-            "success": solution.success,
-            "steps": solution.steps,
-            "deliveries": solution.deliveries,
-            "order": solution.order,
-            "actions": [action.name for action in solution.actions],
-            "path": [episode.position, *path],
-        }
-        print(json_format.dumps(report))
-        return
     print(draw_text(episode))
     print()
     print(draw_tour(episode, path, solution.order))

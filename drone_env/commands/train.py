@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
-from drone_env.commands.arguments import TASK, ProfileName, TaskName
+from drone_env.commands.arguments import TASK, OptionalPath, ProfileName, TaskName
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
@@ -62,8 +62,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         network: NetworkName = "pathqnet",
         preset: Literal["fast", "original"] = "fast",
         fresh: bool = False,
-        data: Path | None = None,
-        results: Path | None = None,
+        data: OptionalPath = None,
+        results: OptionalPath = None,
     ) -> int:
         """Train a network to fly a task, and validate it against the exact optimum.
 
@@ -102,8 +102,8 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
         config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
         network: NetworkName = "tournet",
         fresh: bool = False,
-        data: Path | None = None,
-        results: Path | None = None,
+        data: OptionalPath = None,
+        results: OptionalPath = None,
     ) -> int:
         """Train a tour network, and validate it against the exact optimum.
 

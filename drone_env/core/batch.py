@@ -3,7 +3,7 @@
 The next step overwrites every buffer of a `Batch`, so copy arrays that you need later.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy.typing as npt
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
 from drone_env.core.compile_cache import print_before_compiling
-from drone_env.core.episode import Episode, EpisodeState
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import open_actions, score, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rules import reset as reset_episode
@@ -257,14 +256,6 @@ class Batch:
             wrong = values[(values < 0) | (values >= N_ACTIONS)][0]
             raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
         self._n_ended[0] = n_ended
-
-    def episodes(self) -> Iterator[Episode]:
-        """A copy of each episode. Its path and its total reward are not known."""
-        for seed, grid, state in zip(self.seeds.tolist(), self._buffers.grids, self._buffers.states, strict=True):
-            episode = Episode(self.task, self.reward_profile)
-            numbers = grid.tobytes(), state.tobytes()
-            episode.set_state(EpisodeState(self.task, self.reward_profile, seed, *numbers, reward_total=0.0, path=()))
-            yield episode
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
         """A snapshot of all episodes for `set_state`, as copies of arrays."""

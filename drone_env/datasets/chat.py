@@ -12,26 +12,14 @@ from drone_env.datasets.trajectories import DatasetConfig, Trajectory
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.models import DIRECTIONS
 
-COLUMNS = {
-    "messages": "the request and the answer",
-    "task": "id of the task",
-    "seed": "number of the map",
-    "step": "number of earlier steps",
-    "agent": "name of the agent that answers",
-    "score": "graded score of the flight",
-    "optimal_score": "highest score that any flight over the map gets",
-    "regret": "optimal_score - score",
-    "actions": "the actions of the answer",
-    "optimal_actions": "for each of these actions: all actions that reach V*",
-    "regrets": f"for each of these actions: V* - Q* of {', '.join(DIRECTIONS)}",
-}
-"""The columns, and their meaning."""
-
 
 def chat_rows(config: DatasetConfig, flight: Trajectory) -> Iterator[dict[str, Any]]:
     """One row for each request of a flight: every step, or the whole route if the prompt asks for it.
 
     The answer to one step is the agent's action, also if a random one is flown instead.
+
+    `step` is the number of earlier steps, `regret` is optimum - score. For each of the `actions` of the answer,
+    `optimal_actions` contains all actions that reach V*, and `regrets` contains V* - Q* of each action in `DIRECTIONS`.
     """
     prompt, episode, steps = get_prompt(config.prompt or ""), Episode(config.task, seed=flight.seed), flight.steps
     regrets = steps["value"][:, None] - steps["q_values"]

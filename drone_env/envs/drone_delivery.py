@@ -15,24 +15,12 @@ from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
 from drone_env.envs.forms import observation_space
-from drone_env.envs.registry import check_gym_id
 from drone_env.envs.rendering import FPS, draw_picture
 from drone_env.errors import InvalidValueError
 from drone_env.reward_file import chosen_profile
 
 DRAW: dict[str, Callable[[Episode], Any]] = {"ansi": draw_text, "rgb_array": draw_picture}
 """The render modes."""
-
-
-def check_render_mode(mode: str | None) -> str | None:
-    """Return the render mode.
-
-    Raises:
-        InvalidValueError: if it does not exist.
-    """
-    if mode is not None and mode not in list(DRAW):
-        raise InvalidValueError(f"unknown render_mode {mode!r}; allowed: {', '.join(DRAW)}")
-    return mode
 
 
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
@@ -54,11 +42,10 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
         render_mode: `ansi` (a string), `rgb_array` (uint8[h, w, 3]) or None. `gymnasium.make` also takes `human`: its
             wrapper `HumanRendering` opens a window.
-        gym_id: The Gymnasium id that made the environment, which must be the task's own.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if the render mode does not exist, or the id belongs to another task.
+        InvalidValueError: if the render mode does not exist.
     """
 
     metadata: dict[str, Any] = {"render_modes": [*DRAW], "render_fps": FPS}
@@ -69,11 +56,11 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         version: int | None = None,
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         render_mode: str | None = None,
-        gym_id: str | None = None,
     ) -> None:
         self.task = get_task(task, version)
-        check_gym_id(gym_id, self.task)
-        self.render_mode = check_render_mode(render_mode)
+        if render_mode not in (None, *DRAW):
+            raise InvalidValueError(f"unknown render_mode {render_mode!r}; allowed: {', '.join(DRAW)}")
+        self.render_mode = render_mode
         self.episode = Episode(self.task, chosen_profile(reward_profile))
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]

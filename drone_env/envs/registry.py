@@ -26,22 +26,6 @@ from drone_env.errors import InvalidTaskError, InvalidValueError
 PLUGINS = "DRONE_ENV_PLUGINS"
 
 
-REWARD_THRESHOLDS = {
-    "easy_delivery": 0.15,
-    "medium_delivery": 0.34,
-    "hard_delivery": 0.31,
-    "skyline_easy": 0.33,
-    "skyline_medium": 0.25,
-    "skyline_hard": 0.19,
-    "rush_easy": 0.14,
-    "rush_medium": 0.10,
-    "rush_hard": 0.04,
-    "city_small": 0.22,
-}
-"""The mean sum of rewards of `aligned` that is 95 % of the way from random to optimal flights, on the first 100
-validation maps. `city` has none: on its long flights the sum does not rank policies. A test computes them again."""
-
-
 class StepLimit(int):
     """The steps of a task, for libraries that read `max_episode_steps`.
 
@@ -63,19 +47,8 @@ def register_envs() -> None:
                 entry_point="drone_env.envs.wrappers:make",
                 vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
                 max_episode_steps=StepLimit(task.max_steps),
-                reward_threshold=REWARD_THRESHOLDS.get(task.id),
-                kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
+                kwargs={"task": task.id, "version": task.version},
             )
-
-
-def check_gym_id(gym_id: str | None, task: TaskConfig) -> None:
-    """Check that the task of an environment matches its Gymnasium id.
-
-    Raises:
-        InvalidValueError: if the id belongs to another task.
-    """
-    if gym_id not in (None, task.gym_id):
-        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or omit the task")
 
 
 def register_task(task: TaskConfig) -> TaskConfig:

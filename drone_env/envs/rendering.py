@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -32,8 +32,7 @@ PALETTE = {
     "street": "#F7F4EA",
 }
 MIN_SIZE, MAX_SIZE = 64, 4096  # pixels
-FPS = 8  # pictures per second of a window, and of a film
-MAX_FILM, REST = 30 * FPS, 2000  # pictures of a film, and milliseconds of its last one
+FPS = 8  # pictures per second of a window
 FINE = 2  # lines and streets are drawn larger by this factor, and reduced
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
 
@@ -86,36 +85,6 @@ def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
     picture = _picture(episode, size)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.save(path)
-
-
-def save_film(episode: Episode, path: str | Path, size: int = 480) -> None:
-    """Write the flight as an animated GIF of at most half a minute: 8 pictures per second, and the last one longer.
-
-    A picture is a step; of long flights, every second, third or further one.
-
-    Raises:
-        EpisodeError: before the first reset.
-        InvalidValueError: if the size is not 64 to 4096 pixels.
-        OSError: if the file cannot be written.
-    """
-    palette = _picture(episode, size).quantize(
-        256, Image.Quantize.FASTOCTREE
-    )  # all pictures share the colours of the last one
-    every = max(1, math.ceil(episode.steps / MAX_FILM))
-    flown = Episode(episode.task, episode.reward_profile, episode.seed)
-
-    def picture() -> Image.Image:
-        return _picture(flown, size).quantize(palette=palette, dither=Image.Dither.NONE)
-
-    def following() -> Iterator[Image.Image]:
-        for step, action in enumerate(episode.actions, 1):
-            flown.step(action)
-            if step % every == 0 or step == episode.steps:
-                yield picture()
-
-    milliseconds = [1000 // FPS] * math.ceil(episode.steps / every) + [REST]
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    picture().save(path, "GIF", save_all=True, append_images=following(), duration=milliseconds, loop=0)
 
 
 def _picture(episode: Episode, size: int) -> Image.Image:

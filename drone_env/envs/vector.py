@@ -5,7 +5,7 @@ from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import logger, spaces
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -14,9 +14,7 @@ from drone_env.core.batch import Batch
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.envs.drone_delivery import DRAW, DroneDeliveryEnv, check_render_mode
 from drone_env.envs.forms import observation_space
-from drone_env.envs.registry import check_gym_id
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.reward_file import chosen_profile
 
@@ -42,13 +40,11 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             a `reset` with a mask. An `AutoresetMode`, its name or its value.
         copy: If True, observations, rewards and masks are copies. If False, they are read-only views of the live
             buffers, which the next step overwrites.
-        gym_id: The Gymnasium id that made the environment, which must be the task's own.
-        render_mode: `ansi` or `rgb_array`, as in `DroneDeliveryEnv`, or None. Pictures have no trail.
         max_episode_steps: None, or a limit that no episode reaches before its end: nothing is truncated.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if a number, a mode or the id is not allowed.
+        InvalidValueError: if a number or a mode is not allowed.
     """
 
     def __init__(
@@ -59,8 +55,6 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
-        gym_id: str | None = None,
-        render_mode: str | None = None,
         max_episode_steps: int | None = None,
     ) -> None:
         modes = [mode for mode in AutoresetMode if autoreset_mode in (mode, mode.value, mode.name)]
@@ -69,14 +63,12 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             raise InvalidValueError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}")
         self.autoreset_mode = modes[0]
         self.task = get_task(task, version)
-        check_gym_id(gym_id, self.task)
         if max_episode_steps is not None and max_episode_steps < self.task.max_steps:
             raise InvalidValueError(
                 f"max_episode_steps must be at least {self.task.max_steps}, the steps of {self.task.id!r}, got "
                 f"{max_episode_steps}: register a task with fewer max_steps, or choose vectorization_mode='sync'"
             )
-        self.render_mode = check_render_mode(render_mode)
-        self.metadata = DroneDeliveryEnv.metadata | {"autoreset_mode": self.autoreset_mode}
+        self.metadata = {"autoreset_mode": self.autoreset_mode}
         self.copy = copy
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.batch = Batch(self.task, num_envs, chosen_profile(reward_profile), same_step)
@@ -153,19 +145,6 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             return self._observations(), *self._live_results, info
         results = batch.rewards.copy(), batch.terminated.copy(), self._truncations.copy()
         return self._observations(), *results, info
-
-    def render(self) -> tuple[Any, ...] | None:
-        """Each episode as a string (`ansi`) or a picture, uint8[h, w, 3] (`rgb_array`).
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
-        if self.render_mode is None:
-            logger.warn("render() needs a render mode: pass render_mode='rgb_array' or 'ansi' to make_vec()")
-            return None
-        if not self.batch.started:
-            raise EpisodeError("no episodes to render: call reset() before render()")
-        return tuple(DRAW[self.render_mode](episode) for episode in self.batch.episodes())
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> npt.NDArray[np.int64]:
         if not self.batch.started:

@@ -49,7 +49,7 @@ class Progress:
         now = time.monotonic()
         if now - self._line_shown >= LINE_SECONDS:
             self._line_shown = now
-            self.notice(f"{self._flights} of {self.config.flights} flights, {self.budget.requests} requests")
+            self.notice(f"flights: {self._flights} of {self.config.flights}; requests: {self.budget.requests}")
 
     def on_wait(self, text: str) -> None:
         """Print the wait before a retry, at most one a second."""

@@ -21,6 +21,7 @@ from drone_env.llm.sender import Sender, TryFailedError
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import Call, Failure, Transcript, answered_calls, digest
 from drone_env.results.statistics import Summary
+from drone_env.results.tables import plural
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MAX_ERRORED = 0.05
@@ -64,7 +65,7 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
         return "invalid", f"{errored} of {len(statuses)} flights errored, more than {MAX_ERRORED:.0%}"
     if "budget_stop" in statuses or len(statuses) < flights:
         left = flights - len(statuses)
-        return "incomplete", f"{statuses.count('budget_stop')} flights were cut short and {left} not begun"
+        return "incomplete", f"flights cut short: {statuses.count('budget_stop')}; not begun: {left}"
     return "valid", ""
 
 
@@ -213,7 +214,7 @@ def summary_lines(result: RunResult) -> list[str]:
     mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
         counted = [one.success for one in results if one.status != "errored"]
-        flights = f"{len(counted)} flights, {sum(counted)} delivered everything"
+        flights = f"{plural(len(counted), 'flight')}, {sum(counted)} delivered everything"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))

@@ -11,7 +11,7 @@ rounded once, so their sum may differ in the last digits; `FlightAnalysis.regret
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
 
 Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
-LABELS: tuple[Label, ...] = get_args(Label)
 STATES_AT_ONCE = 256
 """Number of states whose values are computed together."""
 
@@ -143,7 +142,6 @@ class FlightAnalysis:
     Attributes:
         task: The task.
         seed: The map.
-        agent: Name of the pilot.
         score: The graded score; for an unfinished flight, the score after waiting to the end.
         moves: One entry per move, in order.
         values: V* before each move and after the last one, where it is the score if the flight has ended. They never
@@ -154,7 +152,6 @@ class FlightAnalysis:
 
     task: TaskConfig
     seed: int
-    agent: str
     score: float
     moves: tuple[Move, ...]
     values: tuple[float, ...]
@@ -228,29 +225,6 @@ class FlightAnalysis:
         why = why_failed(self.flown, self.worst)
         return "No flight over this map scores more." if why and self.regret == 0 else why
 
-    @property
-    def counts(self) -> dict[Label, int]:
-        """Number of moves for each label."""
-        return {label: sum(move.label == label for move in self.moves) for label in LABELS}
-
-    @property
-    def decisive(self) -> int:
-        """Number of moves at which the five actions were not equally good."""
-        return sum(move.margin > 0 for move in self.moves)
-
-    @property
-    def decisive_best(self) -> int:
-        """Number of best moves among the decisive ones."""
-        return sum(move.margin > 0 and move.regret == 0 for move in self.moves)
-
-    @property
-    def accuracy(self) -> float | None:
-        """Share of best moves among the decisive ones; None if there are none.
-
-        All other moves would count as best, for example after the last parcel is out of reach.
-        """
-        return self.decisive_best / self.decisive if self.decisive else None
-
 
 def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solver] | None" = None) -> FlightAnalysis:
     """Verify a recorded flight and return the regret of every move.
@@ -266,18 +240,17 @@ def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solv
     """
     flown = replay(record, "score")  # regret is in score, not in what the steps paid
     start = Episode(flown.task, flown.reward_profile, flown.seed)
-    return analyse_actions(start, flown.actions, record.agent, solver_from)
+    return analyse_actions(start, flown.actions, solver_from)
 
 
 def analyse_actions(
-    start: Episode, actions: Iterable[int], agent: str, solver_from: "Callable[[Episode], Solver] | None" = None
+    start: Episode, actions: Iterable[int], solver_from: "Callable[[Episode], Solver] | None" = None
 ) -> FlightAnalysis:
     """Return the regret of every action, flown from the state of an episode, which is not changed.
 
     Args:
         start: An episode that has not ended.
         actions: The actions.
-        agent: Name of the pilot.
         solver_from: Returns the solver of an episode; None to create one.
 
     Raises:
@@ -306,7 +279,7 @@ def analyse_actions(
     score = flight.counted_score()
     last = score if flight.ended else solver.value(flight)
     found = (*(move.value for move in moves), last)
-    return FlightAnalysis(start.task, start.seed, agent, score, tuple(moves), found, flight, solver)
+    return FlightAnalysis(start.task, start.seed, score, tuple(moves), found, flight, solver)
 
 
 def find_loops(flown: Episode, after: int = 0) -> tuple[Loop, ...]:

@@ -26,6 +26,11 @@ def number(value: float | None, form: str = ".4f") -> str:
     return "-" if value is None else format(value, form)
 
 
+def plural(count: int, noun: str) -> str:
+    """Format a count and what it counts."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
 def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
     """Format a mean with both ends of its interval."""
     if mean is None or interval is None:

@@ -9,12 +9,12 @@ import math
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
+from time import monotonic
 from typing import Any, TextIO, cast
 
 import torch
@@ -79,21 +79,13 @@ class TrainingRun:
         data: Folder of checkpoint and log.
         results: Folder of table and curves.
         fresh: Start from scratch, even if there is a checkpoint.
-        clock: Returns the time in seconds, for the time between checkpoints.
 
     Raises:
         CheckpointError: if the checkpoint cannot be read or is of another run; the file stays as it is.
     """
 
-    def __init__(
-        self,
-        trainer: Any,
-        data: Path,
-        results: Path,
-        fresh: bool = False,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.trainer, self._clock = trainer, clock
+    def __init__(self, trainer: Any, data: Path, results: Path, fresh: bool = False) -> None:
+        self.trainer = trainer
         self.name: str = trainer.config.name
         self.unit: str = trainer.config.unit
         self.checkpoint = data / f"{self.name}.pth"
@@ -103,7 +95,7 @@ class TrainingRun:
         self.resumed = not fresh and self.checkpoint.exists()
         self.stopped = False
         """Set it to end the run after the current step."""
-        self._seconds, self._since = 0.0, clock()
+        self._seconds, self._since = 0.0, monotonic()
         if self.resumed:
             self._resume()
 
@@ -132,7 +124,7 @@ class TrainingRun:
     @property
     def seconds(self) -> float:
         """Time of this training, including validations, files and the parts before a resume."""
-        return self._seconds + self._clock() - self._since
+        return self._seconds + monotonic() - self._since
 
     def train(self) -> Iterator[Any]:
         """Train to the end, or save and end after the step in which `stopped` is set.
@@ -151,15 +143,15 @@ class TrainingRun:
                 self.checkpoint.replace(earlier)
                 print(f"the earlier training is kept as {earlier}", file=sys.stderr)
             self.results.mkdir(parents=True, exist_ok=True)
-            self._since = self._clock()
+            self._since = monotonic()
             saved_at, saved_done = self._since if self.resumed else None, self.done
             with self._log_file() as log, self._tensorboard() as board:
                 for lines in trainer.train():
-                    late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
+                    late = saved_at is None or monotonic() - saved_at >= config.checkpoint_seconds
                     if late and self.done - saved_done >= config.checkpoint_episodes:
                         # Save before logging: a kill loses no line of the log.
                         self.save()
-                        saved_at, saved_done = self._clock(), self.done
+                        saved_at, saved_done = monotonic(), self.done
                     for line in lines:
                         log.write(f"{log_line(line)}\n")
                         (_, step), *figures = figures_of(line).items()

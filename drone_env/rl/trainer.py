@@ -29,6 +29,8 @@ from drone_env.rl.config import TrainConfig
 from drone_env.rl.model import PathQNet
 from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
 
+Array = npt.NDArray[Any]
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -100,26 +102,17 @@ class ReplayBuffer:
         return min(self.added, len(self.grids))
 
     @property
-    def _columns(self) -> dict[str, npt.NDArray[Any]]:
+    def _columns(self) -> dict[str, Array]:
         return {name: column for name, column in vars(self).items() if name != "added"}
 
-    def add(
-        self,
-        grids: npt.NDArray[np.uint8],
-        telemetry: npt.NDArray[np.float32],
-        actions: npt.NDArray[np.int64],
-        rewards: npt.NDArray[np.float64],
-        terminated: npt.NDArray[np.bool_],
-    ) -> None:
+    def add(self, grids: Array, telemetry: Array, actions: Array, rewards: Array, terminated: Array) -> None:
         """Store one step of all environments; it replaces the oldest."""
-        row = self.added % len(self.grids)
-        for column, values in zip(
-            self._columns.values(), (grids, telemetry, actions, rewards, terminated), strict=True
-        ):
+        row, step = self.added % len(self.grids), (grids, telemetry, actions, rewards, terminated)
+        for column, values in zip(self._columns.values(), step, strict=True):
             column[row] = values
         self.added += 1
 
-    def sample(self, batch_size: int, gamma: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], ...]:
+    def sample(self, batch_size: int, gamma: float, rng: np.random.Generator) -> tuple[Array, ...]:
         """Uniformly sampled transitions; the buffer holds at least two rows.
 
         Returns:
@@ -134,11 +127,11 @@ class ReplayBuffer:
         reached = self.actions[now].astype(np.int64), self.rewards[now], discounts
         return self.grids[now], self.telemetry[now], *reached, self.grids[later], self.telemetry[later]
 
-    def get_state(self) -> dict[str, npt.NDArray[Any]]:
+    def get_state(self) -> dict[str, Array]:
         """The rows in the buffer, and how many were written."""
         return {name: column[: self.stored] for name, column in self._columns.items()} | {"added": np.array(self.added)}
 
-    def set_state(self, state: dict[str, npt.NDArray[Any]]) -> None:
+    def set_state(self, state: dict[str, Array]) -> None:
         """Take the rows of another buffer of the same size."""
         self.added = int(state["added"])
         for name, column in self._columns.items():
@@ -332,7 +325,7 @@ class Trainer(BaseTrainer):
         """The actions of the validated network, int64[N]."""
         return self.q_values(grids, telemetry, self.eval_network).argmax(axis=1)
 
-    def tensor(self, array: npt.NDArray[Any]) -> Tensor:
+    def tensor(self, array: Array) -> Tensor:
         """The array on the training device."""
         return torch.from_numpy(array).to(self.device)
 

@@ -64,9 +64,10 @@ def run(
     """
     # Server processes read the environment.
     files = ",".join(map(str, reward_profiles)) or None
-    options = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data, "REWARD_PROFILES": files}
-    os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in options.items() if value is not None})
-    settings = load_settings()
+    options = {"host": host, "port": port, "workers": workers, "data": data, "reward_profiles": files}
+    given = {name: str(value) for name, value in options.items() if value is not None}
+    os.environ.update({f"DRONE_ENV_{name.upper()}": value for name, value in given.items()})
+    settings = load_settings(given)
     # Errors in reward files and the data folder raise here; in a server process each would log a long trace.
     for file in settings.reward_profiles:
         register_reward_file(file)

@@ -1,6 +1,7 @@
 """Server settings from environment variables. `docs/configuration.md` lists them."""
 
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated
 
@@ -75,8 +76,11 @@ class Settings(BaseSettings):
         return value
 
 
-def load_settings() -> Settings:
+def load_settings(options: Collection[str] = ()) -> Settings:
     """Read the settings from the environment.
+
+    Args:
+        options: The fields that options of the command line have set; errors name the option.
 
     Raises:
         InvalidValueError: if a variable has a value that is not allowed, or `DRONE_ENV_TOKEN` is empty.
@@ -84,7 +88,11 @@ def load_settings() -> Settings:
     if os.environ.get("DRONE_ENV_TOKEN") == "":
         # pydantic-settings ignores empty variables, which would leave the server open.
         raise InvalidValueError("DRONE_ENV_TOKEN: is empty; set a token, or unset it for a server without one")
+
+    def named(where: str) -> str:
+        return f"--{where.replace('_', '-')}" if where in options else f"DRONE_ENV_{where.upper()}"
+
     try:
         return Settings()
     except ValidationError as error:
-        raise InvalidValueError(text_of(error, lambda where: f"DRONE_ENV_{where.upper()}")) from None
+        raise InvalidValueError(text_of(error, named)) from None

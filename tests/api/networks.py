@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from drone_env.agents.pathqnet import load_network, shipped_network
-from drone_env.agents.tour_network import SHAPES
+from drone_env.agents.tour_network import load_tour_network
+from drone_env.agents.tournet import SHIPPED
 from drone_env.agents.weights_file import write_weights
 from drone_env.core.tasks import TaskConfig, get_task
 
@@ -38,7 +39,7 @@ def write_network(task: TaskConfig, file: Path, times: float = 1) -> Path:
 def put_tour(file: Path, seed: int = 0) -> Path:
     """Write a tour network with random weights, and return its file."""
     file.parent.mkdir(exist_ok=True)
-    rng = np.random.default_rng(seed)
-    parameters: dict[str, Any] = {name: rng.normal(0, 0.1, shape).astype(np.float32) for name, shape in SHAPES.items()}
+    rng, shipped = np.random.default_rng(seed), load_tour_network(SHIPPED).parameters
+    parameters: dict[str, Any] = {name: rng.normal(0, 0.1, array.shape).astype("f4") for name, array in shipped.items()}
     write_weights(file, parameters, {"network": "tournet"})
     return file

@@ -62,8 +62,7 @@ def outputs(data: Path) -> dict[str, list[str]]:
     flyers = ("--agents", "random", "pathqnet", "optimal", "--repeats", "2", "--against", "random")
     evaluate = ("evaluate", *tasks, *flyers)
     board = ("leaderboard", *map(str, (model, waiting, *agents)))
-    kept, record = str(data / "kept"), str(data / "flight.json")
-    printed("fly", "--task", "medium", "--agent", "random", "--seed", "7", "--record", record)
+    kept = str(data / "kept")
     found = {
         "evaluate --json": printed(*evaluate, "--json"),
         "evaluate": printed(*evaluate),
@@ -72,7 +71,6 @@ def outputs(data: Path) -> dict[str, list[str]]:
         "pieces": "\n".join(sorted(path.name for path in (data / "kept" / "pieces").iterdir())),
         "leaderboard --json": printed(*board, "--json"),
         "leaderboard": printed(*board),
-        "analyse-flight": printed("analyse-flight", record),
     }
     run = verified_run(model)
     write_report(report(run))

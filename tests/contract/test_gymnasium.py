@@ -12,16 +12,11 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-from drone_env.agents import make_agent
-from drone_env.agents.base import begin
-from drone_env.core.episode import Episode, rollout
-from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.registry import REWARD_THRESHOLDS
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError
-from drone_env.planning.optimal import best_actions, solve
+from drone_env.planning.optimal import solve
 
 IDS = [f"drone_env:{task.gym_id}" for task in TASKS.values()]
 
@@ -96,19 +91,6 @@ def test_the_limit_that_libraries_read_truncates_nothing() -> None:
         assert ends == [(False, False)] * (task.max_steps - 1) + [(True, False)]
 
 
-MEASURED = [task for task in TASKS.values() if task.id in REWARD_THRESHOLDS]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("task", MEASURED, ids=lambda task: task.id)
-def test_the_threshold_lies_near_the_optimum(task: TaskConfig) -> None:
-    episodes = [Episode(task, seed=seed) for seed in split_seeds("validation", 100)]
-    best = np.mean([episode.copy().fly(best_actions(episode)).waited_out().reward_total for episode in episodes])
-    agent = make_agent("random", task)
-    chance = np.mean([rollout(one, begin(agent, "random", one)).reward_total for one in episodes])
-    assert gymnasium.spec(task.gym_id).reward_threshold == pytest.approx(chance + 0.95 * (best - chance), abs=0.006)
-
-
 def test_what_a_specification_says_is_made_again() -> None:
     env = FlatObservation(make(IDS[2], reward_profile="score"))
     twin = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
@@ -145,8 +127,6 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
     with pytest.raises(InvalidValueError, match=r"ansi, rgb_array$"):
         DroneDeliveryEnv(render_mode="png")
-    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
-        gymnasium.make("drone_env:DroneDelivery-Easy-v1", task="hard")
 
 
 def test_the_flat_observation_holds_planes_and_telemetry() -> None:

@@ -144,8 +144,6 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
     for number in (0, 2.0):
         with pytest.raises(InvalidValueError, match=f"num_envs must be an integer of at least 1, got {number}"):
             gymnasium.make_vec(EASY, num_envs=number)
-    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
-        make(task="hard")
     with pytest.raises(InvalidValueError, match="allowed: reset_mask"):
         make().reset(options={"seed": 1})
 
@@ -154,17 +152,3 @@ def test_the_limit_of_a_task_is_the_only_one() -> None:
     assert make().spec.max_episode_steps == make(max_episode_steps=60).spec.max_episode_steps == 60
     with pytest.raises(InvalidValueError, match="must be at least 60, the steps of 'easy_delivery', got 5: register"):
         make(max_episode_steps=5)
-
-
-@pytest.mark.parametrize("mode", ["rgb_array", "ansi"])
-def test_it_draws_each_episode(mode: str) -> None:
-    env = gymnasium.make_vec(EASY, num_envs=2, render_mode=mode)
-    with pytest.raises(EpisodeError, match="call reset"):
-        env.render()
-    env.reset(seed=0)
-    env.step(np.full(2, 4))
-    for seed, drawn in enumerate(env.render()):
-        one = gymnasium.make(EASY, render_mode=mode)
-        one.reset(seed=seed)
-        one.step(4)
-        assert np.array_equal(drawn, one.render())

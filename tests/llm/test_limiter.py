@@ -112,7 +112,7 @@ def test_the_limit_of_calls_holds_exactly_and_a_resumed_run_goes_on(tmp_path: Pa
 def test_a_flight_that_the_limit_did_not_let_begin_is_none(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     # The first of two flights takes 4 calls.
     done = fly(Scripted(), tmp_path / "run", Options(concurrency=1, max_calls=4), seeds=(14, 16)).result
-    assert (done.verdict, done.reason) == ("incomplete", "0 flights were cut short and 1 not begun")
+    assert (done.verdict, done.reason) == ("incomplete", "flights cut short: 0; not begun: 1")
     assert len(blocks(capfd.readouterr().out)) == 1
     # A bad answer has begun it: without this flight the run would be no whole one.
     done = fly(Scripted(), tmp_path / "begun", Options(concurrency=1, max_calls=1), seeds=(14, 16)).result

@@ -26,7 +26,7 @@ def test_an_extract_becomes_a_file_and_is_summed_up(tmp_path: Path, capfd: pytes
 WRONG: dict[str, tuple[str, bytes, str, str]] = {
     "a far place": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 2 48 2.01 48.005", "no layer has anything there"),
     "too many cells": ("town.osm.pbf", HELSINKI.read_bytes(), "--bbox 24.93 60.16 24.96 60.18", "--size allows"),
-    "a size of nothing": ("town.osm.pbf", b"x", "--size 64", "--size is COLUMNSxROWS"),
+    "a size of nothing": ("town.osm.pbf", b"x", "--size 64 1", "two numbers of 2 to 512, got 64 1"),
     "a city of another kind": ("town.osm.pbf", b"x", "--out town.json", "a file that ends in .toml"),
 }
 

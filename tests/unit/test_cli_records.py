@@ -1,4 +1,4 @@
-"""Recorded flights on the command line: saved, flown again, analysed."""
+"""Recorded flights on the command line: saved and flown again."""
 
 import json
 import re
@@ -8,17 +8,7 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
-from drone_env.flights.record import load_record, record_of, save_record
-from drone_env.results.analysis import analyse_flight
-
-
-@pytest.fixture
-def flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
-    """A blunder-ridden record."""
-    file = tmp_path / "flight.json"
-    main(["fly", "--task", "medium", "--agent", "random", "--seed", "7", "--record", str(file)])
-    capsys.readouterr()
-    return file
+from drone_env.flights.record import record_of, save_record
 
 
 def test_a_recorded_flight_replays_to_the_same_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -40,17 +30,6 @@ def test_an_unfinished_flight_is_shown_as_one(tmp_path: Path, capsys: pytest.Cap
     captured = capsys.readouterr()
     assert captured.out.endswith("[END] success=false steps=2 score=0.010 rewards=0.10,0.10\n")
     assert "unfinished" in captured.err
-    assert main(["analyse-flight", str(stopped)]) == 0
-    assert "Unfinished after 2 steps: counted as if it had waited to the end" in capsys.readouterr().out
-
-
-def test_a_flight_is_analysed_move_by_move(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    analysis = analyse_flight(load_record(flight))
-    assert main(["analyse-flight", str(flight)]) == 0
-    shown = capsys.readouterr().out
-    assert f"{analysis.decisive_best} best moves of {analysis.decisive}" in shown
-    worst = max(analysis.moves, key=lambda move: move.regret)
-    assert f"{worst.regret:.5f}" in shown
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ def test_what_is_broken(
     ended, found = diagnosis(capsys)
     broken = {name: detail for name, (status, detail) in found.items() if status == "broken"}
     assert (ended, set(broken)) == (1, {"medium_delivery", "tournet", "data", "results", "half_a_plugin"})
-    assert "gone.safetensors: name a file, as in tournet:FILE" in broken["tournet"]
+    assert "gone.safetensors" in broken["tournet"]
     assert "division by zero" in broken["half_a_plugin"]
 
 

@@ -101,10 +101,12 @@ def test_a_hostile_file_is_refused_by_name(tmp_path: Path) -> None:
     path, about, bias = tmp_path / "hostile.safetensors", {METADATA: '{"telemetry_size": 5}'}, np.zeros(5, np.float32)
     whole = export(PathQNet(), path)
     for content, why in (
-        (save({"head.7.bias": bias}, about), "its parameters are not those"),
-        (save(whole | {"head.7.bias": bias[1:]}, about), r"head.7.bias is float32\[4\]"),
-        (save(whole | {"head.7.bias": bias + np.nan}, about), "head.7.bias has NaN"),
+        (save({"head.7.bias": bias}, about), "it lacks 'encoder.embedding.weight'"),
+        (save(whole | {"head.7.bias": bias[1:]}, about), r"could not be broadcast together with shapes \(1,5\) \(4,\)"),
+        (save(whole | {"head.7.bias": bias + np.nan}, about), "head.7.bias is not float32, or has NaN"),
         (save(whole, {"format": "pt"}), "it lacks 'drone_env'"),
+        (save(whole, {METADATA: "[]"}), "its metadata is not a JSON object"),
+        (b"no network", "header"),
     ):
         path.write_bytes(content)
         with pytest.raises(CheckpointError, match=rf"hostile\.safetensors is not an exported network.*: .*{why}"):

@@ -2,12 +2,10 @@
 
 import unicodedata
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PIL import Image
 
 from drone_env.agents import make_agent
 from drone_env.core.cells import CELL_KINDS, TARGET, Cell
@@ -15,7 +13,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs import rendering
 from drone_env.envs.ansi import ROAD, WAY, draw_text, draw_tour
-from drone_env.envs.rendering import draw_picture, save_film
+from drone_env.envs.rendering import draw_picture
 from tests.toy import toy_episode
 
 EASY = get_task("easy")
@@ -90,25 +88,6 @@ class TestText:
         episode = toy_episode(["@.B", "0.1"])
         passed = [(1, 0), (2, 0), (1, 1)]
         assert draw_tour(episode, passed, [(2, 1), (0, 1)]) == f"🚁{WAY}🏢\n2 {WAY}1 "
-
-
-def test_a_film_shows_the_flight_step_by_step_and_long_ones_in_leaps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    episode = fly(Episode(seed=14))
-    for most, steps in ((100, episode.steps), (3, 3)):
-        monkeypatch.setattr(rendering, "MAX_FILM", most)
-        save_film(episode, tmp_path / "new" / "flight.gif", 240)
-        with Image.open(tmp_path / "new" / "flight.gif") as film:
-            assert film.n_frames == steps + 1
-            first = np.asarray(film.convert("RGB"), np.int16)
-            film.seek(steps)
-            assert film.info["duration"] == rendering.REST
-            last = np.asarray(film.convert("RGB"), np.int16)
-        # 256 colours are close to all.
-        start, end = draw_picture(Episode(seed=14), 240), draw_picture(episode, 240)
-        for shown, expected, other in ((first, start, end), (last, end, start)):
-            assert np.abs(shown - expected).mean() + 1 < np.abs(shown - other).mean()
 
 
 def test_whose_data_a_city_is_stands_below_it() -> None:

@@ -63,7 +63,8 @@ def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(
     config = replace(SMALL, num_envs=1, learning_starts=10_000, episodes=12, checkpoint_episodes=episodes,
                      checkpoint_seconds=seconds)  # fmt: skip
     trainer, kept = Trainer(config), list[tuple[int, int]]()
-    run = TrainingRun(trainer, tmp_path, tmp_path, clock=lambda: trainer.steps)
+    monkeypatch.setattr("drone_env.rl.run.monotonic", lambda: trainer.steps)
+    run = TrainingRun(trainer, tmp_path, tmp_path)
     monkeypatch.setattr(run, "save", lambda: kept.append((trainer.steps, trainer.episodes)))
     list(run.train())
     assert (kept[0][1], kept[-1]) == (episodes, (trainer.steps, 12))

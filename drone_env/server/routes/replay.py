@@ -225,7 +225,7 @@ def _values(flight: FlightSoFar) -> str:
 
 
 def _exact_values(start: Episode, episode: Episode, cells: bool) -> dict[str, Any]:
-    analysis = analyse_actions(start, episode.actions, "", _solver_from)
+    analysis = analyse_actions(start, episode.actions, _solver_from)
     along = list(analysis.values)
     found: dict[str, Any] = {"optimum": along[0], "value": along[-1], "regret": along[0] - along[-1], "along": along}
     if not episode.ended:
