@@ -1,4 +1,4 @@
-"""`build_dataset`: write flights as rows of steps and as conversations."""
+"""`build_dataset`: write flights as rows of steps, as conversations, and as a Minari dataset."""
 
 # pyarrow declares no types.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
@@ -12,21 +12,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pyarrow
 import pyarrow.parquet
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.datasets.chat import chat_rows
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, needs
 from drone_env.files import locked
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
-PARQUET_FILE, CHAT_FILE = "steps.parquet", "chat.jsonl"
+PARQUET_FILE, CHAT_FILE, MINARI_FOLDER = "steps.parquet", "chat.jsonl", "minari"
 ROWS_PER_GROUP = 1 << 14
 """Minimum number of rows in memory before they are written."""
 
@@ -58,6 +60,7 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
 
     Raises:
         InvalidValueError: if the folder is not empty or cannot be made.
+        MissingPackageError: if Minari is asked for and not installed.
         TooLargeError: if the exact values of a map would take too much memory.
         OSError: if it cannot be written.
     """
@@ -89,6 +92,8 @@ def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) ->
         writes = [stack.enter_context(_parquet_writer(folder, config))]
         if config.prompt is not None:
             writes.append(stack.enter_context(_chat_writer(folder, config)))
+        if config.minari:
+            writes.append(_minari_writer(folder, config))
         for seed in config.seeds:
             batch += fly_map(config, seed)
             steps = sum(map(_length, batch))
@@ -184,3 +189,60 @@ def _chat_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, 
         yield lambda flights: file.writelines(
             f"{json.dumps(row)}\n" for flight in flights for row in chat_rows(config, flight)
         )
+
+
+def _minari_writer(folder: Path, config: DatasetConfig) -> Write:
+    """Make a Minari dataset in `minari/<dataset id>`; each call of the returned function appends flights."""
+    with needs("data"):
+        import h5py as h5py  # Minari imports it only when it writes
+        import minari
+        from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_storage import MinariStorage
+    # Declared with lists, but arrays are written faster.
+    buffer: Any = EpisodeBuffer
+    # Without Gymnasium's limit: as a plain number in JSON it would truncate flights of the recovered environment.
+    env = gymnasium.make(config.task.gym_id, max_episode_steps=-1, reward_profile=config.reward_profile)
+    # Minari resolves a relative path against itself when it adds up sizes.
+    home = folder.resolve() / MINARI_FOLDER / config.minari_id
+    home.mkdir(parents=True)
+    storage = MinariStorage.new(home / "data", env.observation_space, env.action_space, env.spec)
+    storage.update_metadata(
+        {
+            "dataset_id": config.minari_id,
+            "minari_version": minari.__version__,
+            "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
+            "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
+            "drone_env": config.as_json(),
+        }
+    )
+
+    def episode(flight: Trajectory) -> Any:
+        steps, start = flight.steps, Episode(config.task, seed=flight.seed)
+        end: dict[str, Any] = {
+            **flight.end,
+            "value": flight.score,
+            "q_values": np.full(N_ACTIONS, np.nan),
+            "regret": np.nan,
+            "optimal_actions": np.zeros(N_ACTIONS, bool),
+            "agent_action": -1,
+        }
+        # One entry for each of T + 1 states, also in infos, as Minari's own collector writes them.
+        infos = {name: np.append(steps[name], [last], axis=0) for name, last in end.items()}
+        infos |= {name: np.append(getattr(start, name), steps[name]) for name in ("event", "score")}
+        return buffer(
+            id=flight.number,
+            seed=flight.seed,
+            observations={name: infos.pop(name) for name in ("grid", "telemetry")},
+            actions=steps["action"],
+            rewards=steps["reward"],
+            terminations=steps["terminated"],
+            truncations=np.zeros_like(steps["terminated"]),
+            infos=infos,
+        )
+
+    def write(flights: Sequence[Trajectory]) -> None:
+        storage.update_episodes(map(episode, flights))
+        about = [{"agent": f.agent, "final_score": f.score, "optimal_score": f.optimal_score} for f in flights]
+        storage.update_episode_metadata(about, [flight.number for flight in flights])
+
+    return write

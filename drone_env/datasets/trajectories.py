@@ -1,6 +1,7 @@
 """The configuration of a dataset, and its flights with the exact values of every state that they reach."""
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -37,11 +38,12 @@ class DatasetConfig:
         epsilon: Probability that a step takes a uniformly random action instead of the agent's.
         reward_profile: The reward profile.
         prompt: The prompt of conversations; None to write none.
+        minari: Whether to write the flights as a Minari dataset, too.
 
     Raises:
         UnknownNameError: if there is no such split, agent, reward profile or prompt.
         InvalidValueError: if the seeds are empty, out of range or outside the split, the agents are empty or repeated,
-            or epsilon is not in [0, 1].
+            epsilon is not in [0, 1], or Minari does not run on this Python.
     """
 
     task: TaskConfig
@@ -51,18 +53,26 @@ class DatasetConfig:
     epsilon: float = 0.1
     reward_profile: str = DEFAULT_PROFILE
     prompt: str | None = None
+    minari: bool = False
 
     def __post_init__(self) -> None:
         if not self.agents or len(set(self.agents)) < len(self.agents):
             raise InvalidValueError(f"agents must be one name or more, each once; got {list(self.agents)}")
         if not 0 <= self.epsilon <= 1:
             raise InvalidValueError(f"epsilon must be a probability, 0 to 1; got {self.epsilon!r}")
+        if self.minari and sys.version_info < (3, 11):
+            raise InvalidValueError("a Minari dataset needs Python 3.11 or newer")
         self.as_json()  # raises if another value is invalid
 
     @property
     def episodes(self) -> int:
         """The number of flights."""
         return len(self.seeds) * len(self.agents)
+
+    @property
+    def minari_id(self) -> str:
+        """The id of the dataset in Minari."""
+        return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as JSON values, with the version of this package."""
@@ -99,6 +109,7 @@ class Trajectory(NamedTuple):
             can still be reached, and `q_values`, that after each action. Of the step: `action`, `agent_action` before
             random actions replace some, `reward`, `event` (`Event`), `regret`, `optimal_actions`, and the `score` after
             it and whether it `terminated` the flight.
+        end: `grid`, `telemetry` and `action_mask` of the last state, after which nothing is flown.
     """
 
     number: int
@@ -107,6 +118,7 @@ class Trajectory(NamedTuple):
     score: float
     optimal_score: float
     steps: dict[str, npt.NDArray[Any]]
+    end: dict[str, Any]
 
 
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
@@ -139,8 +151,7 @@ def random_actions(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
     act, rows = begin(make_agent(name, episode.task), name, episode), list[dict[str, Any]]()
     for choice, (share, action) in zip(choices(episode, act), random_actions(name, episode.seed), strict=False):
-        row: dict[str, Any] = {**episode.observation(), "action_mask": episode.action_mask()}
-        row |= {"q_values": solver.q_values(episode), "agent_action": int(choice)}
+        row = _state(episode) | {"q_values": solver.q_values(episode), "agent_action": int(choice)}
         row["action"] = action if share < epsilon else int(choice)
         row["reward"] = episode.step(row["action"])
         rows.append({**row, "event": int(episode.event), "score": episode.score, "terminated": episode.ended})
@@ -152,4 +163,8 @@ def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: floa
         "regret": values - q_values[np.arange(len(rows)), steps["action"]],
         "optimal_actions": q_values == values[:, None],
     }
-    return Trajectory(number, episode.seed, name, episode.score, float(values[0]), steps)
+    return Trajectory(number, episode.seed, name, episode.score, float(values[0]), steps, _state(episode))
+
+
+def _state(episode: Episode) -> dict[str, Any]:
+    return {**episode.observation(), "action_mask": episode.action_mask()}

@@ -1,6 +1,7 @@
 """Data sets: every row beside the exact values, the same in every run, there whole or not at all."""
 
 import json
+import sys
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,14 @@ from drone_env.core.tasks import get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import FORMAT, DatasetConfig, fly_map, random_actions
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.files import locked
 from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import get_prompt
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
+
+MINARI = sys.version_info >= (3, 11)
 
 
 def made(folder: Path, config: DatasetConfig) -> Path:
@@ -90,7 +93,7 @@ def test_a_flight_does_not_depend_on_what_else_is_flown() -> None:
 
 
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
-    config = config_of("easy", range(4), prompt="plan")
+    config = config_of("easy", range(4), prompt="plan", minari=MINARI)
     contents = []
     for name in ("first", "second"):
         build_dataset(config, tmp_path / name)
@@ -114,6 +117,46 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     about = json.loads(schema.metadata[b"drone_env"])
     assert about == config.as_json()
     assert (about["format"], about["format_version"], "prompt" in about) == (FORMAT, 1, False)
+
+
+@pytest.mark.skipif(not MINARI, reason="Minari asks for Python 3.11")
+def test_minari_loads_the_same_flights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import minari
+
+    monkeypatch.setattr(build, "ROWS_PER_GROUP", 60)
+    folder = made(tmp_path, config_of("skyline_easy", range(3), reward_profile="composite", minari=True))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
+    dataset = minari.load_dataset("drone_delivery_skyline_easy-v2")
+    of_rows = flights(folder)
+    assert (dataset.total_episodes, dataset.total_steps) == (len(of_rows), sum(map(len, of_rows)))
+    env = dataset.recover_environment()
+    assert (env.observation_space, env.action_space) == (dataset.observation_space, dataset.action_space)
+    abouts = dataset.storage.get_episode_metadata(range(len(of_rows)))
+    for flight, episode, about in zip(of_rows, dataset.iterate_episodes(), abouts, strict=True):
+        infos = episode.infos
+        for column, values in {
+            "action": episode.actions, "reward": episode.rewards, "terminated": episode.terminations,
+            "value": infos["value"][:-1], "q_values": infos["q_values"][:-1], "score": infos["score"][1:],
+        }.items():  # fmt: skip
+            assert values.tolist() == [row[column] for row in flight], column
+        assert infos["value"][-1] == infos["score"][-1] == about["final_score"]
+        assert (about["agent"], about["optimal_score"]) == (flight[0]["agent"], flight[0]["optimal_score"])
+        seen, told = zip(
+            env.reset(seed=about["seed"]), *(env.step(action)[::4] for action in episode.actions), strict=True
+        )
+        for name, values in episode.observations.items():
+            assert np.array_equal(values, [observation[name] for observation in seen]), name
+        for name in ("action_mask", "score"):
+            assert np.array_equal(infos[name], [info[name] for info in told]), name
+        assert not episode.truncations.any()
+
+
+def test_a_missing_minari_is_named_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "minari", None)
+    error, text = (MissingPackageError, "minari is not installed") if MINARI else (InvalidValueError, "Python 3.11")
+    with pytest.raises(error, match=text):
+        made(tmp_path, config_of("easy", range(1), minari=True))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("task", "name"), [("medium", "plan"), ("skyline_easy", "compass"), ("easy", "think")])
