@@ -42,12 +42,6 @@ class Settings(BaseSettings):
     allowed_origins: CommaSeparated = Field(
         default=(), description="Other origins of web pages that may call the server; comma-separated."
     )
-    allowed_hosts: CommaSeparated = Field(
-        default=(),
-        description="Allowed values of the `Host` header, without port; comma-separated. Requests to a loopback "
-        "address may also use localhost, 127.0.0.0/8 or [::1]. If empty, requests to other addresses, or to a server "
-        "on 0.0.0.0, may use any host.",
-    )
     reward_profiles: CommaSeparated = Field(
         default=(), description="TOML files with further reward profiles; comma-separated."
     )
@@ -61,7 +55,7 @@ class Settings(BaseSettings):
         description="Memory in MB for each long job. Solving 64 x 64 cells with 8 parcels and 8 pads takes 800.",
     )
 
-    @field_validator("allowed_origins", "allowed_hosts", "reward_profiles", mode="before")
+    @field_validator("allowed_origins", "reward_profiles", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):
