@@ -17,7 +17,7 @@ from drone_env import __version__
 from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 from drone_env.flights.store import Store
-from drone_env.server.json_routes import LARGE
+from drone_env.server.json_routes import LARGEST_BODY
 from drone_env.server.settings import load_settings
 
 if sys.platform != "win32":
@@ -98,7 +98,7 @@ def run(
             access_log=False,
             log_level="error",  # uvicorn logs a line for each WebSocket and for each invalid request otherwise
             server_header=False,
-            ws_max_size=LARGE,
+            ws_max_size=LARGEST_BODY,
             ws_per_message_deflate=False,
             ws_ping_timeout=max(settings.idle_seconds, 60.0),  # longer than two pings
             limit_concurrency=most_connections(CONNECTIONS + settings.capacity),

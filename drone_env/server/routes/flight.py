@@ -34,7 +34,7 @@ from drone_env.models import (
 from drone_env.server.addresses import shared_address
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
 from drone_env.server.frames import BestFlight, best_flight
-from drone_env.server.json_routes import SMALL, JsonRequest, JsonRoute
+from drone_env.server.json_routes import JsonRequest, JsonRoute
 from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
@@ -293,7 +293,7 @@ class Steps:
             return
         request = JsonRequest(scope, receive)
         try:
-            await request.read(SMALL)
+            await request.read()
             step = _valid_step(request)
             if step is None:
                 body = iter([{"type": "http.request", "body": request.content}])
