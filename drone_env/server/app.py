@@ -17,6 +17,7 @@ from drone_env.errors import DroneEnvError, needs
 with needs("server", __name__):
     from fastapi import FastAPI
     from fastapi.responses import FileResponse
+    from fastapi.staticfiles import StaticFiles
     from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import Response
@@ -26,7 +27,7 @@ from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server import mcp
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.openenv import OpenEnvSocket
-from drone_env.server.page_files import PAGE, PageFiles
+from drone_env.server.page_files import ART, PAGE
 from drone_env.server.process import end_with_parent, is_news, run
 from drone_env.server.routes import (
     catalogue,
@@ -103,7 +104,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.shared = app_state
     app.state.socket = socket
     install(app)
-    app.add_exception_handler(404, page.not_found)
     app.add_middleware(flight.Steps, app_state=app_state)
     app.add_middleware(Security, settings=settings, log=app_state.requests)
     for routes in (
@@ -133,7 +133,7 @@ def _add_page(app: FastAPI) -> None:
     async def icon() -> FileResponse:
         return FileResponse(PAGE / "icons" / "drone.svg")
 
-    app.mount("/static", PageFiles())
+    app.mount("/static", StaticFiles(directory=PAGE, packages=[("drone_env.envs", ART.name)]))
 
 
 def _describe(app: FastAPI) -> None:

@@ -1,4 +1,4 @@
-"""The page, and what a browser gets for an unknown address."""
+"""The page, and the reference of all calls."""
 
 from contextlib import suppress
 from datetime import datetime, time, timedelta, timezone
@@ -13,8 +13,7 @@ from drone_env.flights.provenance import HUMAN
 from drone_env.flights.store import Store
 from drone_env.results.folder import SHIPPED, stored_results
 from drone_env.server import daily
-from drone_env.server.exceptions import answer_to
-from drone_env.server.page_files import PAGE, edition
+from drone_env.server.page_files import PAGE
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"], include_in_schema=False)
@@ -34,9 +33,7 @@ def page(request: Request, app_state: AppStateDep) -> Response:
         html = html.replace("<!-- yesterday -->", _yesterday(app_state.store))
     sentence, link = _unseen()
     html = html.replace("<!-- unseen -->", sentence).replace("<!-- failure -->", link)
-    html = html.replace("<!-- today -->", _today())
-    html = html.replace('="static/', f'="static/v-{edition()}/')
-    return HTMLResponse(html)
+    return HTMLResponse(html.replace("<!-- today -->", _today()))
 
 
 @router.head("/docs")
@@ -65,14 +62,6 @@ def _yesterday(store: Store) -> str:
             flown = f"{100 * best.score:.1f}" + (f" by {best.person}" if best.person else "")
             return f'<a href="{escape(link)}">Fly against the best of yesterday, {escape(flown)}</a>'
     return ""
-
-
-async def not_found(request: Request, error: Exception) -> Response:
-    """The answer to an unknown address: a page for a browser, JSON for a program."""
-    if "text/html" not in request.headers.get("accept", ""):
-        return answer_to(error, request.scope)
-    html = (PAGE / "not_found.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
-    return HTMLResponse(html.replace("<!-- path -->", escape(request.url.path[:100])), 404)
 
 
 @lru_cache(maxsize=1)
