@@ -65,14 +65,6 @@ class TestRefusals:
             with pytest.raises(EpisodeError, match="create a solver for this episode"):
                 solver.q_values(other)
 
-    def test_another_terrain_or_other_parcels_under_the_same_seed(self, make: MakeSolver) -> None:
-        solver = make(toy_episode(["@B.", "0.1"]))
-        for other in (["@.B", "0.1"], ["@B.", "1.0"], ["@B.", "01."]):
-            with pytest.raises(EpisodeError, match="create a solver for this episode"):
-                solver.value(toy_episode(other))
-        elsewhere = toy_episode([".B@", "0.1"])  # the drone can be there, though it has not flown there
-        assert solver.value(elsewhere) == make(elsewhere).value(elsewhere)
-
     def test_more_memory_than_is_allowed(self, make: MakeSolver, monkeypatch: pytest.MonkeyPatch) -> None:
         episode = Episode("skyline_easy", seed=0)
         monkeypatch.setattr(states, "MAX_BYTES", 50_000)
