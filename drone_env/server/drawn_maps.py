@@ -8,16 +8,10 @@ from pathlib import Path
 
 from drone_env.city.city_file import MAX_FILE, City, parse_city, task_of
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidTaskError, StoreError
+from drone_env.errors import StoreError
 from drone_env.files import read_file, write_text
-from drone_env.server.exceptions import RequestError
 
 NAME = re.compile("(?:drone_env.graders:grade_)?(drawn_[0-9a-f]{12})")
-STEPS_PER_SIDE = 20
-"""Maximum number of steps and battery units per column and row: four times the default.
-
-The bound limits memory and traffic: the server stores, sends and copies each step of a flight.
-"""
 
 
 def name_of(content: bytes) -> str:
@@ -29,16 +23,9 @@ def drawn_task(city: City, name: str) -> TaskConfig:
     """The task of a drawn city.
 
     Raises:
-        InvalidTaskError: if it is not a valid task, or allows flights that are too long for its size.
+        InvalidTaskError: if it is not a valid task.
     """
-    task = replace(task_of(city, name), family="drawn")
-    most = STEPS_PER_SIDE * (task.width + task.height)
-    for number in ("max_steps", "battery_capacity", "charge_rate"):
-        value = getattr(task, number)
-        if value > most:
-            size = f"{task.width} x {task.height} cells"
-            raise InvalidTaskError(f"{number} must be at most {most} on a drawn map of {size}, got {value}")
-    return task
+    return replace(task_of(city, name), family="drawn")
 
 
 class DrawnMaps:
@@ -59,12 +46,8 @@ class DrawnMaps:
         """Store the file of a city under its name, `name_of` the text. A stored one becomes the newest.
 
         Raises:
-            RequestError: if this server stores no maps.
             StoreError: if the map cannot be written.
         """
-        if self._most == 0:
-            detail = "this server keeps no drawn maps: save yours as a file, and fly it on a server of your own"
-            raise RequestError(403, "maps_off", detail)
         file = self._file(name)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)

@@ -45,7 +45,7 @@ class Settings(BaseSettings):
     reward_profiles: CommaSeparated = Field(
         default=(), description="TOML files with further reward profiles; comma-separated."
     )
-    maps: int = Field(default=1000, ge=0, description="Most stored maps of the editor; the oldest is evicted first.")
+    maps: int = Field(default=1000, ge=1, description="Most stored maps of the editor; the oldest is evicted first.")
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."
     )
