@@ -78,7 +78,6 @@ def test_what_is_refused_leaves_the_episode_as_it_was(
     answer = shared_client.post(path, json=body, headers=session)
     assert answer.status_code == 422
     assert told in answer.json()["detail"]
-    assert path == "/reset" or answer.json()["errors"]
     assert shared_client.get("/state", headers=session).json()["step_count"] == 1
 
 

@@ -91,7 +91,7 @@ class TestJson:
             counts.append(len(error.errors()))
             return wrong_parts(error)
 
-        monkeypatch.setattr("drone_env.server.exceptions.wrong_parts", counted)
+        monkeypatch.setattr("drone_env.errors.wrong_parts", counted)
         assert shared_client.post(path, json=body).status_code == 422
         assert 0 < counts[0] <= 600
 
@@ -161,7 +161,7 @@ def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:
     with TestClient(app, raise_server_exceptions=False) as client:
         answer = client.get("/broken")
     assert answer.status_code == 500
-    assert answer.json() == {"code": "internal", "detail": "the server failed; its log says why", "errors": []}
+    assert answer.json() == {"code": "internal", "detail": "the server failed; its log says why"}
 
 
 class TestSettings:
