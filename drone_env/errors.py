@@ -19,7 +19,6 @@
 Each message names the given value and the allowed ones.
 """
 
-import re
 import sys
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
@@ -141,18 +140,6 @@ def abbreviate(value: object) -> str:
 
 LONGEST_NAME = 200
 """Maximum number of characters, because the sender of a value names its parts."""
-PLAIN = {
-    "^Value error, ": "",
-    "^Field required": "missing",
-    "^[A-Z][a-z]+ should ": "must ",
-    "a valid integer.*": "a whole number",
-    "a valid (number|decimal).*": "a number",
-    "a valid boolean.*": "true or false",
-    "^Extra inputs are not permitted": "unknown field",
-    "a valid dictionary.*": "an object",
-    " after validation, not .*": "",
-}
-"""Words of Pydantic's messages, and those of this package."""
 
 
 def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
@@ -160,17 +147,11 @@ def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
     return [
         (
             ".".join(str(name) for name in part["loc"] if name != "[key]")[:LONGEST_NAME],
-            _plain(part["msg"]),
+            part["msg"].removeprefix("Value error, "),
             part["type"],
         )
         for part in error.errors()[:20]
     ]
-
-
-def _plain(message: str) -> str:
-    for words, plain in PLAIN.items():
-        message = re.sub(words, plain, message)
-    return message
 
 
 def text_of(error: Any, name: Callable[[str], str] = str) -> str:

@@ -61,7 +61,7 @@ def test_openenvs_forms_are_answered_in_openenvs_form(client: TestClient) -> Non
         *(("/step", body, "body: send either") for body in ({}, {"direction": "UP", "action": {"direction": "UP"}})),
         ("/step", {"direction": "up"}, "body.direction"),
         ("/step", {"direction": "UP", "speed": 2}, "body.speed"),
-        ("/step", [], "body: must be"),
+        ("/step", [], "body: Input should be"),
         ("/reset", {"task_name": "none"}, "allowed: city, city_small, easy, hard"),
         ("/reset", {"reward_profile": "none"}, "allowed: aligned"),
         ("/reset", {"seed": "7"}, "body.seed"),

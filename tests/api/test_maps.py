@@ -87,7 +87,7 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
     [
         ({"cells": [[0, 0], [0]]}, "rows of equal width"),
         ({"cells": [[0, 4], [0, 0]]}, "0 road, 1 building, 2 tree, 3 obstacle, 8 pad; got 4"),
-        ({"cells": [[0] * 129] * 3}, "cells.0: must have at most 128 items"),
+        ({"cells": [[0] * 129] * 3}, "cells.0: List should have at most 128 items"),
         ({"start": [1, 1]}, "the start [1, 1] must be on a road"),
         ({"numbers": {"max_steps": 32001}}, "max_steps must be 1 to 32000, got 32001"),
         ({"numbers": {"deliveries": 2}}, "deliveries"),
