@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
+from drone_env.core.actions import FLYING, N_ACTIONS, Action
 from drone_env.core.compiled import kernel
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rewards import Rewards, get_reward_profile, tabulate_rewards
@@ -130,12 +130,6 @@ class Solver(ABC):
         """All actions after which the highest score can still be reached; raises as `q_values`."""
         values = self.q_values(episode)
         return tuple(Action(int(action)) for action in np.flatnonzero(values == values.max()))
-
-    def regret(self, episode: Episode, action: int) -> float:
-        """V*(s) - Q*(s, a): the score that an action loses."""
-        number = check_action(action)
-        values = self.q_values(episode)
-        return float(values.max() - values[number])
 
     def best_actions(self) -> list[Action]:
         """One best sequence of actions from the solved state; the same in every run.

@@ -52,8 +52,6 @@ class TestRefusals:
         for refused in (solver.q_values, solver.optimal_actions):
             with pytest.raises(EpisodeError, match="ended"):
                 refused(episode)
-        with pytest.raises(EpisodeError, match="ended"):
-            solver.regret(episode, 0)
         assert solver.value(episode) == episode.score
         assert best_actions(episode) == []
         assert solve_episode(episode).actions == ()
