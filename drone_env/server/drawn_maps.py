@@ -31,31 +31,25 @@ def drawn_task(city: City, name: str) -> TaskConfig:
 class DrawnMaps:
     """Stores maps in files and finds their tasks; safe to share between threads and processes.
 
-    The maps are not in `TASKS`: a caller needs to know the name. If the folder is full, the oldest map is deleted.
+    The maps are not in `TASKS`: a caller needs to know the name.
 
     Args:
         folder: The folder of the files; created with the first one.
-        most: Maximum number of maps.
     """
 
-    def __init__(self, folder: Path, most: int) -> None:
-        self._folder, self._most = folder, most
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._read = lru_cache(maxsize=128)(_read)
 
     def keep(self, text: str, name: str) -> None:
-        """Store the file of a city under its name, `name_of` the text. A stored one becomes the newest.
+        """Store the file of a city under its name, `name_of` the text.
 
         Raises:
             StoreError: if the map cannot be written.
         """
-        file = self._file(name)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            others = [other for other in self._folder.glob("drawn_*.toml") if other != file]
-            others.sort(key=lambda other: other.stat().st_mtime_ns)
-            for oldest in others[: max(0, len(others) - self._most + 1)]:
-                oldest.unlink(missing_ok=True)
-            write_text(file, text)
+            write_text(self._file(name), text)
         except OSError as error:
             raise StoreError(f"the map could not be stored: {error.strerror}") from error
 

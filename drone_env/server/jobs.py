@@ -79,7 +79,7 @@ def serve(connection: Connection, others: Connection, settings: Settings, regist
     load_plugins(plugins)
     TASKS.update(tasks)
     REWARD_PROFILES.update(profiles)
-    TASK_FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
+    TASK_FINDERS.append(DrawnMaps(settings.data / MAPS).find)
     _contexts.append(JobContext(settings))
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))

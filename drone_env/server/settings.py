@@ -45,7 +45,6 @@ class Settings(BaseSettings):
     reward_profiles: CommaSeparated = Field(
         default=(), description="TOML files with further reward profiles; comma-separated."
     )
-    maps: int = Field(default=1000, ge=1, description="Most stored maps of the editor; the oldest is evicted first.")
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."
     )
@@ -60,13 +59,6 @@ class Settings(BaseSettings):
     def _split(cls, value: object) -> object:
         if isinstance(value, str):
             return tuple(part.strip() for part in value.split(",") if part.strip())
-        return value
-
-    @field_validator("token")
-    @classmethod
-    def _check_token(cls, value: SecretStr | None) -> SecretStr | None:
-        if value is not None and not (value.get_secret_value().isascii() and value.get_secret_value().isprintable()):
-            raise ValueError("must be printable ASCII, because it is sent in a header")
         return value
 
 

@@ -117,7 +117,6 @@ class TestToken:
         with app_with(tmp_path, token="secret") as client:
             for path in ("/health", "/", "/static/js/main.js"):
                 assert client.get(path).status_code == 200
-            assert client.get("/favicon.ico").headers["content-type"] == "image/svg+xml"  # browsers send it no token
             beside = ("/static/js/../../tasks", "/static/../tasks", "/staticx")
             for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere", *beside):
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
@@ -175,7 +174,7 @@ class TestSettings:
 
     @pytest.mark.parametrize(
         ("name", "value"),
-        [("PORT", "many"), ("IDLE_SECONDS", "-1"), ("TOKEN", "a\u00e9"), ("TOKEN", "")],
+        [("PORT", "many"), ("IDLE_SECONDS", "-1"), ("TOKEN", "")],
     )
     def test_a_wrong_value_is_named(self, monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
         monkeypatch.setenv(f"DRONE_ENV_{name}", value)

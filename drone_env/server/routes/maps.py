@@ -128,7 +128,7 @@ async def worth(request: Request, app_state: AppStateDep, drawn: Annotated[Drawn
 async def keep_map(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
-    Callers find it by its name; no list contains it. If the server is full, it deletes the oldest map.
+    Callers find it by its name; no list contains it.
     """
     text, task = await app_state.work(request, _checked, drawn)
     await run_in_threadpool(app_state.maps.keep, text, task.id)
