@@ -16,11 +16,8 @@ from drone_env.errors import DroneEnvError, needs
 
 with needs("server", __name__):
     from fastapi import FastAPI
-    from fastapi.responses import FileResponse
     from fastapi.staticfiles import StaticFiles
-    from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
-    from starlette.responses import Response
     from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins, register_reward_file
@@ -53,8 +50,6 @@ A drone delivers parcels on a generated city grid.
 with every further request. OpenEnv's clients use the WebSocket `/ws` instead; each connection is a session.
 """
 SWEEP_SECONDS = 5.0
-SCHEMA: list[bytes] = []
-"""The OpenAPI description as JSON. It depends on no setting, so all applications of a process share it."""
 
 
 def create_app(settings: Settings | None = None, clock: Callable[[], float] | None = None) -> FastAPI:
@@ -77,7 +72,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
-        await asyncio.gather(run_in_threadpool(app_state.open), run_in_threadpool(_describe, app))
+        await run_in_threadpool(app_state.open)
         sweeper = asyncio.create_task(_sweep(app_state, socket))
         try:
             yield
@@ -97,7 +92,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         # FastAPI's own pages load scripts from a CDN.
         docs_url=None,
         redoc_url=None,
-        openapi_url=None,
         # FastAPI would look for exporters of OpenTelemetry in each request.
         telemetry={"tracing": False, "metrics": False, "logs": False},
     )
@@ -120,26 +114,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     ):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
-    _add_page(app)
-    return app
-
-
-def _add_page(app: FastAPI) -> None:
-    @app.get("/openapi.json", include_in_schema=False)
-    async def description() -> Response:
-        return Response(SCHEMA[0], media_type="application/json")
-
-    @app.get("/favicon.ico", include_in_schema=False)
-    async def icon() -> FileResponse:
-        return FileResponse(PAGE / "icons" / "drone.svg")
-
     app.mount("/static", StaticFiles(directory=PAGE, packages=[("drone_env.envs", ART.name)]))
-
-
-def _describe(app: FastAPI) -> None:
-    """Compute the OpenAPI description before the server is healthy: it takes 0.3 s, and validators wait for little."""
-    if not SCHEMA:
-        SCHEMA.append(to_json(app.openapi()))
+    return app
 
 
 async def _sweep(app_state: AppState, socket: OpenEnvSocket) -> None:

@@ -12,7 +12,7 @@ from drone_env.server.logs import RequestLog
 from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
-OPEN_PATHS = {"/health", "/", "/favicon.ico"}
+OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
 WITHOUT_HINTS = re.compile(
     r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
