@@ -40,7 +40,7 @@ class Security:
 
     Args:
         app: The wrapped application.
-        settings: The allowed origins, and the token.
+        settings: The token, and whether hints are withheld.
         log: The request log.
     """
 
@@ -48,7 +48,6 @@ class Security:
         self.app = app
         self.log = log
         self.withholds = settings.withhold_hints
-        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -87,9 +86,10 @@ class Security:
             self.log.add(scope["method"] if is_http else "WEBSOCKET", path, status, time.perf_counter() - started)
 
     def _check(self, scope: Scope, headers: Headers) -> None:
-        origin = headers.get("origin")
-        if origin is not None and not self._allowed(origin.lower(), headers.get("host", "").lower()):
-            raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
+        origin, host = headers.get("origin"), headers.get("host", "").lower()
+        # Behind a proxy that terminates TLS, the server sees http.
+        if origin is not None and (not host or origin.lower() not in (f"http://{host}", f"https://{host}")):
+            raise RequestError(403, "origin", f"origin {origin!r} is not allowed: pages of this server call it")
         if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
             raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
         if self.expected is None or scope["path"] in OPEN_PATHS or scope["path"].startswith("/static/"):
@@ -98,8 +98,3 @@ class Security:
         if scheme.lower() != "bearer" or not hmac.compare_digest(token.strip().encode(), self.expected):
             detail = "this server requires a token: send Authorization: Bearer TOKEN"
             raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
-
-    def _allowed(self, origin: str, host: str) -> bool:
-        # Compare hosts, not schemes: behind a proxy that terminates TLS, the server sees http.
-        scheme, _, authority = origin.partition("://")
-        return origin in self.origins or (scheme in ("http", "https") and authority == host != "")

@@ -39,9 +39,6 @@ class Settings(BaseSettings):
         description="For evaluations: serve only flights and the catalogue, not the page, other flights, values, "
         "solutions and pilots.",
     )
-    allowed_origins: CommaSeparated = Field(
-        default=(), description="Other origins of web pages that may call the server; comma-separated."
-    )
     reward_profiles: CommaSeparated = Field(
         default=(), description="TOML files with further reward profiles; comma-separated."
     )
@@ -54,7 +51,7 @@ class Settings(BaseSettings):
         description="Memory in MB for each long job. Solving 64 x 64 cells with 8 parcels and 8 pads takes 800.",
     )
 
-    @field_validator("allowed_origins", "reward_profiles", mode="before")
+    @field_validator("reward_profiles", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):
