@@ -20,7 +20,7 @@ with needs("server", __name__):
     from starlette.concurrency import run_in_threadpool
     from starlette.routing import WebSocketRoute
 
-from drone_env.envs.registry import load_plugins, register_reward_file
+from drone_env.envs.registry import load_plugins
 from drone_env.server import mcp
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.openenv import OpenEnvSocket
@@ -60,13 +60,10 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         clock: Returns the time in seconds, for idle times; None for a monotonic clock.
 
     Raises:
-        InvalidValueError: if an environment variable or a file of a reward profile is invalid.
-        OSError: if a file of a reward profile cannot be read.
+        InvalidValueError: if an environment variable is invalid.
     """
     load_plugins()
     settings = settings or load_settings()
-    for file in settings.reward_profiles:
-        register_reward_file(file)
     app_state = AppState(settings, clock)
     socket = OpenEnvSocket(app_state, clock or time.monotonic)
 

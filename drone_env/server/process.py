@@ -8,13 +8,11 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 
 from drone_env import __version__
-from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 from drone_env.flights.store import Store
 from drone_env.server.json_routes import LARGEST_BODY
@@ -41,7 +39,6 @@ def run(
     port: int | None = None,
     workers: int | None = None,
     data: Path | None = None,
-    reward_profiles: Sequence[Path] = (),
 ) -> None:
     """Serve until stopped. Defaults come from the environment: DRONE_ENV_HOST and so on.
 
@@ -50,28 +47,23 @@ def run(
         port: Port to listen on.
         workers: Number of server processes.
         data: Data folder.
-        reward_profiles: Files of reward profiles.
 
     Raises:
         InvalidValueError: if an argument is not allowed, or the address is taken.
-        OSError: if a file cannot be read.
+        OSError: if the data folder cannot be created.
         StoreError: if the data folder cannot be used.
     """
     # Server processes read the environment.
-    files = ",".join(map(str, reward_profiles)) or None
-    options = {"host": host, "port": port, "workers": workers, "data": data, "reward_profiles": files}
+    options = {"host": host, "port": port, "workers": workers, "data": data}
     given = {name: str(value) for name, value in options.items() if value is not None}
     os.environ.update({f"DRONE_ENV_{name.upper()}": value for name, value in given.items()})
     settings = load_settings(given)
-    # Errors in reward files and the data folder raise here; in a server process each would log a long trace.
-    for file in settings.reward_profiles:
-        register_reward_file(file)
     import uvicorn
     from uvicorn.config import STARTUP_FAILURE
     from uvicorn.supervisors import Multiprocess
 
     with listen(settings.host, settings.port) as listening:
-        Store(settings.data).close()
+        Store(settings.data).close()  # raises here; in a server process it would log a long trace
         url = f"http://{settings.host}:{listening.getsockname()[1]}"
         folder = settings.data.resolve()
         print(f"drone-env {__version__}: {url}, docs at {url}/docs, files in {folder}", file=sys.stderr, flush=True)

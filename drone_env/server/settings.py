@@ -3,15 +3,12 @@
 import os
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated
 
-from pydantic import Field, SecretStr, ValidationError, field_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic import Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.errors import InvalidValueError, text_of
-
-CommaSeparated = Annotated[tuple[str, ...], NoDecode]
 
 
 class Settings(BaseSettings):
@@ -39,9 +36,6 @@ class Settings(BaseSettings):
         description="For evaluations: serve only flights and the catalogue, not the page, other flights, values, "
         "solutions and pilots.",
     )
-    reward_profiles: CommaSeparated = Field(
-        default=(), description="TOML files with further reward profiles; comma-separated."
-    )
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."
     )
@@ -50,13 +44,6 @@ class Settings(BaseSettings):
         ge=32,
         description="Memory in MB for each long job. Solving 64 x 64 cells with 8 parcels and 8 pads takes 800.",
     )
-
-    @field_validator("reward_profiles", mode="before")
-    @classmethod
-    def _split(cls, value: object) -> object:
-        if isinstance(value, str):
-            return tuple(part.strip() for part in value.split(",") if part.strip())
-        return value
 
 
 def load_settings(options: Collection[str] = ()) -> Settings:

@@ -166,11 +166,9 @@ def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:
 class TestSettings:
     def test_they_come_from_the_environment(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRONE_ENV_PORT", "9000")
-        monkeypatch.setenv("DRONE_ENV_REWARD_PROFILES", "a.toml, b.toml")
         monkeypatch.setenv("DRONE_ENV_HOST", "")
         settings = load_settings()
         assert (settings.port, settings.token, settings.host) == (9000, None, "127.0.0.1")
-        assert settings.reward_profiles == ("a.toml", "b.toml")
 
     @pytest.mark.parametrize(
         ("name", "value"),
