@@ -15,10 +15,9 @@ from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewa
 from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
 from drone_env.core.terrain import Name, Terrain
-from drone_env.errors import StoreError
 from drone_env.flights.provenance import HUMAN
 from drone_env.models import Count, Score, StrictModel
-from drone_env.server.exceptions import RequestError, error_responses
+from drone_env.server.exceptions import error_responses
 from drone_env.server.pilots import COLOURS, all_pilots
 from drone_env.server.routes.flights import MOST_FLIGHTS
 from drone_env.server.state import AppState, AppStateDep
@@ -177,10 +176,5 @@ def pilots(app_state: AppStateDep) -> PilotList:
 @router.get("/health", responses=error_responses(503))
 async def health(app_state: AppStateDep) -> Health:
     """Whether the server works and can store steps; requires no token."""
-    try:
-        app_state.store.check()
-    except StoreError:
-        # The error itself would reveal the folder.
-        why = "nothing can be stored: the disk is full, or files of the data folder are locked, or were deleted, moved"
-        raise RequestError(503, "store", f"{why} or replaced while in use; the server's log says more") from None
+    app_state.store.check()
     return Health(version=__version__)

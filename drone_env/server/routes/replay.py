@@ -19,7 +19,7 @@ from drone_env.models import DIRECTIONS, Count, Direction, Position, Score, Seed
 from drone_env.results.analysis import Label, analyse_actions, analyse_flight, find_loops, plain, why_failed
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frames_of
-from drone_env.server.jobs import job_context
+from drone_env.server.jobs import job_networks, solver_of_map
 from drone_env.server.json_routes import JsonRoute
 from drone_env.server.state import AppStateDep
 
@@ -167,12 +167,12 @@ def _replayed(record: EpisodeRecord) -> str:
     flown = replay(record)
     start = Episode(flown.task, flown.reward_profile, flown.seed)
     header = FlightHeader.at_start(start, record.provenance)
-    network = job_context().networks.shown_network(header.pilot, start.task)
+    network = job_networks().shown_network(header.pilot, start.task)
     return EpisodeView(opening=header, frames=frames_of(start, flown.actions, network)).model_dump_json()
 
 
 def _solver_from(start: Episode) -> "Solver":
-    return job_context().solver_of(start.task, start.seed)
+    return solver_of_map(start.task, start.seed)
 
 
 def _annotated(record: EpisodeRecord) -> str:
