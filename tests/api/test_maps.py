@@ -31,7 +31,7 @@ YARD: dict[str, Any] = {
 
 @pytest.fixture
 def settings(tmp_path: Path) -> dict[str, Any]:
-    return {"data": tmp_path / "data", "maps": 1000}
+    return {"data": tmp_path / "data"}
 
 
 def answer(client: TestClient, path: str, body: dict[str, Any]) -> Any:
