@@ -138,15 +138,11 @@ def abbreviate(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-LONGEST_NAME = 200
-"""Maximum number of characters, because the sender of a value names its parts."""
-
-
 def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
     """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
     return [
         (
-            ".".join(str(name) for name in part["loc"] if name != "[key]")[:LONGEST_NAME],
+            ".".join(str(name) for name in part["loc"] if name != "[key]"),
             part["msg"].removeprefix("Value error, "),
             part["type"],
         )
