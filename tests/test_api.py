@@ -19,7 +19,7 @@ BEST = ("LEFT", "UP", "UP")
 
 @pytest.fixture
 def http(tmp_path: Path) -> Generator[TestClient, None, None]:
-    with TestClient(create_app(Settings(data=tmp_path / "data", maps=9))) as client:
+    with TestClient(create_app(Settings(data=tmp_path / "data"))) as client:
         yield client
 
 
