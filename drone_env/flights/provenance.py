@@ -1,5 +1,6 @@
 """The provenance of a flight: who flew it, with what help, and which flight it continues."""
 
+import re
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from drone_env.models import StrictModel
 HUMAN = "human"
 """The pilot of a flight by hand."""
 LONGEST_LABEL = 200
+PERSON = re.compile(r"[\w-]{1,20}")
 
 
 def _is_line(text: str) -> str:
@@ -20,13 +22,18 @@ def _is_line(text: str) -> str:
     return text
 
 
-AgentLabel = Annotated[
-    str,
-    AfterValidator(_is_line),
-    WithJsonSchema({"type": "string", "minLength": 1, "maxLength": LONGEST_LABEL}),
-    Field(description="One printable line."),
-]
-PersonName = Annotated[str, Field(pattern=r"^[\w-]{1,20}$")]
+def _is_name(text: str) -> str:
+    if not PERSON.fullmatch(text):
+        raise ValueError(f"a person's name has 1 to 20 letters, digits, '_' or '-', got {text[:40]!r}")
+    return text
+
+
+def _text(longest: int) -> WithJsonSchema:
+    return WithJsonSchema({"type": "string", "minLength": 1, "maxLength": longest})
+
+
+AgentLabel = Annotated[str, AfterValidator(_is_line), _text(LONGEST_LABEL), Field(description="One printable line.")]
+PersonName = Annotated[str, AfterValidator(_is_name), _text(20)]
 
 
 class Provenance(StrictModel):
