@@ -153,10 +153,6 @@ class DroneEnvClient:
         """Return the steps of the episode."""
         return self._call("GET", "/path_history")
 
-    def solution(self) -> dict[str, Any]:
-        """Return an optimal flight, once the episode has ended."""
-        return self._call("GET", "/solution")
-
     def predict(self) -> dict[str, Any]:
         """Return the next action by the trained network."""
         return self._call("POST", "/predict")

@@ -19,7 +19,6 @@
 Each message names the given value and the allowed ones.
 """
 
-import re
 import sys
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
@@ -139,38 +138,16 @@ def abbreviate(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-LONGEST_NAME = 200
-"""Maximum number of characters, because the sender of a value names its parts."""
-PLAIN = {
-    "^Value error, ": "",
-    "^Field required": "missing",
-    "^[A-Z][a-z]+ should ": "must ",
-    "a valid integer.*": "a whole number",
-    "a valid (number|decimal).*": "a number",
-    "a valid boolean.*": "true or false",
-    "^Extra inputs are not permitted": "unknown field",
-    "a valid dictionary.*": "an object",
-    " after validation, not .*": "",
-}
-"""Words of Pydantic's messages, and those of this package."""
-
-
 def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
     """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
     return [
         (
-            ".".join(str(name) for name in part["loc"] if name != "[key]")[:LONGEST_NAME],
-            _plain(part["msg"]),
+            ".".join(str(name) for name in part["loc"] if name != "[key]"),
+            part["msg"].removeprefix("Value error, "),
             part["type"],
         )
         for part in error.errors()[:20]
     ]
-
-
-def _plain(message: str) -> str:
-    for words, plain in PLAIN.items():
-        message = re.sub(words, plain, message)
-    return message
 
 
 def text_of(error: Any, name: Callable[[str], str] = str) -> str:

@@ -1,24 +1,11 @@
-"""Standard output that cannot be written, and errors on standard error."""
+"""Standard output that cannot be written, or lacks emoji; errors on standard error."""
 
-import codecs
 import io
 import os
 import sys
 from collections.abc import Callable
 
-from drone_env.core.cells import CELL_KINDS, LETTERS, TARGET
 from drone_env.errors import UnknownNameError
-
-PLAIN = {kind.emoji: f"{LETTERS[kind.name]} " for kind in CELL_KINDS.values()} | {TARGET: "@ ", "·": ".", "•": "*"}
-"""What replaces the symbols of a map that the terminal's encoding lacks; all else that it lacks becomes `?`."""
-
-
-def _plain(error: UnicodeError) -> tuple[str, int]:
-    assert isinstance(error, UnicodeEncodeError)
-    return "".join(PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
-
-
-codecs.register_error("plain", _plain)
 
 
 def guarded(run: Callable[[], int]) -> int:
@@ -28,7 +15,7 @@ def guarded(run: Callable[[], int]) -> int:
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="plain")
+            stream.reconfigure(errors="replace")
     try:
         try:
             return run()

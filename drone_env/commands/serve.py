@@ -10,7 +10,6 @@ def serve(
     port: int | None = None,
     workers: int | None = None,
     data: Path | None = None,
-    reward_profiles: tuple[Path, ...] = (),
 ) -> None:
     """Serve the environment: JSON over HTTP, OpenEnv over WebSocket; /docs describes both.
 
@@ -23,11 +22,10 @@ def serve(
         port: Port to listen on.
         workers: Number of processes.
         data: Folder of episodes, sessions and logs.
-        reward_profiles: TOML files of additional reward profiles.
     """
     with needs("server"):
         from drone_env.server.process import run
-    run(host, port, workers, data, reward_profiles)
+    run(host, port, workers, data)
 
 
 def main() -> None:

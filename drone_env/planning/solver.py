@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
-from drone_env.core.cells import Cell
+from drone_env.core.actions import FLYING, N_ACTIONS, Action
 from drone_env.core.compiled import kernel
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.rewards import Rewards, get_reward_profile, tabulate_rewards
@@ -132,12 +131,6 @@ class Solver(ABC):
         values = self.q_values(episode)
         return tuple(Action(int(action)) for action in np.flatnonzero(values == values.max()))
 
-    def regret(self, episode: Episode, action: int) -> float:
-        """V*(s) - Q*(s, a): the score that an action loses."""
-        number = check_action(action)
-        values = self.q_values(episode)
-        return float(values.max() - values[number])
-
     def best_actions(self) -> list[Action]:
         """One best sequence of actions from the solved state; the same in every run.
 
@@ -156,21 +149,9 @@ class Solver(ABC):
             (episode.task, episode.seed) == (start.task, start.seed)
             and episode.steps >= start.steps
             and episode.actions[: len(start.actions)] == start.actions
-            and np.array_equal(_invariants(episode), _invariants(start))
         )
         if not goes_on:
             raise EpisodeError("the solved episode cannot reach this state: create a solver for this episode")
-
-
-def _invariants(episode: Episode) -> npt.NDArray[np.int64]:
-    """The part of an episode that steps do not change: the terrain, and the original cell of each parcel."""
-    grid = episode.grid()
-    x, y = episode.position
-    grid[y, x] = episode.under
-    parcels = [(x, y) for x, y, _ in episode.parcels]
-    for x, y in parcels:
-        grid[y, x] = Cell.DELIVERY
-    return np.append(grid, parcels)
 
 
 class ExactSolver(Solver):

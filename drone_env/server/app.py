@@ -16,17 +16,15 @@ from drone_env.errors import DroneEnvError, needs
 
 with needs("server", __name__):
     from fastapi import FastAPI
-    from fastapi.responses import FileResponse
-    from pydantic_core import to_json
+    from fastapi.staticfiles import StaticFiles
     from starlette.concurrency import run_in_threadpool
-    from starlette.responses import Response
     from starlette.routing import WebSocketRoute
 
-from drone_env.envs.registry import load_plugins, register_reward_file
+from drone_env.envs.registry import load_plugins
 from drone_env.server import mcp
 from drone_env.server.exceptions import error_responses, install
 from drone_env.server.openenv import OpenEnvSocket
-from drone_env.server.page_files import PAGE, PageFiles
+from drone_env.server.page_files import ART, PAGE
 from drone_env.server.process import end_with_parent, is_news, run
 from drone_env.server.routes import (
     catalogue,
@@ -52,8 +50,6 @@ A drone delivers parcels on a generated city grid.
 with every further request. OpenEnv's clients use the WebSocket `/ws` instead; each connection is a session.
 """
 SWEEP_SECONDS = 5.0
-SCHEMA: list[bytes] = []
-"""The OpenAPI description as JSON. It depends on no setting, so all applications of a process share it."""
 
 
 def create_app(settings: Settings | None = None, clock: Callable[[], float] | None = None) -> FastAPI:
@@ -64,19 +60,16 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         clock: Returns the time in seconds, for idle times; None for a monotonic clock.
 
     Raises:
-        InvalidValueError: if an environment variable or a file of a reward profile is invalid.
-        OSError: if a file of a reward profile cannot be read.
+        InvalidValueError: if an environment variable is invalid.
     """
     load_plugins()
     settings = settings or load_settings()
-    for file in settings.reward_profiles:
-        register_reward_file(file)
     app_state = AppState(settings, clock)
     socket = OpenEnvSocket(app_state, clock or time.monotonic)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
-        await asyncio.gather(run_in_threadpool(app_state.open), run_in_threadpool(_describe, app))
+        await run_in_threadpool(app_state.open)
         sweeper = asyncio.create_task(_sweep(app_state, socket))
         try:
             yield
@@ -96,14 +89,12 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         # FastAPI's own pages load scripts from a CDN.
         docs_url=None,
         redoc_url=None,
-        openapi_url=None,
         # FastAPI would look for exporters of OpenTelemetry in each request.
         telemetry={"tracing": False, "metrics": False, "logs": False},
     )
     app.state.shared = app_state
     app.state.socket = socket
     install(app)
-    app.add_exception_handler(404, page.not_found)
     app.add_middleware(flight.Steps, app_state=app_state)
     app.add_middleware(Security, settings=settings, log=app_state.requests)
     for routes in (
@@ -120,26 +111,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     ):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
-    _add_page(app)
+    app.mount("/static", StaticFiles(directory=PAGE, packages=[("drone_env.envs", ART.name)]))
     return app
-
-
-def _add_page(app: FastAPI) -> None:
-    @app.get("/openapi.json", include_in_schema=False)
-    async def description() -> Response:
-        return Response(SCHEMA[0], media_type="application/json")
-
-    @app.get("/favicon.ico", include_in_schema=False)
-    async def icon() -> FileResponse:
-        return FileResponse(PAGE / "icons" / "drone.svg")
-
-    app.mount("/static", PageFiles())
-
-
-def _describe(app: FastAPI) -> None:
-    """Compute the OpenAPI description before the server is healthy: it takes 0.3 s, and validators wait for little."""
-    if not SCHEMA:
-        SCHEMA.append(to_json(app.openapi()))
 
 
 async def _sweep(app_state: AppState, socket: OpenEnvSocket) -> None:

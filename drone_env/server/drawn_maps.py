@@ -8,16 +8,10 @@ from pathlib import Path
 
 from drone_env.city.city_file import MAX_FILE, City, parse_city, task_of
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidTaskError, StoreError
+from drone_env.errors import StoreError
 from drone_env.files import read_file, write_text
-from drone_env.server.exceptions import RequestError
 
 NAME = re.compile("(?:drone_env.graders:grade_)?(drawn_[0-9a-f]{12})")
-STEPS_PER_SIDE = 20
-"""Maximum number of steps and battery units per column and row: four times the default.
-
-The bound limits memory and traffic: the server stores, sends and copies each step of a flight.
-"""
 
 
 def name_of(content: bytes) -> str:
@@ -29,66 +23,42 @@ def drawn_task(city: City, name: str) -> TaskConfig:
     """The task of a drawn city.
 
     Raises:
-        InvalidTaskError: if it is not a valid task, or allows flights that are too long for its size.
+        InvalidTaskError: if it is not a valid task.
     """
-    task = replace(task_of(city, name), family="drawn")
-    most = STEPS_PER_SIDE * (task.width + task.height)
-    for number in ("max_steps", "battery_capacity", "charge_rate"):
-        value = getattr(task, number)
-        if value > most:
-            size = f"{task.width} x {task.height} cells"
-            raise InvalidTaskError(f"{number} must be at most {most} on a drawn map of {size}, got {value}")
-    return task
+    return replace(task_of(city, name), family="drawn")
 
 
 class DrawnMaps:
     """Stores maps in files and finds their tasks; safe to share between threads and processes.
 
-    The maps are not in `TASKS`: a caller needs to know the name. If the folder is full, the oldest map is deleted.
+    The maps are not in `TASKS`: a caller needs to know the name.
 
     Args:
         folder: The folder of the files; created with the first one.
-        most: Maximum number of maps.
     """
 
-    def __init__(self, folder: Path, most: int) -> None:
-        self._folder, self._most = folder, most
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._read = lru_cache(maxsize=128)(_read)
 
     def keep(self, text: str, name: str) -> None:
-        """Store the file of a city under its name, `name_of` the text. A stored one becomes the newest.
+        """Store the file of a city under its name, `name_of` the text.
 
         Raises:
-            RequestError: if this server stores no maps.
             StoreError: if the map cannot be written.
         """
-        if self._most == 0:
-            detail = "this server keeps no drawn maps: save yours as a file, and fly it on a server of your own"
-            raise RequestError(403, "maps_off", detail)
-        file = self._file(name)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            others = [other for other in self._folder.glob("drawn_*.toml") if other != file]
-            others.sort(key=lambda other: other.stat().st_mtime_ns)
-            for oldest in others[: max(0, len(others) - self._most + 1)]:
-                oldest.unlink(missing_ok=True)
-            write_text(file, text)
+            write_text(self._file(name), text)
         except OSError as error:
             raise StoreError(f"the map could not be stored: {error.strerror}") from error
 
     def find(self, name: str) -> TaskConfig | None:
-        """The task of a map by its id or grader, None if there is no such map.
-
-        Raises:
-            StoreError: if its file cannot be read.
-        """
+        """The task of a map by its id or grader, None if there is no such map."""
         match = NAME.fullmatch(name)
         if match is None or not self._file(match[1]).exists():
             return None
-        try:
-            return self._read(self._file(match[1]))
-        except OSError as error:
-            raise StoreError(f"the map {match[1]!r} could not be read: {error.strerror}") from error
+        return self._read(self._file(match[1]))
 
     def _file(self, name: str) -> Path:
         return self._folder / f"{name}.toml"

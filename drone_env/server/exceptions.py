@@ -24,7 +24,6 @@ from drone_env.errors import (
     UnknownNameError,
     UnsupportedTaskError,
     text_of,
-    wrong_parts,
 )
 from drone_env.models import StrictModel
 
@@ -34,19 +33,11 @@ FAILED = "the server failed; its log says why"
 WHAT_TO_DO = "POST /reset opens a session; send the header X-Session-Id: SESSION_ID, as it answers, or keep the cookie"
 
 
-class FieldProblem(StrictModel):
-    """An error in one field of a request."""
-
-    where: str = Field(description="The field, such as `body.direction`.")
-    message: str = Field(description="What is wrong with it.")
-
-
 class Problem(StrictModel):
     """An error response."""
 
     code: str = Field(description="Error code for programs.")
     detail: str = Field(description="What is wrong and what is allowed, for people.")
-    errors: list[FieldProblem] = Field(default_factory=list[FieldProblem], description="The invalid fields.")
 
 
 class RequestError(DroneEnvError):
@@ -88,10 +79,8 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
     """Return the error response of a request."""
     status, code, detail = 500, "internal", FAILED
     headers: Mapping[str, str] | None = None
-    errors: list[FieldProblem] = []
     if isinstance(error, RequestValidationError):
         status, code, detail = 422, "invalid_request", text_of(error)
-        errors = [FieldProblem(where=where, message=why) for where, why, _ in wrong_parts(error)]
     elif isinstance(error, HTTPException):
         status, code, headers = error.status_code, "http", error.headers
         detail = str(error.detail)
@@ -109,7 +98,7 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
             detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
         if status == 503 and code not in ("no_network", "not_started"):  # a retry cannot help these
             headers = {"Retry-After": "5"}
-    problem = Problem(code=code, detail=detail, errors=errors)
+    problem = Problem(code=code, detail=detail)
     return JSONResponse(problem.model_dump(), status, headers)
 
 

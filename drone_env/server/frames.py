@@ -24,7 +24,7 @@ from drone_env.models import (
     StrictModel,
     observation_numbers,
 )
-from drone_env.server.jobs import job_context
+from drone_env.server.jobs import job_networks, solver_of_map
 from drone_env.server.networks import Networks
 
 
@@ -150,7 +150,7 @@ def best_flight(task: TaskConfig, seed: int) -> BestFlight:
 
     start = Episode(task, seed=seed)
     # If every step costs the same, the shortest tour needs no solver.
-    best = solve_episode(start, None if task.uniform else job_context().solver_of(task, seed))
+    best = solve_episode(start, None if task.uniform else solver_of_map(task, seed))
     return BestFlight(
         score=best.score,
         success=best.success,
@@ -185,7 +185,7 @@ def fly_agent(start: Episode, pilot: str) -> tuple[list[int], str]:
         CheckpointError: if the network file cannot be used.
         TooLargeError: if the map is too large for the pilot.
     """
-    networks = job_context().networks
+    networks = job_networks()
     agent = networks.agent(pilot, start.task)
     assert agent is not None
     agent.reset(start.seed)

@@ -32,31 +32,20 @@ Registered = tuple[tuple[str, ...], dict[str, TaskConfig], dict[str, RewardProfi
 """The plugins, tasks and reward profiles of the server."""
 
 
-class JobContext:
-    """State that the jobs of a process share: networks, and the maps solved last.
-
-    Args:
-        settings: The settings of the server.
-    """
-
-    def __init__(self, settings: Settings) -> None:
-        self.networks = Networks(settings.weights, settings.data)
-
-    @staticmethod
-    @lru_cache(maxsize=4)
-    def solver_of(task: TaskConfig, seed: int) -> "Solver":
-        """Return the exact values of a map. Cached: the page asks for those of the same map again and again."""
-        from drone_env.planning.optimal import solver_of  # loads Numba, which server processes do not need
-
-        return solver_of(Episode(task, seed=seed))
+_networks: list[Networks] = []
 
 
-_contexts: list[JobContext] = []
+def job_networks() -> Networks:
+    """The networks that the jobs of this process share."""
+    return _networks[0]
 
 
-def job_context() -> JobContext:
-    """The state that the jobs of this process share."""
-    return _contexts[0]
+@lru_cache(maxsize=4)
+def solver_of_map(task: TaskConfig, seed: int) -> "Solver":
+    """Return the exact values of a map. Cached: the page asks for those of the same map again and again."""
+    from drone_env.planning.optimal import solver_of  # loads Numba, which server processes do not need
+
+    return solver_of(Episode(task, seed=seed))
 
 
 def serve(connection: Connection, others: Connection, settings: Settings, registered: Registered) -> None:
@@ -79,8 +68,8 @@ def serve(connection: Connection, others: Connection, settings: Settings, regist
     load_plugins(plugins)
     TASKS.update(tasks)
     REWARD_PROFILES.update(profiles)
-    TASK_FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
-    _contexts.append(JobContext(settings))
+    TASK_FINDERS.append(DrawnMaps(settings.data / MAPS).find)
+    _networks.append(Networks(settings.weights, settings.data))
     # OpenBLAS allocates its buffer at the first large product, and ends the process if it cannot.
     _ = np.ones((512, 512)) @ np.ones((512, 512))
     with suppress(EOFError, OSError):

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 MOST_MAPS = 10_000
 """Maximum number of maps per evaluation: the server flies `random` and the optimum over them during a request."""
-MOST_FLIGHTS = 100_000
-"""Maximum number of flights read per run: a file may claim 2^53."""
 Entries = list[LeaderboardEntry | NotRanked]
 
 
@@ -105,7 +103,7 @@ def model_calls(data: Path, episode_id: str) -> "tuple[str | None, list[Call]]":
 
         try:
             ids = EpisodeIds(path)
-            for flight in range(0 if config is None else min(config.flights, MOST_FLIGHTS)):
+            for flight in range(0 if config is None else config.flights):
                 if config is not None and ids.of(flight) == episode_id:
                     calls = [call for call in read_calls(path / TRANSCRIPT) if call.flight == flight]
                     return config.model, sorted(calls, key=lambda call: call.key)

@@ -104,7 +104,7 @@ class Networks:
 
         Raises:
             UnsupportedTaskError: if there is none.
-            CheckpointError: if its file is invalid; the message contains its name, but not its folder.
+            CheckpointError: if its file is invalid.
         """
         file = self.file(pilot, task)
         with self._lock:
@@ -117,8 +117,6 @@ class Networks:
                     self._loaded[file] = identity, network
             except OSError as error:
                 raise CheckpointError(f"{file.name} cannot be read: {error.strerror}") from None
-            except CheckpointError as error:
-                raise CheckpointError(str(error).replace(str(file), file.name)) from None
             return self._loaded[file][1]
 
     def file(self, pilot: str, task: TaskConfig) -> Path:

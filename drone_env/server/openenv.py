@@ -19,14 +19,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
-from drone_env.server.json_routes import SMALL, TRY_LATER, parse_json, received
+from drone_env.server.json_routes import TRY_LATER, parse_json, received
 from drone_env.server.mcp import step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.state import AppState, caller_address
 
 NORMAL, GOING_AWAY = 1000, 1001
-LARGEST_FRAME = 2 * SMALL
+LARGEST_FRAME = 16_384
 """Limit of a frame in bytes: enough for a list with the longest route."""
 ALLOWED_TYPES = "reset, step, state, close"
 

@@ -8,20 +8,15 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 
 from drone_env import __version__
-from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 from drone_env.flights.store import Store
-from drone_env.server.json_routes import LARGE
+from drone_env.server.json_routes import LARGEST_BODY
 from drone_env.server.settings import load_settings
-
-if sys.platform != "win32":
-    import resource
 
 RECEIVED, SENT = 16_384, 131_072
 """Kernel buffers of a connection in bytes (Linux doubles them). The event loop reads a full buffer at once, and a
@@ -29,10 +24,8 @@ client that does not read would otherwise hold megabytes.
 """
 UNREAD_SECONDS = 75
 """Linux closes a connection if the other side has acknowledged no data for this time."""
-CONNECTIONS = 1000
-"""Connections of a process, in addition to one per session."""
-OTHER_FILES = 128
-"""Open files that are not connections: the store, logs, files of requests."""
+CONNECTIONS = 500
+"""Connections of a process, in addition to one per session: by default, most systems allow 1,024 open files."""
 
 
 def is_news(record: logging.LogRecord) -> bool:
@@ -46,7 +39,6 @@ def run(
     port: int | None = None,
     workers: int | None = None,
     data: Path | None = None,
-    reward_profiles: Sequence[Path] = (),
 ) -> None:
     """Serve until stopped. Defaults come from the environment: DRONE_ENV_HOST and so on.
 
@@ -55,37 +47,23 @@ def run(
         port: Port to listen on.
         workers: Number of server processes.
         data: Data folder.
-        reward_profiles: Files of reward profiles.
 
     Raises:
         InvalidValueError: if an argument is not allowed, or the address is taken.
-        OSError: if a file cannot be read.
+        OSError: if the data folder cannot be created.
         StoreError: if the data folder cannot be used.
     """
     # Server processes read the environment.
-    files = ",".join(map(str, reward_profiles)) or None
-    options = {"host": host, "port": port, "workers": workers, "data": data, "reward_profiles": files}
+    options = {"host": host, "port": port, "workers": workers, "data": data}
     given = {name: str(value) for name, value in options.items() if value is not None}
     os.environ.update({f"DRONE_ENV_{name.upper()}": value for name, value in given.items()})
     settings = load_settings(given)
-    # Errors in reward files and the data folder raise here; in a server process each would log a long trace.
-    for file in settings.reward_profiles:
-        register_reward_file(file)
     import uvicorn
     from uvicorn.config import STARTUP_FAILURE
     from uvicorn.supervisors import Multiprocess
 
-    class Supervisor(Multiprocess):
-        """Starts a process again as soon as it has ended."""
-
-        def keep_subprocess_alive(self) -> None:
-            for process in self.processes:
-                # uvicorn also holds the other end of the pipe, so it would wait for a starting process that was killed.
-                process.child_conn.close()
-            super().keep_subprocess_alive()
-
     with listen(settings.host, settings.port) as listening:
-        Store(settings.data).close()
+        Store(settings.data).close()  # raises here; in a server process it would log a long trace
         url = f"http://{settings.host}:{listening.getsockname()[1]}"
         folder = settings.data.resolve()
         print(f"drone-env {__version__}: {url}, docs at {url}/docs, files in {folder}", file=sys.stderr, flush=True)
@@ -98,10 +76,10 @@ def run(
             access_log=False,
             log_level="error",  # uvicorn logs a line for each WebSocket and for each invalid request otherwise
             server_header=False,
-            ws_max_size=LARGE,
+            ws_max_size=LARGEST_BODY,
             ws_per_message_deflate=False,
             ws_ping_timeout=max(settings.idle_seconds, 60.0),  # longer than two pings
-            limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
+            limit_concurrency=CONNECTIONS + settings.capacity,
             timeout_graceful_shutdown=5,
             timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
             timeout_worker_healthcheck=60,  # time for a process to start at SIGHUP; the default of 5 s can be too short
@@ -112,7 +90,7 @@ def run(
                 # A thread receives Ctrl-C, and no process that this one starts: it tells them to stop.
                 threading.Thread(target=threading.Event().wait, name="drone_env-ctrl-c", daemon=True).start()
                 leave_ctrl_c()
-                first = Supervisor(config, [listening])
+                first = Multiprocess(config, [listening])
                 first.run()
                 failed = any(process.exitcode == STARTUP_FAILURE for process in first.processes)
             else:
@@ -158,14 +136,6 @@ def listen(host: str, port: int) -> socket.socket:
     if sys.platform == "linux":
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNREAD_SECONDS * 1000)
     return sock
-
-
-def most_connections(target: int) -> int:
-    """Return the connection limit of this process: the target, or fewer if the limit of open files requires it."""
-    if sys.platform == "win32":
-        return target
-    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return target if files == resource.RLIM_INFINITY else min(target, max(files - OTHER_FILES, files // 2))
 
 
 def end_with_parent() -> None:

@@ -25,11 +25,6 @@ MAX_ROUTE = 1000
 """Maximum number of actions in one step of an OpenEnv session; the longest task has 640 steps."""
 
 
-def examples(values: list[JsonValue]) -> Any:
-    """Return the OpenAPI examples of a body."""
-    return {str(value): {"value": value} for value in values}
-
-
 class ResetOptions(StrictModel):
     """Options of a reset."""
 

@@ -1,4 +1,4 @@
-"""The middleware around every request: its host, origin and token, its headers, its line in the log."""
+"""The middleware around every request: its origin and token, its headers, its line in the log."""
 
 import hmac
 import re
@@ -7,13 +7,12 @@ import time
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from drone_env.server.addresses import host_name, is_local_name, listens_on_loopback
 from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.logs import RequestLog
 from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
-OPEN_PATHS = {"/health", "/", "/favicon.ico"}
+OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
 WITHOUT_HINTS = re.compile(
     r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
@@ -35,24 +34,20 @@ HEADERS = [
 
 
 class Security:
-    """Middleware that checks host, origin and token of a request, adds security and cache headers, and logs it.
+    """Middleware that checks origin and token of a request, adds security and cache headers, and logs it.
 
-    A server on loopback accepts only names of this machine and `allowed_hosts`: with DNS rebinding, any web page could
-    call it otherwise. Browsers send the origin of a page in the `Origin` header; other programs send none.
+    Browsers send the origin of a page in the `Origin` header; other programs send none.
 
     Args:
         app: The wrapped application.
-        settings: The allowed hosts and origins, and the token.
+        settings: The token, and whether hints are withheld.
         log: The request log.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, log: RequestLog) -> None:
         self.app = app
         self.log = log
-        self.hosts = {host.lower() for host in settings.allowed_hosts}
         self.withholds = settings.withhold_hints
-        self.listens = settings.host.lower()
-        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -91,13 +86,10 @@ class Security:
             self.log.add(scope["method"] if is_http else "WEBSOCKET", path, status, time.perf_counter() - started)
 
     def _check(self, scope: Scope, headers: Headers) -> None:
-        named = headers.get("host", "")
-        host = host_name(named)
-        if not self._answers(host, scope):
-            raise RequestError(403, "host", f"host {host!r} is not allowed; add it to DRONE_ENV_ALLOWED_HOSTS")
-        origin = headers.get("origin")
-        if origin is not None and not self._allowed(origin.lower(), named.lower()):
-            raise RequestError(403, "origin", f"origin {origin!r} is not allowed; add it to DRONE_ENV_ALLOWED_ORIGINS")
+        origin, host = headers.get("origin"), headers.get("host", "").lower()
+        # Behind a proxy that terminates TLS, the server sees http.
+        if origin is not None and (not host or origin.lower() not in (f"http://{host}", f"https://{host}")):
+            raise RequestError(403, "origin", f"origin {origin!r} is not allowed: pages of this server call it")
         if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
             raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
         if self.expected is None or scope["path"] in OPEN_PATHS or scope["path"].startswith("/static/"):
@@ -106,16 +98,3 @@ class Security:
         if scheme.lower() != "bearer" or not hmac.compare_digest(token.strip().encode(), self.expected):
             detail = "this server requires a token: send Authorization: Bearer TOKEN"
             raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
-
-    def _answers(self, host: str, scope: Scope) -> bool:
-        if host in self.hosts:
-            return True
-        server = scope.get("server")
-        if server is None or not listens_on_loopback(server[0], self.listens):
-            return not self.hosts
-        return is_local_name(host) or host == self.listens
-
-    def _allowed(self, origin: str, host: str) -> bool:
-        # Compare hosts, not schemes: behind a proxy that terminates TLS, the server sees http.
-        scheme, _, authority = origin.partition("://")
-        return origin in self.origins or (scheme in ("http", "https") and authority == host != "")

@@ -3,15 +3,12 @@
 import os
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated
 
-from pydantic import Field, SecretStr, ValidationError, field_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic import Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.errors import InvalidValueError, text_of
-
-CommaSeparated = Annotated[tuple[str, ...], NoDecode]
 
 
 class Settings(BaseSettings):
@@ -39,19 +36,6 @@ class Settings(BaseSettings):
         description="For evaluations: serve only flights and the catalogue, not the page, other flights, values, "
         "solutions and pilots.",
     )
-    allowed_origins: CommaSeparated = Field(
-        default=(), description="Other origins of web pages that may call the server; comma-separated."
-    )
-    allowed_hosts: CommaSeparated = Field(
-        default=(),
-        description="Allowed values of the `Host` header, without port; comma-separated. Requests to a loopback "
-        "address may also use localhost, 127.0.0.0/8 or [::1]. If empty, requests to other addresses, or to a server "
-        "on 0.0.0.0, may use any host.",
-    )
-    reward_profiles: CommaSeparated = Field(
-        default=(), description="TOML files with further reward profiles; comma-separated."
-    )
-    maps: int = Field(default=1000, ge=0, description="Most stored maps of the editor; the oldest is evicted first.")
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."
     )
@@ -60,20 +44,6 @@ class Settings(BaseSettings):
         ge=32,
         description="Memory in MB for each long job. Solving 64 x 64 cells with 8 parcels and 8 pads takes 800.",
     )
-
-    @field_validator("allowed_origins", "allowed_hosts", "reward_profiles", mode="before")
-    @classmethod
-    def _split(cls, value: object) -> object:
-        if isinstance(value, str):
-            return tuple(part.strip() for part in value.split(",") if part.strip())
-        return value
-
-    @field_validator("token")
-    @classmethod
-    def _check_token(cls, value: SecretStr | None) -> SecretStr | None:
-        if value is not None and not (value.get_secret_value().isascii() and value.get_secret_value().isprintable()):
-            raise ValueError("must be printable ASCII, because it is sent in a header")
-        return value
 
 
 def load_settings(options: Collection[str] = ()) -> Settings:

@@ -47,7 +47,7 @@ class AppState:
         self.networks = Networks(settings.weights, settings.data)
         self.results: dict[tuple[Path, str], tuple[object, Entries]] = {}
         """The entries of a folder for a task, with the identity of its files."""
-        self.maps = DrawnMaps(settings.data / MAPS, settings.maps)
+        self.maps = DrawnMaps(settings.data / MAPS)
 
     async def work(
         self, request: Request, function: Callable[..., Result], *arguments: object, task: str | None = None

@@ -19,12 +19,10 @@ from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import NAMES
-from drone_env.server import app
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.catalogue import SCORE_WEIGHTS
 from drone_env.server.routes.flight import Prediction
 from drone_env.server.routes.history import LINES
-from drone_env.server.settings import Settings
 from drone_env.server.train_log import tail
 from tests.api.networks import put_network, put_tour, put_trained
 
@@ -154,12 +152,8 @@ class TestPredictions:
         assert client.post("/predict", headers=session).status_code == 409
 
 
-def test_the_api_is_described_before_the_server_is_healthy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    described: list[bytes] = []
-    monkeypatch.setattr(app, "SCHEMA", described)
-    with TestClient(app.create_app(Settings(data=tmp_path))) as client:
-        assert len(described) == 1
-        info = client.get("/openapi.json").json()["info"]
+def test_the_api_is_described(shared_client: TestClient) -> None:
+    info = shared_client.get("/openapi.json").json()["info"]
     assert (info["version"], "opens a session" in info["description"]) == (__version__, True)
 
 
@@ -214,7 +208,6 @@ class TestClientInProcess:
             assert drone.grade("easy")["score"] == result["score"]
             assert drone.analyse("easy")["episodes_total"] == 1
             assert drone.path_history()["step_count"] == drone.state()["step_count"] == result["steps"]
-            assert drone.solution()["score"] >= result["score"]
             assert [task["id"] for task in drone.tasks()["tasks"]] == list(TASKS)
 
     @pytest.mark.parametrize("status", [200, 307, 500])

@@ -9,7 +9,6 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.models import DroneObservation, DroneState
 from drone_env.planning.optimal import solve
-from drone_env.server.frames import BestFlight
 from drone_env.server.routes.flight import FlatReset, PathHistory, ResetResult, StepResult
 
 Header = dict[str, str]
@@ -61,7 +60,7 @@ def test_openenvs_forms_are_answered_in_openenvs_form(client: TestClient) -> Non
         *(("/step", body, "body: send either") for body in ({}, {"direction": "UP", "action": {"direction": "UP"}})),
         ("/step", {"direction": "up"}, "body.direction"),
         ("/step", {"direction": "UP", "speed": 2}, "body.speed"),
-        ("/step", [], "body: must be"),
+        ("/step", [], "body: Input should be"),
         ("/reset", {"task_name": "none"}, "allowed: city, city_small, easy, hard"),
         ("/reset", {"reward_profile": "none"}, "allowed: aligned"),
         ("/reset", {"seed": "7"}, "body.seed"),
@@ -78,7 +77,6 @@ def test_what_is_refused_leaves_the_episode_as_it_was(
     answer = shared_client.post(path, json=body, headers=session)
     assert answer.status_code == 422
     assert told in answer.json()["detail"]
-    assert path == "/reset" or answer.json()["errors"]
     assert shared_client.get("/state", headers=session).json()["step_count"] == 1
 
 
@@ -90,17 +88,6 @@ def test_a_reset_in_a_session_stays_in_it_and_walks_on(client: TestClient, sessi
 
 
 class TestAfterTheEnd:
-    def test_the_best_flight_is_told_only_then(self, client: TestClient, session: Header) -> None:
-        early = client.get("/solution", headers=session)
-        assert (early.status_code, early.json()["code"]) == (409, "in_flight")
-        best = solve("easy", 7)
-        for action in best.actions:
-            client.post("/step", json={"direction": action.name}, headers=session)
-        told = BestFlight.model_validate(client.get("/solution", headers=session).json())
-        assert told.score == best.score
-        assert told.actions == [action.name for action in best.actions]
-        assert told.path == [flown("easy", 7, i).position for i in range(best.steps + 1)]
-
     def test_the_grade_of_another_task_is_refused(self, client: TestClient, session: Header) -> None:
         answer = client.get("/grade/hard", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (409, "other_task")

@@ -1,4 +1,4 @@
-"""Bodies, origins, hosts, the token, security headers, settings."""
+"""Bodies, origins, the token, security headers, settings."""
 
 import asyncio
 from pathlib import Path
@@ -12,7 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 from drone_env.errors import InvalidValueError, wrong_parts
 from drone_env.server.app import create_app
 from drone_env.server.exceptions import RequestError
-from drone_env.server.json_routes import LIMIT, SMALL, JsonRequest, parse_json
+from drone_env.server.json_routes import LARGEST_BODY, JsonRequest, parse_json
 from drone_env.server.settings import Settings, load_settings
 
 JSON = {"Content-Type": "application/json"}
@@ -20,12 +20,6 @@ JSON = {"Content-Type": "application/json"}
 
 def app_with(tmp_path: Path, **settings: Any) -> TestClient:
     return TestClient(create_app(Settings(data=tmp_path, **settings)))
-
-
-def at(tmp_path: Path, address: str, **settings: Any) -> TestClient:
-    """An application that is called at an address of this machine."""
-    url = f"http://[{address}]" if ":" in address else f"http://{address}"
-    return TestClient(create_app(Settings(data=tmp_path, **settings)), url, client=(address, 5000))
 
 
 class TestBodies:
@@ -43,25 +37,17 @@ class TestBodies:
         headers = {"Content-Type": "Application/JSON; charset=utf-8"}
         assert client.post("/reset", content=b'{"seed": 1}', headers=headers).status_code == 200
 
-    def test_every_route_has_a_limit_of_its_own(self, client: TestClient) -> None:
-        limits = {
-            path: operation["post"][LIMIT]
-            for path, operation in client.get("/openapi.json").json()["paths"].items()
-            if "requestBody" in operation.get("post", {})
-        }
-        assert {path for path, most in limits.items() if most > SMALL} == {
-            *("/replay", "/annotate", "/values", "/maps", "/maps/worth", "/maps/file"),
-            *("/flights", "/flights/agent"),
-        }
-        for path, most in limits.items():
-            refused = client.post(path, content=b"{}".ljust(most + 1), headers=JSON)
+    def test_every_route_limits_its_body(self, client: TestClient) -> None:
+        paths = client.get("/openapi.json").json()["paths"]
+        for path in [path for path, operation in paths.items() if "requestBody" in operation.get("post", {})]:
+            refused = client.post(path, content=b"{}".ljust(LARGEST_BODY + 1), headers=JSON)
             assert (refused.status_code, refused.headers["Connection"]) == (413, "close")
-            assert f"may have {most} bytes" in refused.json()["detail"]
-            assert client.post(path, content=b"{}".ljust(most), headers=JSON).status_code != 413
+            assert f"may have {LARGEST_BODY} bytes" in refused.json()["detail"]
+            assert client.post(path, content=b"{}".ljust(LARGEST_BODY), headers=JSON).status_code != 413
 
     def test_a_body_that_comes_in_pieces_is_counted_whole(self) -> None:
         # The client above puts the pieces together itself.
-        pieces = [b'{"agent": "', b"a" * 600, b"a" * 600, b'"}']
+        pieces = [b'{"agent": "', b"a" * 70_000, b"a" * 70_000, b'"}']
 
         async def receive() -> Message:
             piece = pieces.pop(0)
@@ -69,8 +55,8 @@ class TestBodies:
 
         headers = [(b"transfer-encoding", b"chunked"), (b"content-type", b"application/json"), (b"host", b"localhost")]
         scope: dict[str, Any] = {"type": "http", "method": "POST", "path": "/reset", "headers": headers}
-        with pytest.raises(RequestError, match="may have 1000 bytes"):
-            asyncio.run(JsonRequest(scope, receive).read(1000))
+        with pytest.raises(RequestError, match="may have 131072 bytes"):
+            asyncio.run(JsonRequest(scope, receive).read())
 
 
 class TestJson:
@@ -82,11 +68,9 @@ class TestJson:
             ("1" * 5000, "number out of range"),
             ("[" * 250 + "]" * 250, "recursion limit"),
             ('"\ud800"', "not JSON"),
-            ("[" + "[]," * 500 + "[]]", "500 lists, objects and keys"),
-            ("{" + ",".join(f'"{i}":1' for i in range(500)) + "}", "500 lists, objects and keys"),
         ],
     )
-    def test_it_is_strict_and_bounded(self, text: str, told: str) -> None:
+    def test_it_is_strict(self, text: str, told: str) -> None:
         with pytest.raises(InvalidValueError, match=told):
             parse_json(text.encode("utf-8", "surrogatepass"))
 
@@ -107,14 +91,14 @@ class TestJson:
             counts.append(len(error.errors()))
             return wrong_parts(error)
 
-        monkeypatch.setattr("drone_env.server.exceptions.wrong_parts", counted)
+        monkeypatch.setattr("drone_env.errors.wrong_parts", counted)
         assert shared_client.post(path, json=body).status_code == 422
         assert 0 < counts[0] <= 600
 
 
-def test_pages_of_this_server_and_those_listed_may_call_and_no_others(tmp_path: Path) -> None:
-    with app_with(tmp_path, allowed_origins=("https://page.example",)) as client:
-        for origin in ("http://testserver", "https://testserver", "https://page.example"):
+def test_pages_of_this_server_may_call_and_no_others(tmp_path: Path) -> None:
+    with app_with(tmp_path) as client:
+        for origin in ("http://testserver", "https://testserver"):
             answer = client.post("/reset", headers={"Origin": origin})
             assert answer.status_code == 200
             assert "Access-Control-Allow-Origin" not in answer.headers
@@ -128,46 +112,12 @@ def test_pages_of_this_server_and_those_listed_may_call_and_no_others(tmp_path: 
                 pass
 
 
-EVIL = ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.1", "[::1"]
-
-
-class TestHosts:
-    @pytest.mark.parametrize(
-        ("address", "settings", "answered", "refused"),
-        [
-            ("10.0.0.1", {"allowed_hosts": ("drone.example",)}, ["drone.example", "Drone.Example:8000"], EVIL),
-            ("127.0.0.1", {}, ["localhost", "LOCALHOST:9", "a.localhost", "127.8.9.1:1", "[::1]:80"], EVIL),
-            ("127.0.0.1", {"allowed_hosts": ("drone.example",)}, ["drone.example", "localhost"], EVIL),
-            ("::1", {}, ["[::1]"], EVIL),
-            ("10.0.0.1", {}, ["drone.example"], []),
-            ("127.0.0.1", {"host": "0.0.0.0"}, ["drone.example"], []),
-        ],
-        ids=["listed", "loopback", "loopback and listed", "IPv6", "others reach it", "all addresses"],
-    )
-    def test_a_server_answers_for_listed_hosts_and_on_loopback_for_this_machine(
-        self, tmp_path: Path, address: str, settings: dict[str, Any], answered: list[str], refused: list[str]
-    ) -> None:
-        with at(tmp_path, address, **settings) as client:
-            for host in answered:
-                assert client.get("/health", headers={"Host": host}).status_code == 200, host
-            for host in refused:
-                answer = client.get("/health", headers={"Host": host})
-                assert answer.status_code == 403, host
-                assert "DRONE_ENV_ALLOWED_HOSTS" in answer.json()["detail"]
-            socket = f"{client.base_url}/ws".replace("http", "ws", 1)
-            for host in refused[:1]:
-                with pytest.raises(WebSocketDisconnect), client.websocket_connect(socket, headers={"Host": host}):
-                    pass
-
-
 class TestToken:
     def test_all_but_the_health_and_the_page_asks_for_it(self, tmp_path: Path) -> None:
         with app_with(tmp_path, token="secret") as client:
-            edition = "/static/v-0123456789abcdef"
-            for path in ("/health", "/", f"{edition}/js/main.js"):
+            for path in ("/health", "/", "/static/js/main.js"):
                 assert client.get(path).status_code == 200
-            assert client.get("/favicon.ico").headers["content-type"] == "image/svg+xml"  # browsers send it no token
-            beside = (f"{edition}/../../tasks", "/static/../tasks", "/staticx")
+            beside = ("/static/js/../../tasks", "/static/../tasks", "/staticx")
             for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere", *beside):
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
                     answer = client.get(path, headers=headers)
@@ -210,21 +160,19 @@ def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:
     with TestClient(app, raise_server_exceptions=False) as client:
         answer = client.get("/broken")
     assert answer.status_code == 500
-    assert answer.json() == {"code": "internal", "detail": "the server failed; its log says why", "errors": []}
+    assert answer.json() == {"code": "internal", "detail": "the server failed; its log says why"}
 
 
 class TestSettings:
     def test_they_come_from_the_environment(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRONE_ENV_PORT", "9000")
-        monkeypatch.setenv("DRONE_ENV_ALLOWED_ORIGINS", "https://a.example, https://b.example")
         monkeypatch.setenv("DRONE_ENV_HOST", "")
         settings = load_settings()
         assert (settings.port, settings.token, settings.host) == (9000, None, "127.0.0.1")
-        assert settings.allowed_origins == ("https://a.example", "https://b.example")
 
     @pytest.mark.parametrize(
         ("name", "value"),
-        [("PORT", "many"), ("IDLE_SECONDS", "-1"), ("TOKEN", "a\u00e9"), ("TOKEN", "")],
+        [("PORT", "many"), ("IDLE_SECONDS", "-1"), ("TOKEN", "")],
     )
     def test_a_wrong_value_is_named(self, monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
         monkeypatch.setenv(f"DRONE_ENV_{name}", value)

@@ -37,7 +37,7 @@ class TestUnnamed:
             answers.append(plain.post("/predict"))
             answers.append(plain.post("/step", json={"direction": direction}))
         assert answers[-1].json()["done"]
-        for path in ("/state", "/grade/easy", "/path_history", "/solution"):
+        for path in ("/state", "/grade/easy", "/path_history"):
             answers.append(plain.get(path))
         assert answers[-4].json()["step_count"] == 3
         assert {(answer.status_code, answer.headers["X-Session-Id"]) for answer in answers} == {(200, session)}

@@ -279,8 +279,12 @@ def test_bad_files_are_refused_in_words_and_a_good_one_lends_its_map_to_what_is_
     for name, text, says in (
         ("notes.txt", "hello", "must end in .json, .jsonl, .toml"),
         ("empty.json", " ", "empty.json contains 0 flights"),
-        ("null.json", "null", "null.json is not a flight file. Body: must be an object."),
-        ("map.toml", "hello = 1", "map.toml is not a map. Format: missing; terrain: missing; hello: "),
+        (
+            "null.json",
+            "null",
+            "null.json is not a flight file. Body: Input should be a valid dictionary",
+        ),
+        ("map.toml", "hello = 1", "map.toml is not a map. Format: Field required; terrain: Field required; hello: "),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not a flight."),
         ("forged.json", json.dumps(forged), "forged.json is not a flight file. The record does not fit its flight: "),
     ):

@@ -256,13 +256,13 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     expect(page).to_have_url(re.compile(r"pilots=greedy,human$"))
     shown = page.url
     show(page, "/?task=easy&seed=-4")
-    expect(problem).to_have_text("The number of the map: must be greater than or equal to 0")
+    expect(problem).to_have_text("The number of the map: Input should be greater than or equal to 0")
     page.go_back()
     expect(problem).to_be_hidden()
     expect_step(page, 0, 160)
     expect(page).to_have_url(shown)
     show(page, f"/?view=draw&task=easy&seed={10**400}")
-    too_large = "The number of the map: must be less than or equal to 9007199254740991"
+    too_large = "The number of the map: Input should be less than or equal to 9007199254740991"
     expect(problem.filter(has_text=too_large)).to_be_visible()
     show(page, "/?view=compare&task=zzz")
     expect(problem.filter(has_text="Unknown task 'zzz'; allowed: ")).to_be_visible()
@@ -270,7 +270,10 @@ def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(pag
     show(page, "/?view=compare&task=drawn_0123456789ab")
     expect(problem.filter(has_text=unstored)).to_be_visible()
     for link, why in (
-        (f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}", "Pilots: must have at most 8 items"),
+        (
+            f"/?task=hard&seed=7&pilots={','.join(['greedy'] * 9)}",
+            "Pilots: List should have at most 8 items after validation, not 9",
+        ),
         ("/?episode=nothing", "There is no episode 'nothing'"),
     ):
         page.goto(link)

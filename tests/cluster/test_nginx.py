@@ -19,7 +19,7 @@ pytestmark = pytest.mark.long
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     folder = tmp_path_factory.mktemp("cluster")
-    with closing(Cluster(folder, 3, CAPACITY="1000", ALLOWED_HOSTS="drone.example")) as found:
+    with closing(Cluster(folder, 3, CAPACITY="1000")) as found:
         yield found
 
 

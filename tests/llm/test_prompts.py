@@ -61,11 +61,11 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
     rest = '\nplan = false\nsystem = ""\nuser = "{{ weather }}"\nrepair = ""'
     for text, why in [
         ("plan = ", "mine.toml: "),
-        ("plan = 1", "mine.toml is not a prompt: format: missing; plan: must be true or false"),
-        ("format = 2" + rest, "format: must be 1"),
+        ("plan = 1", "mine.toml is not a prompt: format: Field required; plan: Input should be a valid boolean"),
+        ("format = 2" + rest, "format: Input should be 1"),
         ("format = 1" + rest, "prompt mine cannot be rendered: 'weather' is undefined; values: x, y, battery_percent"),
         ("format = 1" + rest.replace("}}", ""), "unexpected end of template"),
-        ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: must match pattern"),
+        ('format = 1\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
         (
             "format = 1" + rest.replace("weather", "x").replace('system = ""', "system = '{% include \"more.j2\" %}'"),
             r"cannot be rendered: more\.j2;",

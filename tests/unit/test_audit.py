@@ -102,7 +102,7 @@ step = -0.01
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id = 'x'\nshaping = 'much'", "shaping: must be a number"),
+        ("id = 'x'\nshaping = 'much'", "shaping: Input should be a valid decimal"),
         ("id = 'x'\nclamp = [2, 1]", "the lower bound of clamp is above the upper"),
         ("id = 'score'", "taken by a profile of the package"),
         ("id = 'x'\n[events]\ncrash = 1", "events.crash.*'delivery', 'battery_dead'"),

@@ -82,19 +82,19 @@ ALL = f"format = 1\n{ROWS}"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "format: missing; terrain: missing"),
+        ("", "format: Field required; terrain: Field required"),
         ('format = 1\n[terrain]\nrows = ["· · ", "· x"]', "unknown symbol 'x' in row 1; allowed: '· ' road"),
         ('format = 1\n[terrain]\nrows = ["· · ", "· "]', "row 0 has 2 cells, row 1 has 1"),
         (f'format = 1\n[terrain]\nrows = ["{"🏢" * 513}", "{"🏢" * 513}"]', "wide and high, got 513 x 2"),
-        (f"name = 1\n{ALL}", "name: unknown field"),
+        (f"name = 1\n{ALL}", "name: Extra inputs are not permitted"),
         (f'licence = "{"x" * 201}"\n{ALL}', "licence must be one printable line of at most 200 characters"),
         (f"bbox = [3, 2, 1, 4]\n{ALL}", "-180 <= west < east <= 180"),
         (f"start = [3, 0]\n{ALL}", "the start [3, 0] is outside the 3 x 3 cells"),
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),
         (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "obstacles block every way from parcel 1 to parcel 2 [2, 2]"),
-        (f'names = [["a", 1]]\n{ALL}', "names.0.2: missing"),
+        (f'names = [["a", 1]]\n{ALL}', "names.0.2: Field required"),
         (f"names = {[['a', 1, 2]] * 101}\n{ALL}", "at most 100 names, got 101"),
-        (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide: must be 'width', 'height'"),
+        (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide: Input should be 'width', 'height'"),
     ],
 )
 def test_what_is_no_city_is_refused(text: str, said: str, tmp_path: Path) -> None:

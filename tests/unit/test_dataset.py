@@ -11,7 +11,6 @@ import pyarrow.parquet
 import pytest
 
 from drone_env.cli import main
-from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task
@@ -63,9 +62,10 @@ def test_every_row_is_the_step_that_a_replay_flies_beside_the_exact_values(task:
             assert row["grid"] == seen["grid"].ravel().tolist()
             assert row["telemetry"] == seen["telemetry"].tolist()
             assert row["action_mask"] == episode.action_mask().tolist()
-            assert row["q_values"] == solver.q_values(episode).tolist()
+            values = solver.q_values(episode)
+            assert row["q_values"] == values.tolist()
             assert row["value"] == solver.value(episode)
-            assert row["regret"] == solver.regret(episode, row["action"])
+            assert row["regret"] == values.max() - values[row["action"]]
             assert np.flatnonzero(row["optimal_actions"]).tolist() == list(solver.optimal_actions(episode))
             assert (row["reward"], row["score"]) == (episode.step(row["action"]), episode.score)
             assert (row["terminated"], row["event"]) == (episode.ended, episode.event.name.lower())
@@ -181,7 +181,8 @@ def test_a_conversation_is_the_request_of_a_prompt_and_an_answer_with_its_exact_
             assert list(reading.actions) == flown
             for best, regrets in zip(row["optimal_actions"], row["regrets"], strict=True):
                 assert best == [action.name for action in solver.optimal_actions(episode)]
-                assert regrets == [solver.regret(episode, action) for action in Action]
+                values = solver.q_values(episode)
+                assert regrets == (values.max() - values).tolist()
                 episode.step(steps[episode.steps]["action"])
         assert (row["score"], row["regret"]) == (episode.score, solve(task, episode.seed).score - episode.score)
     assert chat == []

@@ -65,9 +65,9 @@ def test_the_sign_of_a_zero_counts() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 2}, "format_version: must be 1"),
+        ({"format_version": 2}, "format_version: Input should be 1"),
         ({"rewards": [0.1]}, "1 rewards do not fit 60 actions"),
-        ({"actions": ["NORTH"]}, "actions.0: must be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
+        ({"actions": ["NORTH"]}, "actions.0: Input should be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
         ({"agent": "two\nlines"}, "agent: an agent's name is one printable line of 1 to 200 characters"),
     ],
 )

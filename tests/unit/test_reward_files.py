@@ -45,7 +45,7 @@ def test_a_command_pays_by_the_file(mine: Path, capsys: pytest.CaptureFixture[st
     assert run("replay", "flight.json", "--verify", "--reward", "mine.toml") == 0
     mine.write_text('id = "mine"\nbonus = 1')
     assert run(*flight, "mine.toml") == 2
-    assert "reward profile mine.toml: bonus: unknown field" in capsys.readouterr().err
+    assert "reward profile mine.toml: bonus: Extra inputs are not permitted" in capsys.readouterr().err
 
 
 def test_a_training_continues_with_the_same_rewards_only(mine: Path) -> None:

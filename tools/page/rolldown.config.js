@@ -24,7 +24,7 @@ export default {
     minify: true,
     entryFileNames: "[name].js",
     chunkFileNames: "[name].js",
-    // The edition of the page, by which browsers cache its files.
+    // The digest of the sources, by which a test sees an old bundle.
     postBanner: ({ isEntry }) => (isEntry ? `// ${process.env.SOURCES}` : ""),
     codeSplitting: { groups: [{ name: "fly", tags: ["$initial"] }] },
   },

@@ -33,9 +33,8 @@ from drone_env.models import (
 )
 from drone_env.server.addresses import shared_address
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
-from drone_env.server.frames import BestFlight, best_flight
-from drone_env.server.json_routes import SMALL, JsonRequest, JsonRoute
-from drone_env.server.schemas import RESETS, ResetOptions, WireAction, examples
+from drone_env.server.json_routes import JsonRequest, JsonRoute
+from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
 
@@ -192,7 +191,7 @@ def reset(
     request: Request,
     app_state: AppStateDep,
     caller: CallerDep,
-    options: Annotated[ResetOptions | None, Body(openapi_examples=examples(RESETS))] = None,
+    options: Annotated[ResetOptions | None, Body()] = None,
 ) -> Response:
     """Start an episode: in the session that the request names, or in a new one.
 
@@ -246,15 +245,6 @@ def path_history(session: SessionDep) -> PathHistory:
     return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
 
 
-@router.get("/solution", responses=SESSION_ERRORS)
-async def solution(request: Request, app_state: AppStateDep, session: SessionDep) -> BestFlight:
-    """The best flight over the map of the session's episode, once that has ended."""
-    episode = session.episode
-    if not episode.ended:
-        raise RequestError(409, "in_flight", "the best flight is available when the episode has ended")
-    return await app_state.work(request, best_flight, episode.task, episode.seed, task=episode.task.id)
-
-
 @router.post("/predict", responses=SESSION_ERRORS)
 def predict(app_state: AppStateDep, session: SessionDep) -> Prediction:
     """The action of the trained network for the session's episode."""
@@ -293,7 +283,7 @@ class Steps:
             return
         request = JsonRequest(scope, receive)
         try:
-            await request.read(SMALL)
+            await request.read()
             step = _valid_step(request)
             if step is None:
                 body = iter([{"type": "http.request", "body": request.content}])
@@ -341,7 +331,7 @@ def _step_result(episode: Episode) -> bytes:
 def step(
     app_state: AppStateDep,
     caller: CallerDep,
-    body: Annotated[StepRequest, Body(openapi_examples=examples(STEPS))],
+    body: Annotated[StepRequest, Body()],
     after: Annotated[
         int | None,
         Header(

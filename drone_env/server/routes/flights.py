@@ -24,7 +24,7 @@ from drone_env.flights.sessions import Session
 from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, network_beside
-from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.json_routes import JsonRoute
 from drone_env.server.routes.flight import CallerDep
 from drone_env.server.routes.replay import FLIGHT_ERRORS
 from drone_env.server.schemas import ResetOptions
@@ -130,7 +130,7 @@ class ChangedFlight(StrictModel):
     episode: str | None = Field(description="Id of the stored flight; null before the end.")
 
 
-@router.post("/flights", responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
+@router.post("/flights", responses=FLIGHT_ERRORS)
 def flights(
     request: Request, app_state: AppStateDep, options: Annotated[Start, Body()]
 ) -> dict[str, list[StartedFlight]]:
@@ -147,7 +147,6 @@ def flights(
     "/flights/agent",
     response_model=AgentFlight,
     responses=FLIGHT_ERRORS | error_responses(409),
-    openapi_extra=LARGE_BODY,
 )
 async def fly_to_end(request: Request, app_state: AppStateDep, options: Annotated[AgentStart, Body()]) -> Response:
     """Fly an agent's flight to its end, and store it; one that is stored already stays one."""

@@ -19,7 +19,7 @@ from drone_env.models import MAX_SEED, Count, StrictModel
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import BestFlight, best_flight
-from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.json_routes import JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.state import AppStateDep
 
@@ -112,23 +112,23 @@ async def drawn_map(
     return await app_state.json(request, _drawing, task_name, seed, task=task_name)
 
 
-@router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
+@router.post("/file", response_model=DrawnMap, responses=REFUSALS)
 async def file_as_map(request: Request, app_state: AppStateDep, toml: Annotated[str, Body(embed=True)]) -> Response:
     """The file of a city as a drawing; its map 0 if the city generates maps."""
     return await app_state.json(request, _file_as_map, toml)
 
 
-@router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
+@router.post("/worth", response_model=MapWorth, responses=REFUSALS)
 async def worth(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> Response:
     """The optimum of a drawing, and the text of its file."""
     return await app_state.json(request, _worth, drawn)
 
 
-@router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
+@router.post("", responses=REFUSALS)
 async def keep_map(request: Request, app_state: AppStateDep, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Store a drawing as a task. Its name is a digest of the drawing; its only map is number 0.
 
-    Callers find it by its name; no list contains it. If the server is full, it deletes the oldest map.
+    Callers find it by its name; no list contains it.
     """
     text, task = await app_state.work(request, _checked, drawn)
     await run_in_threadpool(app_state.maps.keep, text, task.id)

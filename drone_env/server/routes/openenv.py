@@ -1,12 +1,11 @@
 """The routes of OpenEnv's tools: metadata, schemas, the task API."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
-from pydantic import Field
+from fastapi import APIRouter, Body
 
 from drone_env import __version__
-from drone_env.models import DroneState, StrictModel
+from drone_env.models import DroneState
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import JsonRoute
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, RouteAction, WireObservation
@@ -18,23 +17,10 @@ BODY_ERRORS = error_responses(400, 413, 415, 422)
 api = TaskApi()
 
 
-class SplitRequest(StrictModel):
-    """A split by its name."""
-
-    split: str = Field(max_length=100, description="Such as `easy_delivery/test`.", examples=["easy_delivery/test"])
-
-
-class TaskRequest(SplitRequest):
-    """One map of a split."""
-
-    index: int = Field(description="Number of the map within the split.")
-
-
-class RangeRequest(SplitRequest):
-    """Maps of a split, at most 1,000."""
-
-    start: int | None = Field(default=None, description="Index of the first map; 0 by default.")
-    stop: int | None = Field(default=None, description="Index after the last map.")
+Split = Annotated[
+    str,
+    Body(embed=True, max_length=100, description="Such as `easy_delivery/test`.", examples=["easy_delivery/test"]),
+]
 
 
 @router.get("/metadata")
@@ -63,30 +49,32 @@ async def splits() -> list[SplitInfo]:
 
 
 @named.post("/tasks", responses=BODY_ERRORS)
-def split_tasks(body: SplitRequest) -> dict[str, str | list[TaskSpec]]:
+def split_tasks(split: Split) -> dict[str, str | list[TaskSpec]]:
     """The first 1,000 maps of a split as `tasks`, and `env_name`."""
-    return {"tasks": api.list_tasks(body.split), "env_name": ENV_NAME}
+    return {"tasks": api.list_tasks(split), "env_name": ENV_NAME}
 
 
 @named.post("/num_tasks", responses=BODY_ERRORS)
-def num_tasks(body: SplitRequest) -> dict[str, int]:
+def num_tasks(split: Split) -> dict[str, int]:
     """The number of maps of a split as `num_tasks`."""
-    return {"num_tasks": api.num_tasks(body.split)}
+    return {"num_tasks": api.num_tasks(split)}
 
 
 @named.post("/task", responses=BODY_ERRORS)
-def split_task(body: TaskRequest) -> dict[str, TaskSpec]:
+def split_task(split: Split, index: Annotated[int, Body()]) -> dict[str, TaskSpec]:
     """One map of a split as `task`."""
     try:
-        return {"task": api.get_task(body.split, body.index)}
+        return {"task": api.get_task(split, index)}
     except IndexError as error:
         raise RequestError(400, "index", str(error)) from None
 
 
 @named.post("/task_range", responses=BODY_ERRORS)
-def task_range(body: RangeRequest) -> dict[str, list[TaskSpec]]:
-    """Maps start to stop (exclusive) of a split as `tasks`, at most 1,000."""
-    return {"tasks": api.get_task_range(body.split, body.start, body.stop)}
+def task_range(
+    split: Split, start: Annotated[int | None, Body()] = None, stop: Annotated[int | None, Body()] = None
+) -> dict[str, list[TaskSpec]]:
+    """Maps start to stop (exclusive) of a split as `tasks`, at most 1,000; by default the first."""
+    return {"tasks": api.get_task_range(split, start, stop)}
 
 
 router.include_router(named)

@@ -19,8 +19,8 @@ from drone_env.models import DIRECTIONS, Count, Direction, Position, Score, Seed
 from drone_env.results.analysis import Label, analyse_actions, analyse_flight, find_loops, plain, why_failed
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frames_of
-from drone_env.server.jobs import job_context
-from drone_env.server.json_routes import LARGE_BODY, JsonRoute
+from drone_env.server.jobs import job_networks, solver_of_map
+from drone_env.server.json_routes import JsonRoute
 from drone_env.server.state import AppStateDep
 
 if TYPE_CHECKING:
@@ -139,15 +139,13 @@ class FlightValues(StrictModel):
     )
 
 
-@router.post("/replay", response_model=EpisodeView, responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
+@router.post("/replay", response_model=EpisodeView, responses=FLIGHT_ERRORS)
 async def replay_record(request: Request, app_state: AppStateDep, record: Record) -> Response:
     """Replay a record, check its rewards and score, and return its frames."""
     return await app_state.json(request, _replayed, record, task=record.task)
 
 
-@router.post(
-    "/annotate", response_model=AnalysedFlight, responses=FLIGHT_ERRORS | error_responses(409), openapi_extra=LARGE_BODY
-)
+@router.post("/annotate", response_model=AnalysedFlight, responses=FLIGHT_ERRORS | error_responses(409))
 async def annotate(request: Request, app_state: AppStateDep, record: Record) -> Response:
     """The regret of each move of a finished flight, and a best flight over its map. Large maps take seconds."""
     if not record.ended:
@@ -155,7 +153,7 @@ async def annotate(request: Request, app_state: AppStateDep, record: Record) -> 
     return await app_state.json(request, _annotated, record, task=record.task)
 
 
-@router.post("/values", response_model=FlightValues, responses=FLIGHT_ERRORS, openapi_extra=LARGE_BODY)
+@router.post("/values", response_model=FlightValues, responses=FLIGHT_ERRORS)
 async def values(request: Request, app_state: AppStateDep, flight: Annotated[FlightSoFar, Body()]) -> Response:
     """The best score still possible after a step of a flight, for each action and from every cell of the map.
 
@@ -169,12 +167,12 @@ def _replayed(record: EpisodeRecord) -> str:
     flown = replay(record)
     start = Episode(flown.task, flown.reward_profile, flown.seed)
     header = FlightHeader.at_start(start, record.provenance)
-    network = job_context().networks.shown_network(header.pilot, start.task)
+    network = job_networks().shown_network(header.pilot, start.task)
     return EpisodeView(opening=header, frames=frames_of(start, flown.actions, network)).model_dump_json()
 
 
 def _solver_from(start: Episode) -> "Solver":
-    return job_context().solver_of(start.task, start.seed)
+    return solver_of_map(start.task, start.seed)
 
 
 def _annotated(record: EpisodeRecord) -> str:

@@ -1,3 +1,0 @@
-"""Collisions, under the original module name."""
-
-from drone_env.core.rules import collision as collision
