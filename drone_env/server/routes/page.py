@@ -1,16 +1,20 @@
 """The page, and the reference of all calls."""
 
+from functools import lru_cache
 from html import escape
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse
 
 from drone_env.flights.provenance import HUMAN
+from drone_env.results.folder import SHIPPED, stored_results
 from drone_env.server import daily
 from drone_env.server.page_files import PAGE
 from drone_env.server.state import AppStateDep
 
 router = APIRouter(tags=["page"], include_in_schema=False)
+SHOWN_TASK, SHOWN_NETWORK = "skyline_medium", "tournet"
+"""The greeting reports the shipped results of this network over this task."""
 
 
 @router.head("/")
@@ -21,6 +25,8 @@ def page(request: Request, app_state: AppStateDep) -> Response:
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
     if request.url.query:
         html = html.replace('id="hello"', 'id="hello" hidden')
+    sentence, link = _unseen()
+    html = html.replace("<!-- unseen -->", sentence).replace("<!-- failure -->", link)
     return HTMLResponse(html.replace("<!-- today -->", _today()))
 
 
@@ -38,3 +44,18 @@ def _today() -> str:
     link = f"?task={task}&seed={seed}&pilot={HUMAN}"
     data = f'id="today" data-task="{task}" data-seed="{seed}" data-tasks="{" ".join(daily.DAILY)}"'
     return f'<a class="button primary" {data} href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'
+
+
+@lru_cache(maxsize=1)
+def _unseen() -> tuple[str, str]:
+    """What the network scores over the unseen maps, and the link to the one over which it loses most."""
+    ((results,),) = (repeats for agent, repeats in stored_results(SHIPPED, SHOWN_TASK) if agent == SHOWN_NETWORK)
+    columns = (results.scores, results.optimal_scores, results.success)
+    score, optimum, delivered = (f"{100 * column.mean():.1f}" for column in columns)
+    sentence = (
+        f"Over {len(results.seeds):,} unseen maps, a trained network scores {score} of {optimum} possible and delivers"
+        f" everything on {delivered} %."
+    )
+    worst = (results.optimal_scores - results.scores).argmax()
+    link = f"?task={SHOWN_TASK}&seed={results.seeds[worst]}&pilot={SHOWN_NETWORK}&step={results.steps[worst]}"
+    return sentence, f'<a class="button" href="{escape(link)}">See it fail</a>'
