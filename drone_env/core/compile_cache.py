@@ -20,6 +20,8 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 
 PACKAGE = Path(__file__).parents[1]
+WAIT_SECONDS = 120
+"""How long to wait for code that another process compiles."""
 
 
 def digest_of_sources(package: Path = PACKAGE) -> str:
@@ -68,7 +70,8 @@ def _users_folder() -> Path:
 class CodeCache:
     """The cache of one compiled function, with the methods that Numba's dispatcher calls.
 
-    Files are replaced atomically, so several processes may write at once. Failures to write are ignored.
+    Files are replaced atomically, so several processes may write at once. Failures to write are ignored. Of processes
+    that need the same code at once, one compiles it, and the others wait for its file.
 
     Args:
         function: A module-level function.
@@ -79,6 +82,7 @@ class CodeCache:
     def __init__(self, function: Any, options: dict[str, Any], folder: Path) -> None:
         code = function.__code__
         self.cache_path = str(folder)
+        self._locks: dict[str, Any] = {}
         self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
         self._dependencies = (
             # `LOADED` does not contain the source of functions in tests.
@@ -96,8 +100,16 @@ class CodeCache:
     def load_overload(self, sig: object, target_context: Any) -> Any:
         """Return the compile result for a signature, or None if it is not cached."""
         target_context.refresh()
+        file = self._file(sig, target_context.codegen())
         with suppress(OSError):
-            payload = self._file(sig, target_context.codegen()).read_bytes()
+            if not file.exists():
+                from filelock import FileLock  # slow to load, and seldom needed
+
+                # `save_overload` releases it. Nobody waits for ever for a process that is stopped meanwhile.
+                self._locks[str(sig)] = FileLock(f"{file}.lock", timeout=WAIT_SECONDS)
+                self._locks[str(sig)].acquire()
+            payload = file.read_bytes()
+            self._release(sig)
             compiler: Any = import_module("numba.core.compiler")
             return compiler.CompileResult._rebuild(target_context, *pickle.loads(payload))
         return None
@@ -108,6 +120,12 @@ class CodeCache:
         if not data.library.has_dynamic_globals:
             with suppress(OSError), replacing(self._file(sig, data.codegen)) as temporary:
                 temporary.write_bytes(serialize.dumps(data._reduce()))
+        self._release(sig)
+
+    def _release(self, sig: object) -> None:
+        lock = self._locks.pop(str(sig), None)
+        if lock is not None:
+            lock.release()
 
 
 def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from filelock import FileLock
 
 from drone_env.core import compile_cache
 from drone_env.core.compile_cache import cache_folder, is_compiled, print_before_compiling
@@ -74,6 +75,24 @@ def test_an_equal_source_shares_whatever_its_path_and_another_does_not(tmp_path:
         assert (twice(3), twice(1.5), sum(twice.stats.cache_misses.values())) == (6, 3.0, compiled)
     assert [file.name.partition("-")[0] for file in files(chosen)] == ["kernels.twice"] * 2
     assert load(tmp_path / "here", KERNEL.replace("2 * x", "x + x + 1")).twice(3) == 7
+
+
+def test_one_process_compiles_and_who_has_waited_in_vain_does_so_too(
+    tmp_path: Path, chosen: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load(tmp_path).twice(3)
+    (file,) = files(chosen)
+    code = file.read_bytes()
+    lock = FileLock(f"{file}.lock", timeout=0)
+    monkeypatch.setattr(compile_cache, "WAIT_SECONDS", 0)
+    file.unlink()
+    with lock:
+        assert load(tmp_path).twice(3) == 6
+    waiting = load(tmp_path).twice
+    file.unlink()
+    # The other process ends while this one waits for the lock.
+    monkeypatch.setattr("filelock.FileLock.acquire", lambda *_, **__: file.write_bytes(code))
+    assert (waiting(3), sum(waiting.stats.cache_misses.values())) == (6, 0)
 
 
 @pytest.mark.parametrize(

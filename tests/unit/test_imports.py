@@ -14,7 +14,7 @@ HEAVY = {
     *("PIL", "fastapi", "fastmcp", "gradio", "httpx", "matplotlib", "numba", "openenv", "pandas", "pydantic"),
     *("pygame", "ray", "torch", "tyro"),
 }
-ALLOWED_IN_CORE = {"drone_env", "numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_module_names}
+ALLOWED_IN_CORE = {"drone_env", "filelock", "numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_module_names}
 
 # Each floor may import from the floors below it, and from its own.
 FLOORS = [
