@@ -42,6 +42,18 @@ def test_the_front_page_flies_the_map_of_the_day(shared_client: TestClient) -> N
     assert query.split("&amp;") == [f"task={today['task']}", f"seed={today['seed']}", "pilot=human"]
 
 
+def test_the_front_page_flies_yesterdays_map_beside_its_best_flight(client: TestClient) -> None:
+    assert "of yesterday" not in client.get("/").text
+    task, seed = map_of_the_day(NOON - timedelta(1))
+    store = client.app.state.shared.store  # pyright: ignore
+    for agent in ("random", "greedy"):
+        best = store.add_episode(flown(task, agent, seed=seed), Provenance(pilot="human").named("Ada"))
+    ((query, text),) = re.findall(r'href="\?([^"]*)">(Fly against .*?)<', client.get("/").text)
+    assert query.split("&amp;") == [f"task={task}", f"seed={seed}", "pilot=human", f"ghost={best}"]
+    assert text == f"Fly against the best of yesterday, {100 * flown(task, 'greedy', seed=seed).score:.1f} by Ada"
+    assert "of yesterday" not in client.get("/?task=easy").text
+
+
 def test_the_list_has_the_best_flight_of_each_name_flown_without_help(client: TestClient) -> None:
     today = client.get("/today").json()
     task, seed, store = today["task"], today["seed"], client.app.state.shared.store  # pyright: ignore

@@ -64,7 +64,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     expect(page.locator("#results-title")).to_have_text("undo: All parcels delivered.")
 
 
-def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_flies_beside_you(
+def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_of_yesterday(
     page: Page, beside: Callable[..., Page], server: Server
 ) -> None:
     today = datetime.now(timezone.utc)
@@ -80,7 +80,7 @@ def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_flies_beside_you(
     own = other.locator("#own-days")
     # Today's map is not flown yet, which ends no row.
     expect(own).to_contain_text("·▁·▇▄█·3 days in a row")
-    other.goto(f"{server.url}/?task={task}&seed={seed}&pilot=human&ghost={ghost}")
+    other.get_by_role("link", name="Fly against the best of yesterday, ").click()
     expect_step(other, 0, get_task(task).max_steps)
     expect(other.locator(".plan-head")).to_contain_text("Eve, You")
     other.keyboard.press(" ")

@@ -1,12 +1,16 @@
 """The page, and the reference of all calls."""
 
+from contextlib import suppress
+from datetime import datetime, time, timedelta, timezone
 from functools import lru_cache
 from html import escape
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse
 
+from drone_env.errors import StoreError
 from drone_env.flights.provenance import HUMAN
+from drone_env.flights.store import Store
 from drone_env.results.folder import SHIPPED, stored_results
 from drone_env.server import daily
 from drone_env.server.page_files import PAGE
@@ -25,6 +29,8 @@ def page(request: Request, app_state: AppStateDep) -> Response:
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- base -->", escape(str(request.base_url)))
     if request.url.query:
         html = html.replace('id="hello"', 'id="hello" hidden')
+    else:
+        html = html.replace("<!-- yesterday -->", _yesterday(app_state.store))
     sentence, link = _unseen()
     html = html.replace("<!-- unseen -->", sentence).replace("<!-- failure -->", link)
     return HTMLResponse(html.replace("<!-- today -->", _today()))
@@ -44,6 +50,18 @@ def _today() -> str:
     link = f"?task={task}&seed={seed}&pilot={HUMAN}"
     data = f'id="today" data-task="{task}" data-seed="{seed}" data-tasks="{" ".join(daily.DAILY)}"'
     return f'<a class="button primary" {data} href="{escape(link)}">Map of the day, {day.day} {day:%B}</a>'
+
+
+def _yesterday(store: Store) -> str:
+    """The link to yesterday's map beside its best flight, if somebody has flown it."""
+    day = daily.today() - timedelta(1)
+    task, seed = daily.map_of_the_day(day)
+    with suppress(StoreError):  # the page opens without a store and shows its errors
+        for best in store.best(task, seed, datetime.combine(day, time(), timezone.utc).timestamp(), 1):
+            link = f"?task={task}&seed={seed}&pilot={HUMAN}&ghost={best.id}"
+            flown = f"{100 * best.score:.1f}" + (f" by {best.person}" if best.person else "")
+            return f'<a href="{escape(link)}">Fly against the best of yesterday, {escape(flown)}</a>'
+    return ""
 
 
 @lru_cache(maxsize=1)
