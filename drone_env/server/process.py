@@ -18,14 +18,19 @@ from drone_env.flights.store import Store
 from drone_env.server.json_routes import LARGEST_BODY
 from drone_env.server.settings import load_settings
 
+if sys.platform != "win32":
+    import resource
+
 RECEIVED, SENT = 16_384, 131_072
 """Kernel buffers of a connection in bytes (Linux doubles them). The event loop reads a full buffer at once, and a
 client that does not read would otherwise hold megabytes.
 """
 UNREAD_SECONDS = 75
 """Linux closes a connection if the other side has acknowledged no data for this time."""
-CONNECTIONS = 500
-"""Connections of a process, in addition to one per session: by default, most systems allow 1,024 open files."""
+CONNECTIONS = 1000
+"""Connections of a process, in addition to one per session."""
+OTHER_FILES = 128
+"""Open files that are not connections: the store, logs, files of requests."""
 
 
 def is_news(record: logging.LogRecord) -> bool:
@@ -62,6 +67,15 @@ def run(
     from uvicorn.config import STARTUP_FAILURE
     from uvicorn.supervisors import Multiprocess
 
+    class Supervisor(Multiprocess):
+        """Starts a process again as soon as it has ended."""
+
+        def keep_subprocess_alive(self) -> None:
+            for process in self.processes:
+                # uvicorn also holds the other end of the pipe, so it would wait for a starting process that was killed.
+                process.child_conn.close()
+            super().keep_subprocess_alive()
+
     with listen(settings.host, settings.port) as listening:
         Store(settings.data).close()  # raises here; in a server process it would log a long trace
         url = f"http://{settings.host}:{listening.getsockname()[1]}"
@@ -79,7 +93,7 @@ def run(
             ws_max_size=LARGEST_BODY,
             ws_per_message_deflate=False,
             ws_ping_timeout=max(settings.idle_seconds, 60.0),  # longer than two pings
-            limit_concurrency=CONNECTIONS + settings.capacity,
+            limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,
             timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
             timeout_worker_healthcheck=60,  # time for a process to start at SIGHUP; the default of 5 s can be too short
@@ -90,7 +104,7 @@ def run(
                 # A thread receives Ctrl-C, and no process that this one starts: it tells them to stop.
                 threading.Thread(target=threading.Event().wait, name="drone_env-ctrl-c", daemon=True).start()
                 leave_ctrl_c()
-                first = Multiprocess(config, [listening])
+                first = Supervisor(config, [listening])
                 first.run()
                 failed = any(process.exitcode == STARTUP_FAILURE for process in first.processes)
             else:
@@ -136,6 +150,14 @@ def listen(host: str, port: int) -> socket.socket:
     if sys.platform == "linux":
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNREAD_SECONDS * 1000)
     return sock
+
+
+def most_connections(target: int) -> int:
+    """Return the connection limit of this process: the target, or fewer if the limit of open files requires it."""
+    if sys.platform == "win32":
+        return target
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return target if files == resource.RLIM_INFINITY else min(target, max(files - OTHER_FILES, files // 2))
 
 
 def end_with_parent() -> None:

@@ -12,10 +12,10 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.types import Receive, Scope, Send
 
 from drone_env.server import protocols
-from drone_env.server.process import listen
+from drone_env.server.process import OTHER_FILES, listen, most_connections
 from drone_env.server.protocols import Http
 from tests.api.raw import WHOLE, answer, everything, running, taken_of
-from tests.tools import eventually
+from tests.tools import eventually, limited
 
 
 def status_of(sock: socket.socket) -> int:
@@ -211,6 +211,14 @@ def test_a_full_server_closes_what_the_greediest_address_uses_least(caplog: pyte
         for sock in working:
             assert status_of(sock) == 200
     assert set(caplog.messages) == {"5 connections are open, which is the limit: unused ones are closed"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of open files")
+def test_connections_leave_room_for_other_files() -> None:
+    import resource
+
+    with limited(resource.RLIMIT_NOFILE, 1000):
+        assert [most_connections(wanted) for wanted in (500, 5000)] == [500, 1000 - OTHER_FILES]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has connections inherit it")

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -25,6 +26,19 @@ def test_they_end_when_the_first_process_is_killed(tmp_path: Path) -> None:
         server.kill()
         eventually(lambda: not is_taken(int(server.url.rpartition(":")[2])))
         eventually(lambda: not any(map(is_running, workers)))
+
+
+@pytest.mark.long
+def test_one_that_is_killed_while_the_first_waits_for_it_is_started_again(tmp_path: Path) -> None:
+    with serving(tmp_path / "data", WORKERS="2") as server:
+        first = server.process.pid
+        killed = next(filter(is_worker, descendants(first)))
+        os.kill(killed, signal.SIGSTOP)
+        eventually(lambda: "poll" in Path(f"/proc/{first}/wchan").read_text())
+        os.kill(killed, signal.SIGKILL)
+        since = time.monotonic()
+        eventually(lambda: sum(map(is_worker, {*descendants(first)} - {killed})) == 2)
+        assert time.monotonic() - since < 30  # it would wait for 60 s otherwise
 
 
 @pytest.mark.parametrize(
@@ -60,6 +74,13 @@ def descendants(process: int) -> list[int]:
             for child in map(int, children.read_text().split()):
                 found += [child, *descendants(child)]
     return found
+
+
+def is_worker(process: int) -> bool:
+    """Return whether a process is a server process that the first one has started."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        return "spawn_main" in Path(f"/proc/{process}/cmdline").read_text()
+    return False
 
 
 def is_importing(process: int) -> bool:
