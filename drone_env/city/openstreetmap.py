@@ -6,10 +6,10 @@ The first pass over a file stores the coordinates of its nodes, the second reads
 import logging
 import re
 from cmath import phase
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import degrees
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,6 +49,7 @@ LONGEST_REMARK = 4096
 TABLE = Path(__file__).with_name("layers.toml")
 ALLOWED = "allowed are XML (.osm, .osm.gz, .osm.bz2) and PBF (.osm.pbf) of OpenStreetMap"
 COMPLETE = "include them: in Overpass by `(...; >;); out;`, in osmium by `extract --strategy smart`"
+HISTORY = "it contains several versions of an object: keep the newest by `osmium time-filter`"
 Place = tuple[float, float]
 """Longitude and latitude in degrees."""
 Line = Sequence[Place | None]
@@ -92,7 +93,21 @@ class Source:
         processor = self.osmium.FileProcessor(self.file, types)
         for keep in filters:
             processor.with_filter(keep)
-        yield from processor
+        for item in processor:
+            if item.deleted:
+                raise InvalidValueError(HISTORY)
+            yield item
+
+    @cached_property
+    def new_nodes(self) -> Mapping[int, Place]:
+        """Places by negative id, which editors give new nodes, and osmium does not store."""
+        new = (node for node in self.objects(self.osmium.osm.NODE) if node.id < 0)
+        return {node.id: (node.lon, node.lat) for node in new if node.location.valid()}
+
+    def places(self, nodes: Iterable[Any]) -> Line:
+        """Return the places of the nodes of a way."""
+        located = ((node.ref, node.location) for node in nodes)
+        return [(at.lon, at.lat) if at.valid() else self.new_nodes.get(ref) if ref < 0 else None for ref, at in located]
 
     def extent(self) -> BBox:
         """Return west, south, east, north of all nodes in degrees.
@@ -109,7 +124,10 @@ class Source:
 
     def covered(self) -> BBox:
         """Return what the file covers: its bounds, else its nodes."""
-        box = self.osmium.io.Reader(self.file, self.osmium.osm.NOTHING).header().box()
+        header = self.osmium.io.Reader(self.file, self.osmium.osm.NOTHING).header()
+        if header.has_multiple_object_versions:
+            raise InvalidValueError(HISTORY)
+        box = header.box()
         if not box.valid():
             return self.extent()
         return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
@@ -322,8 +340,7 @@ def _collect(found: Collection, source: Source) -> None:
     for way in source.objects(osmium.osm.WAY, store):
         tags = {tag.k: tag.v for tag in way.tags}
         if way.id in members or not keys.isdisjoint(tags):
-            located = (node.location for node in way.nodes)
-            line = [(at.lon, at.lat) if at.valid() else None for at in located]
+            line = source.places(way.nodes)
             if way.id in members:
                 members[way.id] = line
             closed = way.is_closed() or not line

@@ -122,6 +122,8 @@ def saved(written: Callable[[str], str | bytes], folder: Path) -> Path:
 
 WRITTEN: dict[str, Callable[[str], str | bytes]] = {
     "backwards": lambda text: "\n".join([*text.split("\n")[:2], *text.split("\n")[-3:1:-1], "</osm>"]),
+    "negative ids": numbered(lambda number: -number),
+    "some negative ids": numbered(lambda number: number if number % 3 else -number),
     "large ids": numbered(lambda number: number + 2**62),
 }
 
@@ -143,6 +145,7 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     ),
     "an open ring": (lambda text: text.replace('<nd ref="1"/></way>', "</way>"), r"1 of 2 .* \(relation 1\)"),
     "Overpass": (with_objects("<remark>runtime error: timeout</remark>"), "did not finish: .*timeout"),
+    "a history": (with_objects('<way id="9" visible="false"/>'), "osmium time-filter"),
     "half": (lambda text: text[:700], "cut short, damaged or of another format: .*unclosed token"),
     "JSON": (lambda text: '{"elements": []}', "not well-formed .* allowed are XML"),
 }
