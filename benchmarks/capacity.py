@@ -17,12 +17,11 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.server import MOVES, NEW, Http, Session, open_session, time_sessions  # noqa: E402
-from tests.api.serving import serving  # noqa: E402
-from tests.cluster.serving import COMMAND, Nginx  # noqa: E402
+from benchmarks.server import MOVES, NEW, Http, Session, open_session, time_sessions
+from tests.api.serving import serving
+from tests.cluster.serving import COMMAND, Nginx
 
 STEPS = 20
 """Steps of each session before its memory is measured."""

@@ -28,9 +28,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import httpx
-
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from tests.tools import eventually, is_taken  # noqa: E402
+
 PORTS = {"drone-env": 18_431, "echo": 18_432, "other": 18_433}
 WAYS = ("WebSocket", "HTTP")
 MOVES = ("UP", "LEFT", "DOWN", "RIGHT")
@@ -226,12 +228,14 @@ def running(other: Path | None) -> Generator[dict[str, int], None, None]:
         if other is not None:
             commands["other"] = our_server(other.resolve(), "other", folder)
         servers: dict[str, subprocess.Popen[bytes]] = {}
+        ports = [PORTS[name] for name in commands]
         for name, (command, environment) in commands.items():
             servers[name] = subprocess.Popen(command, env=environment)
             started.callback(servers[name].wait)
             started.callback(servers[name].terminate)
+        eventually(lambda: any(server.poll() is not None for server in servers.values()) or all(map(is_taken, ports)))
         for name, server in servers.items():
-            wait_for(server, PORTS[name])
+            assert server.poll() is None, f"{name} has ended; is something else listening on port {PORTS[name]}?"
         yield {name: server.pid for name, server in servers.items()}
 
 
@@ -240,20 +244,6 @@ def our_server(checkout: Path, name: str, folder: str) -> tuple[list[str], dict[
     variables = {"DRONE_ENV_DATA": f"{folder}/{name}", "DRONE_ENV_CAPACITY": "4096", "PYTHONPATH": str(checkout)}
     command = [sys.executable, str(checkout / "drone_env/server/app.py"), "--port", str(PORTS[name])]
     return command, {**os.environ, **variables}
-
-
-def wait_for(server: subprocess.Popen[bytes], port: int) -> None:
-    """Wait at most a minute until a server is healthy."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        try:
-            if httpx.get(f"http://127.0.0.1:{port}/health").status_code == 200 and server.poll() is None:
-                return
-        except httpx.HTTPError:
-            time.sleep(0.1)
-        if server.poll() is not None:
-            raise RuntimeError(f"the server for port {port} has ended; is something else listening there?")
-    raise TimeoutError(f"no server on port {port}")
 
 
 def main() -> None:

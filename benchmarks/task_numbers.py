@@ -1,8 +1,8 @@
 """Judge the numbers of a task by what they leave to gain over its baselines.
 
-    python benchmarks/task_numbers.py --task skyline_hard pads=2 deliveries=8,10 max_steps=50,60
+    python benchmarks/task_numbers.py pads=2 deliveries=8,10 max_steps=50,60 --task skyline_hard
 
-flies every combination of the values. `side=12` sets width and height, and scales buildings and trees with the area.
+flies every combination of the values.
 
 Prints a row per combination: the mean optimum, the CPU time of the exact solver per map, how many parcels the best
 flight delivers (mean, fewest to most), on how many maps it delivers all or at most one (there is nothing to choose),
@@ -28,14 +28,9 @@ def changed(task: TaskConfig, changes: dict[str, int]) -> TaskConfig:
     """Register the task with other numbers, under a new name; without changes, the task itself."""
     if not changes:
         return task
-    numbers: dict[str, Any] = dict(changes)
-    if side := numbers.pop("side", 0):
-        area = side**2 / (task.width * task.height)
-        terrain = {kind: round(getattr(task, kind) * area) for kind in ("buildings", "trees")}
-        numbers = {"width": side, "height": side} | terrain | numbers
     name = f"numbers_{next(NUMBERS)}"
-    own = {"id": name, "short_name": name, "grader": f"drone_env.graders:grade_{name}"}
-    return register_task(replace(task, **own, **numbers))
+    own: Any = {"id": name, "short_name": name, "grader": f"drone_env.graders:grade_{name}", **changes}
+    return register_task(replace(task, **own))
 
 
 def timed(agent: str, task: TaskConfig, split: str, maps: int) -> tuple[Results, float]:

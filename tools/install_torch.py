@@ -28,7 +28,7 @@ def is_reached(install: list[str]) -> bool:
 
 
 def main(python: str, requirement: str) -> None:
-    """Install PyTorch, and say which build and how large the environment is."""
+    """Install PyTorch, and say which build."""
     uv = str(Path(sys.executable).with_name("uv"))
     install = [uv, "pip", "install", "--python", python, "--torch-backend", "cpu", requirement]
     if is_reached(install):
@@ -41,10 +41,6 @@ def main(python: str, requirement: str) -> None:
         )
         install = [python, "-m", "pip", "install", "--no-compile", requirement]
     subprocess.run(install, check=True)
-    asked = [python, "-c", "import sys, importlib.metadata as m; print(m.version('torch')); print(sys.prefix)"]
-    version, prefix = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.splitlines()
-    size = sum(file.lstat().st_size for file in Path(prefix).rglob("*"))
-    print(f"PyTorch {version} is installed; {prefix} takes {size / 1e9:.1f} GB")
 
 
 if __name__ == "__main__":

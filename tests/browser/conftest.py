@@ -61,8 +61,7 @@ def shared(browser: Browser, server: Server) -> Tabs:
 
 @pytest.fixture(scope="package")
 def loaded(shared: Tabs) -> Page:
-    # Without motion a map is drawn once a step, not sixty times a second.
-    page = shared.open("/?view=learn", reduced_motion="reduce")
+    page = shared.open("/?view=learn")
     # A page that has not loaded its code yet ignores a file that is dropped on it.
     expect(page.get_by_role("heading", name="Learn", exact=True, level=2)).to_be_visible()
     return page

@@ -56,7 +56,8 @@ class Tabs:
         if beside:
             context = beside.context
         else:
-            usual = {"viewport": SMALL, "color_scheme": "dark", "reduced_motion": "no-preference"}
+            # Without motion a map is drawn once a step, not sixty times a second.
+            usual = {"viewport": SMALL, "color_scheme": "dark", "reduced_motion": "reduce"}
             context = self.browser.new_context(base_url=self.url, **{**usual, **options})
             context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()

@@ -76,6 +76,7 @@ def test_the_leaderboard_leads_to_a_flight_and_the_address_names_its_pilot(page:
     expect(box(page, "Random")).to_be_focused()
 
 
+@pytest.mark.long
 def test_shipped_results_lead_to_the_worst_map_of_a_network(page: Page, server: Server) -> None:
     compare(page, "skyline_medium")
     page.get_by_role("region", name="Runs over maps 6").get_by_role("link", name="Tournet", exact=True).click()

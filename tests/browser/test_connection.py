@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Page, Response, expect
 
 from drone_env.flights.store import Store
@@ -54,6 +55,7 @@ def test_sessions_end_with_their_page(beside: Beside, shared: Tabs, server: Serv
     expect_open(False, False, False)
 
 
+@pytest.mark.long
 def test_a_visitor_flies_on_when_a_killed_server_comes_back_and_pilots_do_not_wait(
     beside: Beside, shared: Tabs, tmp_path: Path
 ) -> None:
@@ -103,7 +105,7 @@ def test_a_visitor_flies_on_when_a_killed_server_comes_back_and_pilots_do_not_wa
 
 
 def test_an_idle_page_draws_and_asks_nothing(shared: Tabs) -> None:
-    page, asked = shared.open(), list[str]()
+    page, asked = shared.open(reduced_motion="no-preference"), list[str]()
     page.on("request", lambda request: asked.append(request.url))
     for path in ("/", "/?task=city&seed=7&pilots=greedy,tournet&step=20"):
         page.goto(path)

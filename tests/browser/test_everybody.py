@@ -2,7 +2,9 @@
 
 import re
 from collections.abc import Callable
+from typing import Literal
 
+import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
@@ -11,31 +13,30 @@ from tests.browser.stage import FASTEST, at_its_end, at_speed, choices, ended, f
 
 
 def findings(page: Page, part: str = "html") -> list[str]:
-    """What axe finds serious or critical in dark, and the contrasts it finds too weak in light; a line each."""
-    found: list[str] = []
-    for scheme, options in (("light", {"runOnly": ["color-contrast"]}), ("dark", {})):
-        page.emulate_media(color_scheme=scheme)
-        expect(page.locator("html")).to_have_attribute("data-theme", scheme)
-        # One line of a log or a table is enough: all are alike, and axe takes its time for each.
-        page.evaluate(
-            "part => part.querySelectorAll('.log li ~ li, tbody tr ~ tr').forEach(line => line.remove())",
-            page.locator(part).element_handle(),
-        )
-        # Preloading would inject the style sheets into the page, which the page does not allow; selectors take long.
-        options |= {"preload": False, "resultTypes": ["violations"], "selectors": False}
-        answer = page.evaluate("options => axe.run(...options)", [part, options])
-        assert answer["passes"], "axe has looked at nothing"
-        found += [
-            f"{violation['id']}: {node['html'][:120]} ({node['failureSummary']})"
-            for violation in answer["violations"]
-            if violation["impact"] in ("serious", "critical")
-            for node in violation["nodes"]
-        ]
-    return found
+    """What axe finds serious or critical; a line each."""
+    # One line of a log or a table is enough: all are alike, and axe takes its time for each.
+    page.evaluate(
+        "part => part.querySelectorAll('.log li ~ li, tbody tr ~ tr').forEach(line => line.remove())",
+        page.locator(part).element_handle(),
+    )
+    # Preloading would inject the style sheets into the page, which the page does not allow; selectors take long.
+    options = {"preload": False, "resultTypes": ["violations"], "selectors": False}
+    answer = page.evaluate("options => axe.run(...options)", [part, options])
+    assert answer["passes"], "axe has looked at nothing"
+    return [
+        f"{violation['id']}: {node['html'][:120]} ({node['failureSummary']})"
+        for violation in answer["violations"]
+        if violation["impact"] in ("serious", "critical")
+        for node in violation["nodes"]
+    ]
 
 
-def test_axe_finds_nothing_serious_in_any_view_dark_or_light(beside: Callable[..., Page]) -> None:
-    page = beside("/")  # which loses lines of its tables
+@pytest.mark.parametrize("scheme", ["dark", pytest.param("light", marks=pytest.mark.long)])
+def test_axe_finds_nothing_serious_in_any_view(beside: Callable[..., Page], scheme: Literal["dark", "light"]) -> None:
+    page = beside()  # which loses lines of its tables
+    page.emulate_media(color_scheme=scheme)
+    page.goto("/")
+    expect(page.locator("html")).to_have_attribute("data-theme", scheme)
     page.evaluate(Axe().axe_script)
     expect_step(page, 0, 100)
     found = findings(page, "#hello")
@@ -133,6 +134,7 @@ def test_the_focus_comes_back_from_a_dialog_and_goes_to_a_fork(page: Page) -> No
     expect(standings(page)).to_have_count(2)
 
 
+@pytest.mark.long
 def test_less_motion_stands_still_between_steps(page: Page) -> None:
     show(page, "/?task=hard&seed=7&pilot=greedy")
     expect_step(page, 0, 160)

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from urllib.parse import unquote
 
+import pytest
 from playwright.sync_api import Page, Route, expect
 
 from tests.api.serving import Server
@@ -172,6 +173,7 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     expect(page.locator("#results-title")).to_have_text("You: Battery empty.")
 
 
+@pytest.mark.long
 def test_a_flight_of_a_file_has_an_address_which_its_tab_shows_again(
     page: Page, beside: Callable[..., Page], server: Server
 ) -> None:
@@ -230,6 +232,7 @@ def test_the_address_of_a_flight_of_ones_own_contains_its_moves(beside: Callable
     expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=\d+&pilot=human$"))
 
 
+@pytest.mark.long
 def test_odd_links_say_what_is_not_understood_and_refused_ones_offer_another(page: Page, shared: Tabs) -> None:
     shared.expect("404|422")
     show(page, "/?view=nosuch&task=easy&seed=6&pilot=greedy&fork=junk&step=-3")

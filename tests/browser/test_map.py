@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image, ImageSequence
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
@@ -138,6 +139,7 @@ def test_the_map_takes_two_fifths_of_the_window(beside: Callable[..., Page]) -> 
         assert min(size.width, size.height) ** 2 >= 0.4 * width * height
 
 
+@pytest.mark.long
 def test_a_message_moves_nothing_and_covers_no_button_of_a_flight(beside: Callable[..., Page]) -> None:
     page = beside("/?view=learn")
     for path, sign in (

@@ -135,6 +135,7 @@ def test_the_legend_shows_what_each_kind_of_cell_does(page: Page, server: Server
     assert legend.locator("canvas").evaluate_all(empty) == 1, "only a road has no figure"
 
 
+@pytest.mark.long
 def test_the_reference_of_all_calls_has_the_colours_of_the_page(beside: Callable[..., Page]) -> None:
     reference = beside("/docs")
     expect(reference.locator("#operations-flight-reset")).to_be_visible()

@@ -16,7 +16,7 @@ PIXELS_PER_PIXEL = 2
 @pytest.fixture(scope="module")
 def opened(shared: Tabs) -> Page:
     touched = {"viewport": NARROW, "has_touch": True, "is_mobile": True, "device_scale_factor": PIXELS_PER_PIXEL}
-    return shared.open("/?view=learn", **touched, reduced_motion="reduce")
+    return shared.open("/?view=learn", **touched)
 
 
 @pytest.fixture
@@ -117,6 +117,7 @@ def test_a_phone_on_its_side_shows_map_battery_and_pad_also_in_a_lesson(phone: P
     phone.set_viewport_size(NARROW)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) -> None:
     def place() -> tuple[float, float, float]:
         """Left, top and width of the city."""

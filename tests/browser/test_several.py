@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
@@ -118,6 +119,7 @@ def test_a_fork_has_its_values_and_link(page: Page, beside: Callable[..., Page],
     expect(standing(page, "PathQNet").first).to_have_text("23")
 
 
+@pytest.mark.long
 def test_the_link_to_a_race_that_is_over_shows_all_flights_to_their_ends(
     page: Page, beside: Callable[..., Page], server: Server
 ) -> None:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from datetime import datetime, timedelta, timezone
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.tasks import get_task
@@ -64,6 +65,7 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     expect(page.locator("#results-title")).to_have_text("undo: All parcels delivered.")
 
 
+@pytest.mark.long
 def test_the_greeting_shows_the_days_in_a_row_and_a_ghost_of_yesterday(
     page: Page, beside: Callable[..., Page], server: Server
 ) -> None:

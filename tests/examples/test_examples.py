@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.api.serving import Server
 from tests.docs.shell import check_python
 from tests.tools import ROOT, ran
 
@@ -15,8 +16,7 @@ SHORT = {
     "cleanrl_dqn": ["--total-timesteps", "3000", "--maps", "5"],
     "llm_evaluation": ["--maps", "2"],
     "new_task_and_reward": ["--episodes", "20", "--maps", "2"],
-    "openenv_client": ["--task", "easy", "--maps", "2"],
-    "pytorch_loop": ["--total-timesteps", "2048", "--maps", "5"],
+    "openenv_client": ["--task", "easy", "--maps", "2", "--url", "{url}"],
     "sweep": ["--episodes", "16", "--seeds", "1", "--maps", "5", "--out", "sweep"],
     "sb3_ppo": ["--total-timesteps", "2048", "--maps", "5"],
 }
@@ -36,8 +36,9 @@ def test_an_example_is_sound(example: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("example", [path for path in EXAMPLES if path.stem != ELSEWHERE], ids=lambda path: path.stem)
-def test_an_example_runs_and_shows_its_score_beside_the_optimum(example: Path, tmp_path: Path) -> None:
-    done = ran(sys.executable, example, *SHORT.get(example.stem, []), cwd=tmp_path, TMPDIR=str(tmp_path))
+def test_an_example_runs_and_shows_its_score_beside_the_optimum(example: Path, tmp_path: Path, server: Server) -> None:
+    options = [option.format(url=server.url) for option in SHORT.get(example.stem, [])]
+    done = ran(sys.executable, example, *options, cwd=tmp_path, TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     if example.stem == "new_task_and_reward":  # the table of `drone-env evaluate`
         assert re.search(r"optimal +0\.9\d+", done.stdout)

@@ -85,7 +85,7 @@ PARTS = ["up", ", ", "\n", " ", ".", "...", "2.", '"', "[", "]", "{", "}", '"mov
 FRAGMENTS = st.sampled_from([*Action.__members__, *SPELLINGS["action"], *PARTS])
 
 
-@settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "100")), deadline=None, derandomize=True)
+@settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "50")), deadline=None, derandomize=True)
 @given(st.lists(FRAGMENTS | st.text(max_size=6), max_size=8).map("".join), st.booleans(), st.sampled_from([(), MARKS]))
 def test_the_actions_are_words_of_the_answer_or_there_are_none(text: str, plan: bool, marks: tuple[str, ...]) -> None:
     reading = read_answer(Answer(text=text), plan, marks)

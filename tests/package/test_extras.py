@@ -15,7 +15,6 @@ from packaging.utils import canonicalize_name
 from drone_env.toml_text import parse_toml
 from tests.tools import LEFT_OUT, ROOT, find_tool, ran
 
-INSTALLED = packages_distributions()
 PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
@@ -48,7 +47,7 @@ def brought(*extras: str) -> frozenset[str]:
     names = {canonicalize_name(pin.name) for pin in pins if pin.marker is None or pin.marker.evaluate()}
     importable = {
         module
-        for module, distributions in INSTALLED.items()
+        for module, distributions in packages_distributions().items()
         if any(canonicalize_name(distribution) in names for distribution in distributions)
     }
     return frozenset(importable | {name.replace("-", "_") for name in names})

@@ -19,7 +19,7 @@ from drone_env.models import observation_fields
 from drone_env.planning.from_observation import episode_of
 from tests.toy import TOY
 
-thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "100")), deadline=None, derandomize=True)
+thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "50")), deadline=None, derandomize=True)
 
 STANDARD = st.sampled_from(sorted(TASKS)).map(TASKS.__getitem__)
 PROFILES = st.sampled_from(sorted(REWARD_PROFILES))

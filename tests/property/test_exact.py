@@ -17,7 +17,7 @@ from drone_env.planning.solver import ExactSolver, Solver
 from tests.brute_force import BruteForce
 from tests.property.test_episode import custom_task, uniform_task
 
-thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "30")), deadline=None, derandomize=True)
+thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "15")), deadline=None, derandomize=True)
 
 NUMBERS = st.integers(0, 2**32)
 
