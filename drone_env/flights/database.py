@@ -102,9 +102,11 @@ class Database:
         self.lock = threading.RLock()
         """Held by the thread that writes."""
         self._read_lock = threading.Lock()
-        with self._errors():
+        try:
             self._writer = self._connect()
             self._reader = self._connect()
+        except sqlite3.Error as error:
+            raise self._error(error) from error
 
     def check(self) -> None:
         """Check that the file is still the opened one: what is written to a deleted file is lost.
@@ -130,8 +132,11 @@ class Database:
         Raises:
             StoreError: if a statement fails.
         """
-        with self._errors(), self._read_lock:
-            yield self._reader
+        try:
+            with self._read_lock:
+                yield self._reader
+        except sqlite3.Error as error:
+            raise self._error(error) from error
 
     @contextmanager
     def writing(self) -> Generator[sqlite3.Connection, None, None]:
@@ -140,22 +145,22 @@ class Database:
         Raises:
             StoreError: if a statement fails, the file stays busy or is gone, or this thread is already in such a block.
         """
-        with self._errors(), self.lock:
+        with self.lock:
             self.check()
             try:
                 self._writer.execute("BEGIN IMMEDIATE")
                 with self._writer:
                     yield self._writer
-                self._note(failed=False)
-            except sqlite3.Error:
+            except sqlite3.Error as error:
                 self._note(failed=True)
-                raise
+                raise self._error(error) from error
+            if self.failed:
+                self._note(failed=False)
 
     def _note(self, failed: bool) -> None:
         """Note whether a write has failed. After a failure nobody waits, so that all who wait for it fail together."""
-        if failed != self.failed:
-            self.failed = failed
-            self._writer.execute(f"PRAGMA busy_timeout = {0 if failed else round(1000 * self._busy_seconds)}")
+        self.failed = failed
+        self._writer.execute(f"PRAGMA busy_timeout = {0 if failed else round(1000 * self._busy_seconds)}")
 
     def _connect(self) -> sqlite3.Connection:
         connection = sqlite3.connect(
@@ -176,9 +181,5 @@ class Database:
             raise
         return connection
 
-    @contextmanager
-    def _errors(self) -> Generator[None, None, None]:
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise StoreError(f"store {self.path}: {error}") from error
+    def _error(self, error: sqlite3.Error) -> StoreError:
+        return StoreError(f"store {self.path}: {error}")

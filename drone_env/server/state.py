@@ -1,11 +1,13 @@
 """The state of the application, at `app.state.shared`, and the dependencies of the routes."""
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeVar
+from queue import SimpleQueue
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request, Response
 from starlette.requests import HTTPConnection
@@ -26,6 +28,36 @@ SESSION_ERRORS = error_responses(409, 410, 422, 503)
 Result = TypeVar("Result")
 
 
+class StepThread:
+    """Executes functions for the event loop in one thread, in order, at a third of the cost of `run_in_executor`."""
+
+    def __init__(self) -> None:
+        self._jobs: SimpleQueue[tuple[asyncio.Future[Any], Callable[[], Any]] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="drone_env-steps", daemon=True)
+        self._thread.start()
+
+    def run(self, function: Callable[..., Result], *arguments: object) -> asyncio.Future[Result]:
+        """Return a future with the result of a function, or with its error."""
+        future: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        self._jobs.put((future, partial(function, *arguments)))
+        return future
+
+    def close(self) -> None:
+        """Wait for all functions, and end the thread."""
+        self._jobs.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            future, function = job
+            try:
+                finish = partial(future.set_result, function())
+            except Exception as error:
+                finish = partial(future.set_exception, error)
+            if not future.cancelled():
+                future.get_loop().call_soon_threadsafe(finish)
+
+
 class AppState:
     """The parts of a server. Store, workers and sessions exist while the application runs.
 
@@ -37,7 +69,7 @@ class AppState:
     store: Store
     workers: Workers
     sessions: Sessions
-    steps: ThreadPoolExecutor
+    steps: StepThread
     """Executes the steps of HTTP sessions. One thread is enough, because the store has one writer."""
 
     def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
@@ -91,7 +123,7 @@ class AppState:
         """
         self.workers = Workers(self.settings)
         self.store = Store(self.settings.data, submit=self.workers.solve)
-        self.steps = ThreadPoolExecutor(1, "drone_env-steps")
+        self.steps = StepThread()
         self.sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds, self.clock)
         # The clock may have begun anew with the machine.
         self.sessions.touch()
@@ -99,7 +131,7 @@ class AppState:
 
     def close(self) -> None:
         """Close the store, and drop all jobs."""
-        self.steps.shutdown()
+        self.steps.close()
         TASK_FINDERS.remove(self.maps.find)
         self.store.close()
         self.workers.close()
