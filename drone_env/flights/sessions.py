@@ -144,6 +144,7 @@ class Sessions:
         self.idle_seconds = idle_seconds
         self._store = store
         self._database = store.database
+        self._database.leave_checkpoints()
         self._clock = clock
         self._in_memory: OrderedDict[str, Session] = OrderedDict()
         """Sessions by id; only whoever writes to the database uses them."""
@@ -239,9 +240,8 @@ class Sessions:
         """
         finished = None
         with self._database.lock:
-            session = self._in_memory.pop(session_id, None)
             with self._database.writing() as connection:
-                row = _row(connection, session_id)
+                row, session = _row(connection, session_id), self._in_memory.pop(session_id, None)
                 if address is not None and row["address"] != address:
                     raise NoSessionError("this session has been named meanwhile: send its id")
                 if session is None or (session.flight_id, session.revision) != (row["id"], row["revision"]):
@@ -330,12 +330,16 @@ class Sessions:
     def expire(self) -> int:
         """End the idle sessions and return their number. Writes in any case, to see whether the disk has room.
 
+        Call it every few seconds: it also moves SQLite's log to the file.
+
         Raises:
             StoreError: if it could not be written.
         """
         with self._database.writing() as connection:
             connection.execute(f"PRAGMA user_version = {VERSION}")
-            return self._end_idle(connection)
+            ended = self._end_idle(connection)
+        self._database.checkpoint()
+        return ended
 
     def _make_room_in_memory(self) -> None:
         """Forget the sessions that were used longest ago, so that one more makes at most `capacity`."""

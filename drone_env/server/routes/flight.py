@@ -7,6 +7,7 @@ import numpy as np
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope
 from typing_extensions import Self
 
@@ -297,10 +298,10 @@ async def answer_step(app_state: AppState, scope: Scope, receive: Receive) -> Re
 
 
 async def _fly(app_state: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
-    sessions, run = app_state.sessions, app_state.steps.run
-    session = caller.named or await run(caller.session, sessions)
+    sessions = app_state.sessions
+    session = caller.named or await run_in_threadpool(caller.session, sessions)
     answer = flat_json if body.action is None else _step_result
-    stepped = await run(sessions.step, session, body.chosen, answer, after, caller.address)
+    stepped = await app_state.steps.run(sessions.step, session, body.chosen, answer, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
