@@ -118,13 +118,13 @@ class OpenEnvSession:
         """Call a function with the session, store what ended, and return the episode."""
         app_state = self._app_state
         if self._stored is not None:
-            return await app_state.steps.run(self._use_stored, self._stored, change)
+            return await app_state.write(self._use_stored, self._stored, change)
         if self._session is None:
             raise EpisodeError(NOT_STARTED)
         change(self._session)
         if self._session.has_ended:
             flown = self._session.episode, self._session.provenance, self._session.flight_id
-            await app_state.steps.run(app_state.store.add_episode, *flown)
+            await app_state.write(app_state.store.add_episode, *flown)
             self._session.unstored = ""
         return self._session.episode
 

@@ -1,20 +1,19 @@
 """The state of the application, at `app.state.shared`, and the dependencies of the routes."""
 
 import asyncio
-import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 from fastapi import Depends, Request, Response
 from starlette.requests import HTTPConnection
 
 from drone_env.core.tasks import TASK_FINDERS
 from drone_env.files import MAPS
-from drone_env.flights.database import BusyError, Database
+from drone_env.flights.database import BusyError
 from drone_env.flights.sessions import Sessions
 from drone_env.flights.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
@@ -29,46 +28,6 @@ SESSION_ERRORS = error_responses(409, 410, 422, 503)
 Result = TypeVar("Result")
 
 
-class StepRunner:
-    """Calls functions that write to the store: at once if nobody else writes, else in a thread, in order.
-
-    The event loop never waits. A change of threads would take as much time as a step.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-        self._jobs: SimpleQueue[tuple[asyncio.Future[Any], Callable[[], Any]] | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="drone_env-steps", daemon=True)
-        self._thread.start()
-
-    def run(self, function: Callable[..., Result], *arguments: object) -> asyncio.Future[Result]:
-        """Return a future with the result of a function, or with its error."""
-        future: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        job = partial(function, *arguments)
-        try:
-            future.set_result(self._database.at_once(job))
-        except BusyError:
-            self._jobs.put((future, job))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-    def close(self) -> None:
-        """Wait for all functions, and end the thread."""
-        self._jobs.put(None)
-        self._thread.join()
-
-    def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            future, function = job
-            try:
-                finish = partial(future.set_result, function())
-            except Exception as error:
-                finish = partial(future.set_exception, error)
-            if not future.cancelled():
-                future.get_loop().call_soon_threadsafe(finish)
-
-
 class AppState:
     """The parts of a server. Store, workers and sessions exist while the application runs.
 
@@ -80,8 +39,6 @@ class AppState:
     store: Store
     workers: Workers
     sessions: Sessions
-    steps: StepRunner
-    """Executes the steps of HTTP sessions."""
 
     def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
         self.settings = settings
@@ -119,6 +76,17 @@ class AppState:
             left.cancel()
             job.cancel()
 
+    async def write(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """Call a function that writes to the store, in a thread if it has to wait for another writer.
+
+        A change of threads takes as much time as a step of an episode.
+        """
+        call = partial(function, *arguments)
+        try:
+            return self.store.database.at_once(call)
+        except BusyError:
+            return await asyncio.get_running_loop().run_in_executor(self._waiting, call)
+
     async def json(
         self, request: Request, function: Callable[..., str], *arguments: object, task: str | None = None
     ) -> Response:
@@ -134,7 +102,8 @@ class AppState:
         """
         self.workers = Workers(self.settings)
         self.store = Store(self.settings.data, submit=self.workers.solve)
-        self.steps = StepRunner(self.store.database)
+        # One thread is enough, because the store has one writer.
+        self._waiting = ThreadPoolExecutor(1, "drone_env-steps")
         self.sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds, self.clock)
         # The clock may have begun anew with the machine.
         self.sessions.touch()
@@ -142,7 +111,7 @@ class AppState:
 
     def close(self) -> None:
         """Close the store, and drop all jobs."""
-        self.steps.close()
+        self._waiting.shutdown()
         TASK_FINDERS.remove(self.maps.find)
         self.store.close()
         self.workers.close()

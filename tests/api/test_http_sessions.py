@@ -113,7 +113,7 @@ def test_a_step_waits_for_another_process_in_its_own_thread(
         monkeypatch.setattr("drone_env.flights.database.sleep", end_of_wait)
         other.execute("BEGIN IMMEDIATE")
         assert client.post("/step", json=UP, headers=session).json()["step_count"] == 1
-    assert waited == ["drone_env-steps"]
+    assert waited == ["drone_env-steps_0"]
 
 
 def test_a_server_whose_files_are_gone_says_so_and_takes_no_step(

@@ -301,7 +301,7 @@ async def _fly(app_state: AppState, caller: Caller, body: StepRequest, after: in
     sessions = app_state.sessions
     session = caller.named or await run_in_threadpool(caller.session, sessions)
     answer = flat_json if body.action is None else _step_result
-    stepped = await app_state.steps.run(sessions.step, session, body.chosen, answer, after, caller.address)
+    stepped = await app_state.write(sessions.step, session, body.chosen, answer, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
