@@ -82,10 +82,13 @@ def evaluate(
     if not keys:
         raise next(of_row for of_row in rows.values() if isinstance(of_row, Exception))
     flown = _fly(keys, made, out, ray)
-    results = {
-        row: repeated([flown[key] for key in of_row]) for row, of_row in rows.items() if isinstance(of_row, tuple)
-    }
-    cells = {row: Summary.of(results[row]) if row in results else str(reason) for row, reason in rows.items()}
+    results, cells = dict[Row, Results](), dict[Row, Summary | str]()
+    for row, of_row in rows.items():
+        if isinstance(of_row, tuple):
+            results[row] = repeated([flown[key] for key in of_row])
+            cells[row] = Summary.of(results[row])
+        else:
+            cells[row] = str(of_row)
     differences = {} if against is None else _differences(results, against)
     if json:
         print_json(_report(cells, differences, maps, chosen_split, repeats))

@@ -180,7 +180,7 @@ class Batch:
         self.same_step = same_step
         self.tables = tabulate(self.task)
         self._rewards = tabulate_rewards(self.task, self.reward_profile)
-        cells, size = self.tables.cells, self.task.telemetry_size
+        cells, size = self.tables.cells, self.tables.telemetry_size
         finals = num_envs if same_step else 0
         self._buffers = Buffers(
             grids=np.zeros((num_envs, cells), np.uint8),

@@ -3,13 +3,16 @@
 import os
 import sqlite3
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import monotonic, sleep
+from typing import TypeVar
 
 from drone_env.errors import StoreError
 
 BUSY_SECONDS = 30.0
+RETRY_SECONDS = 0.002
 VERSION = 1
 SCHEMA = f"""
 BEGIN IMMEDIATE;
@@ -78,6 +81,13 @@ later.
 """
 
 
+Result = TypeVar("Result")
+
+
+class BusyError(StoreError):
+    """Somebody else is writing."""
+
+
 class Database:
     """One connection to write and one to read, each for one thread at a time, so a long read does not block a writer.
 
@@ -95,6 +105,8 @@ class Database:
         self.failed = False
         """Whether the last write has failed."""
         self._busy_seconds = busy_seconds
+        self._waits = True
+        """Whether the thread that writes waits for other processes."""
         # Session ids are secrets; SQLite gives its other files the same permissions.
         path.touch(mode=0o600)
         self._opened = path.stat()
@@ -102,9 +114,12 @@ class Database:
         self.lock = threading.RLock()
         """Held by the thread that writes."""
         self._read_lock = threading.Lock()
-        with self._errors():
+        try:
             self._writer = self._connect()
             self._reader = self._connect()
+            self._writer.execute("PRAGMA busy_timeout = 0")
+        except sqlite3.Error as error:
+            raise self._error(error) from error
 
     def check(self) -> None:
         """Check that the file is still the opened one: what is written to a deleted file is lost.
@@ -130,8 +145,11 @@ class Database:
         Raises:
             StoreError: if a statement fails.
         """
-        with self._errors(), self._read_lock:
-            yield self._reader
+        try:
+            with self._read_lock:
+                yield self._reader
+        except sqlite3.Error as error:
+            raise self._error(error) from error
 
     @contextmanager
     def writing(self) -> Generator[sqlite3.Connection, None, None]:
@@ -140,22 +158,60 @@ class Database:
         Raises:
             StoreError: if a statement fails, the file stays busy or is gone, or this thread is already in such a block.
         """
-        with self._errors(), self.lock:
+        with self.lock:
             self.check()
             try:
-                self._writer.execute("BEGIN IMMEDIATE")
+                self._begin()
                 with self._writer:
                     yield self._writer
-                self._note(failed=False)
-            except sqlite3.Error:
-                self._note(failed=True)
-                raise
+            except sqlite3.Error as error:
+                self.failed = True
+                raise self._error(error) from error
+            self.failed = False
 
-    def _note(self, failed: bool) -> None:
-        """Note whether a write has failed. After a failure nobody waits, so that all who wait for it fail together."""
-        if failed != self.failed:
-            self.failed = failed
-            self._writer.execute(f"PRAGMA busy_timeout = {0 if failed else round(1000 * self._busy_seconds)}")
+    def at_once(self, function: Callable[[], Result]) -> Result:
+        """Call a function that writes, but not if it would have to wait for another writer.
+
+        Raises:
+            BusyError: if it would.
+        """
+        if not self.lock.acquire(blocking=False):
+            raise BusyError("another thread is writing")
+        self._waits = False
+        try:
+            return function()
+        finally:
+            self._waits = True
+            self.lock.release()
+
+    def leave_checkpoints(self) -> None:
+        """Leave checkpoints, which wait for the disk, to calls of `checkpoint`."""
+        self._writer.execute("PRAGMA wal_autocheckpoint = 0")
+
+    def checkpoint(self) -> None:
+        """Move the finished transactions from SQLite's log to the file; writers do not wait meanwhile.
+
+        Raises:
+            StoreError: if it fails.
+        """
+        with self.reading() as connection:
+            connection.execute("PRAGMA wal_checkpoint").fetchall()
+
+    def _begin(self) -> None:
+        # After a failure nobody waits, so that all who wait for it fail together.
+        until = monotonic() + (0 if self.failed else self._busy_seconds)
+        while True:
+            try:
+                self._writer.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.OperationalError as error:
+                if "is locked" not in str(error):
+                    raise
+                if not self._waits:
+                    raise BusyError("another process is writing") from error
+                if monotonic() >= until:
+                    raise
+            sleep(RETRY_SECONDS)
 
     def _connect(self) -> sqlite3.Connection:
         connection = sqlite3.connect(
@@ -176,9 +232,5 @@ class Database:
             raise
         return connection
 
-    @contextmanager
-    def _errors(self) -> Generator[None, None, None]:
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise StoreError(f"store {self.path}: {error}") from error
+    def _error(self, error: sqlite3.Error) -> StoreError:
+        return StoreError(f"store {self.path}: {error}")

@@ -63,8 +63,8 @@ def digits_of(actions: Iterable[int]) -> str:
     return "".join(map(str, actions))
 
 
-def insert_flight(connection: sqlite3.Connection, flight_id: str, episode: Episode, by: Provenance) -> None:
-    """Add the row of a flight. If the id is stored already, nothing changes.
+def insert_flight(connection: sqlite3.Connection, flight_id: str, episode: Episode, by: Provenance) -> bool:
+    """Add the row of a flight, unless the id is stored already; returns whether it is new.
 
     Raises:
         StoreError: if the store has flights of another task of the same name.
@@ -78,9 +78,11 @@ def insert_flight(connection: sqlite3.Connection, flight_id: str, episode: Episo
     flight = Flight(flight_id, *flown, by.pilot, by.person, by.values_used, by.undo_used, parent)
     values = (*astuple(flight), by.label)
     places = ", ".join("?" * len(values))
-    connection.execute(f"INSERT INTO flights ({COLUMNS}, agent) VALUES ({places}) ON CONFLICT (id) DO NOTHING", values)
-    if episode.ended:
+    insert = f"INSERT INTO flights ({COLUMNS}, agent) VALUES ({places}) ON CONFLICT (id) DO NOTHING"
+    is_new = connection.execute(insert, values).rowcount == 1
+    if is_new and episode.ended:
         finish_flight(connection, flight_id, episode)
+    return is_new
 
 
 def check_task(connection: sqlite3.Connection, task: TaskConfig) -> None:

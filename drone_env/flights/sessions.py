@@ -50,7 +50,6 @@ class Session:
         provenance: Who flies.
         revision: The number of changes of the flight's row.
         unstored: The actions that the row does not contain, as digits.
-        has_ended: Whether the flight has ended with the last of them.
     """
 
     flight_id: str
@@ -58,7 +57,11 @@ class Session:
     provenance: Provenance
     revision: int = 0
     unstored: str = ""
-    has_ended: bool = False
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the flight has ended with the last of the unstored actions."""
+        return self.unstored != "" and self.episode.ended
 
     @property
     def episode_id(self) -> str | None:
@@ -77,8 +80,7 @@ class Session:
         """
         if agent is not None:
             self.provenance = Provenance.of(agent)
-        self.flight_id, self.episode, self.revision = new_id(), episode, 0
-        self.unstored, self.has_ended = "", False
+        self.flight_id, self.episode, self.revision, self.unstored = new_id(), episode, 0, ""
 
     def fly(self, action: SupportsIndex, after: int | None = None) -> float:
         """Fly one action: the one step of HTTP, OpenEnv and the page. After the end nothing changes.
@@ -97,10 +99,10 @@ class Session:
         """
         flown = self.episode.steps
         if after is None or after == flown:
+            flying = not self.episode.ended
             reward = self.episode.step(action)
-            if self.episode.steps > flown:
+            if flying:
                 self.unstored += str(int(action))
-                self.has_ended = self.episode.ended
             return reward
         if after != flown - 1 or self.episode.actions[-1] != action:
             detail = f"X-Step-Count is {after}, but the session has flown {flown} steps: see GET /state"
@@ -142,6 +144,7 @@ class Sessions:
         self.idle_seconds = idle_seconds
         self._store = store
         self._database = store.database
+        self._database.leave_checkpoints()
         self._clock = clock
         self._in_memory: OrderedDict[str, Session] = OrderedDict()
         """Sessions by id; only whoever writes to the database uses them."""
@@ -180,9 +183,10 @@ class Sessions:
             insert_flight(connection, flight_id, episode, provenance)
             row = (session_id, flight_id, self._clock(), address, owner)
             connection.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?)", row)
-            self._remember(session_id, Session(flight_id, episode.copy(), provenance))
+            self._make_room_in_memory()
+            self._in_memory[session_id] = Session(flight_id, episode.copy(), provenance)
         if episode.ended:
-            self._store.on_finished()
+            self._store.on_finished(flight_id, episode, provenance)
         return session_id
 
     def reset(
@@ -234,14 +238,15 @@ class Sessions:
             NoSessionError: if there is no such session, or somebody has named that of the address.
             StoreError: if the store stays busy for 30 s or cannot be written, or the function uses another session.
         """
+        finished = None
         with self._database.lock:
-            session = self._in_memory.pop(session_id, None)
             with self._database.writing() as connection:
-                row = _row(connection, session_id)
+                row, session = _row(connection, session_id), self._in_memory.pop(session_id, None)
                 if address is not None and row["address"] != address:
                     raise NoSessionError("this session has been named meanwhile: send its id")
                 if session is None or (session.flight_id, session.revision) != (row["id"], row["revision"]):
                     session = _session(row)
+                    self._make_room_in_memory()
                 by = session.provenance
                 result = change(session)
                 connection.execute(TOUCH, (self._clock(), address, session.flight_id, session_id))
@@ -249,13 +254,11 @@ class Sessions:
                     connection.execute("DELETE FROM flights WHERE id = ? AND number IS NULL", (row["id"],))
                     insert_flight(connection, session.flight_id, session.episode, session.provenance)
                 elif session.unstored or session.provenance is not by:
-                    _change(connection, session, by)
+                    finished = _change(connection, session, by)
             # Only after the commit: a session that could not be stored is flown again from its row.
-            has_ended = session.has_ended
-            session.unstored, session.has_ended = "", False
-            self._remember(session_id, session)
-        if has_ended:
-            self._store.on_finished()
+            self._in_memory[session_id] = session
+        if finished is not None:
+            self._store.on_finished(*finished)
         return result
 
     def step(
@@ -327,17 +330,20 @@ class Sessions:
     def expire(self) -> int:
         """End the idle sessions and return their number. Writes in any case, to see whether the disk has room.
 
+        Call it every few seconds: it also moves SQLite's log to the file.
+
         Raises:
             StoreError: if it could not be written.
         """
         with self._database.writing() as connection:
             connection.execute(f"PRAGMA user_version = {VERSION}")
-            return self._end_idle(connection)
+            ended = self._end_idle(connection)
+        self._database.checkpoint()
+        return ended
 
-    def _remember(self, session_id: str, session: Session) -> None:
-        """Keep a session in memory, of at most `capacity`."""
-        self._in_memory[session_id] = session
-        while len(self._in_memory) > self.capacity:
+    def _make_room_in_memory(self) -> None:
+        """Forget the sessions that were used longest ago, so that one more makes at most `capacity`."""
+        while len(self._in_memory) >= self.capacity:
             self._in_memory.popitem(last=False)
 
     def _make_room(self, connection: sqlite3.Connection, owner: str) -> None:
@@ -383,15 +389,21 @@ def _session(row: sqlite3.Row) -> Session:
     return Session(flown.id, flown.fly(), flown.provenance, revision)
 
 
-def _change(connection: sqlite3.Connection, session: Session, before: Provenance) -> None:
-    """Store what a session has flown, and its provenance if it differs from the one before."""
-    kept, by = session.episode.steps - len(session.unstored), session.provenance
+def _change(
+    connection: sqlite3.Connection, session: Session, before: Provenance
+) -> tuple[str, Episode, Provenance] | None:
+    """Store what a session has flown, and its provenance if it differs. Return the flight if this finished it."""
+    has_ended, by = session.has_ended, session.provenance
+    kept = session.episode.steps - len(session.unstored)
     connection.execute(FLY, (kept, session.unstored, session.flight_id))
     if by is not before:
         connection.execute(USE_HELP, (by.values_used, by.undo_used, by.label, session.flight_id))
     session.revision += 1
-    if session.has_ended:
-        finish_flight(connection, session.flight_id, session.episode)
+    session.unstored = ""
+    if not has_ended:
+        return None
+    finish_flight(connection, session.flight_id, session.episode)
+    return session.flight_id, session.episode, by
 
 
 def in_share(own: int, taken: int, capacity: int) -> bool:

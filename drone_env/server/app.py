@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 
 from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
@@ -37,6 +38,7 @@ from drone_env.server.routes import (
     page,
     replay,
 )
+from drone_env.server.routes.flight import answer_step
 from drone_env.server.security import Security
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import AppState
@@ -95,8 +97,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.shared = app_state
     app.state.socket = socket
     install(app)
-    app.add_middleware(flight.Steps, app_state=app_state)
-    app.add_middleware(Security, settings=settings, log=app_state.requests)
+    app.add_middleware(Security, settings=settings, log=app_state.requests, first=partial(answer_step, app_state))
     for routes in (
         flight,
         flights,

@@ -11,7 +11,6 @@ from typing import Any
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
 from jiter import from_json
-from starlette.requests import ClientDisconnect
 from starlette.websockets import WebSocket, WebSocketState
 
 from drone_env.errors import InvalidValueError
@@ -39,6 +38,10 @@ def parse_json(data: bytes | None) -> Any:
         raise InvalidValueError(f"not JSON: {error}") from None
 
 
+READ = "drone_env.request"
+"""Key of a `JsonRequest` in the scope of a request whose body has been read."""
+
+
 class JsonRequest(Request):
     """A request with a parsed body."""
 
@@ -51,15 +54,15 @@ class JsonRequest(Request):
         Raises:
             RequestError: if the body is too large, has another content type, or is not JSON.
         """
-        body = bytearray()
-        try:
-            async for chunk in self.stream():
-                body += chunk
-                if len(body) > LARGEST_BODY:
-                    detail = f"a body may have {LARGEST_BODY} bytes"
-                    raise RequestError(413, "too_large", detail, {"Connection": "close"})
-        except ClientDisconnect:
-            raise RequestError(400, "not_json", "the connection ended before the body did") from None
+        body, message = bytearray(), {"more_body": True}
+        while message.get("more_body"):
+            message = await self.receive()
+            if message["type"] == "http.disconnect":
+                raise RequestError(400, "not_json", "the connection ended before the body did")
+            body += message.get("body", b"")
+            if len(body) > LARGEST_BODY:
+                detail = f"a body may have {LARGEST_BODY} bytes"
+                raise RequestError(413, "too_large", detail, {"Connection": "close"})
         if not body:
             return
         kind = self.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -94,8 +97,10 @@ class JsonRoute(APIRoute):
             return answer
 
         async def handle(request: Request) -> Response:
-            with_body = JsonRequest(request.scope, request.receive)
-            await with_body.read()
+            with_body: JsonRequest | None = request.scope.get(READ)
+            if with_body is None:
+                with_body = JsonRequest(request.scope, request.receive)
+                await with_body.read()
             return await answer(with_body)
 
         return handle

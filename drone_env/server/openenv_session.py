@@ -116,16 +116,16 @@ class OpenEnvSession:
 
     async def _use(self, change: Callable[[Session], object]) -> Episode:
         """Call a function with the session, store what ended, and return the episode."""
-        loop, app_state = asyncio.get_running_loop(), self._app_state
+        app_state = self._app_state
         if self._stored is not None:
-            return await loop.run_in_executor(app_state.steps, self._use_stored, self._stored, change)
+            return await app_state.write(self._use_stored, self._stored, change)
         if self._session is None:
             raise EpisodeError(NOT_STARTED)
         change(self._session)
         if self._session.has_ended:
             flown = self._session.episode, self._session.provenance, self._session.flight_id
-            await loop.run_in_executor(app_state.steps, app_state.store.add_episode, *flown)
-            self._session.has_ended = False
+            await app_state.write(app_state.store.add_episode, *flown)
+            self._session.unstored = ""
         return self._session.episode
 
     def _use_stored(self, stored: str, change: Callable[[Session], object]) -> Episode:

@@ -3,8 +3,10 @@
 import hmac
 import re
 import time
+from collections.abc import Awaitable, Callable
 
 from starlette.datastructures import Headers
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.server.exceptions import RequestError, answer_to
@@ -42,10 +44,18 @@ class Security:
         app: The wrapped application.
         settings: The token, and whether hints are withheld.
         log: The request log.
+        first: Answers some requests without the application; returns None for the others.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings, log: RequestLog) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        settings: Settings,
+        log: RequestLog,
+        first: Callable[[Scope, Receive], Awaitable[Response | None]],
+    ) -> None:
         self.app = app
+        self.first = first
         self.log = log
         self.withholds = settings.withhold_hints
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
@@ -76,12 +86,13 @@ class Security:
             try:
                 self._check(scope, Headers(scope=scope))
             except RequestError as error:
-                if is_http:
-                    await answer_to(error, scope)(scope, receive, send_with_headers)
-                else:
+                if not is_http:
                     await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
+                    return
+                answer = answer_to(error, scope)
             else:
-                await self.app(scope, receive, send_with_headers)
+                answer = await self.first(scope, receive) if is_http else None
+            await (answer or self.app)(scope, receive, send_with_headers)
         finally:
             self.log.add(scope["method"] if is_http else "WEBSOCKET", path, status, time.perf_counter() - started)
 

@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -12,6 +13,7 @@ from starlette.requests import HTTPConnection
 
 from drone_env.core.tasks import TASK_FINDERS
 from drone_env.files import MAPS
+from drone_env.flights.database import BusyError
 from drone_env.flights.sessions import Sessions
 from drone_env.flights.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
@@ -37,8 +39,6 @@ class AppState:
     store: Store
     workers: Workers
     sessions: Sessions
-    steps: ThreadPoolExecutor
-    """Executes the steps of HTTP sessions. One thread is enough, because the store has one writer."""
 
     def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
         self.settings = settings
@@ -76,6 +76,17 @@ class AppState:
             left.cancel()
             job.cancel()
 
+    async def write(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """Call a function that writes to the store, in a thread if it has to wait for another writer.
+
+        A change of threads takes as much time as a step of an episode.
+        """
+        call = partial(function, *arguments)
+        try:
+            return self.store.database.at_once(call)
+        except BusyError:
+            return await asyncio.get_running_loop().run_in_executor(self._waiting, call)
+
     async def json(
         self, request: Request, function: Callable[..., str], *arguments: object, task: str | None = None
     ) -> Response:
@@ -91,7 +102,8 @@ class AppState:
         """
         self.workers = Workers(self.settings)
         self.store = Store(self.settings.data, submit=self.workers.solve)
-        self.steps = ThreadPoolExecutor(1, "drone_env-steps")
+        # One thread is enough, because the store has one writer.
+        self._waiting = ThreadPoolExecutor(1, "drone_env-steps")
         self.sessions = Sessions(self.store, self.settings.capacity, self.settings.idle_seconds, self.clock)
         # The clock may have begun anew with the machine.
         self.sessions.touch()
@@ -99,7 +111,7 @@ class AppState:
 
     def close(self) -> None:
         """Close the store, and drop all jobs."""
-        self.steps.shutdown()
+        self._waiting.shutdown()
         TASK_FINDERS.remove(self.maps.find)
         self.store.close()
         self.workers.close()

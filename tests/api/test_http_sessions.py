@@ -1,12 +1,16 @@
 """Sessions over HTTP: who is in which, when they end, and a store that fails under them."""
 
 import shutil
+import sqlite3
+import threading
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
+from drone_env.flights.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
@@ -94,6 +98,22 @@ def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
     assert (state["seed"], state["step_count"]) == (7, 0)
     # What was flown before the failure is not flown twice.
     assert client.post("/step", json={"direction": "UP"}, headers=session).json()["step_count"] == 1
+
+
+def test_a_step_waits_for_another_process_in_its_own_thread(
+    client: TestClient, session: Header, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: list[str] = []
+    with closing(sqlite3.connect(settings["data"] / FILE_NAME, isolation_level=None, check_same_thread=False)) as other:
+
+        def end_of_wait(_: float) -> None:
+            waited.append(threading.current_thread().name)
+            other.execute("ROLLBACK")
+
+        monkeypatch.setattr("drone_env.flights.database.sleep", end_of_wait)
+        other.execute("BEGIN IMMEDIATE")
+        assert client.post("/step", json=UP, headers=session).json()["step_count"] == 1
+    assert waited == ["drone_env-steps_0"]
 
 
 def test_a_server_whose_files_are_gone_says_so_and_takes_no_step(

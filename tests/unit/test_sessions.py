@@ -1,7 +1,9 @@
 """Sessions: flights that go on, in memory and as rows of the store."""
 
+import sqlite3
 import stat
 import time
+from contextlib import closing
 
 import pytest
 
@@ -194,6 +196,15 @@ def test_idle_sessions_end_for_every_process_and_make_room(store: Store) -> None
     clock.now += 60
     opened(other, steps=1)
     assert open_sessions(store.folder) == 1
+
+
+def test_the_sweep_moves_the_log_of_the_store_to_its_file(store: Store) -> None:
+    sessions = sessions_of(store)
+    opened(sessions)
+    sessions.expire()
+    # An immutable file is read without its log.
+    with closing(sqlite3.connect(f"file:{store.folder / FILE_NAME}?immutable=1", uri=True)) as file:
+        assert file.execute("SELECT count(*) FROM sessions").fetchone() == (1,)
 
 
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])

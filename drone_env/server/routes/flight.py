@@ -1,6 +1,5 @@
 """The routes that fly: reset, step, the state of the session's episode; and which session a request flies."""
 
-import asyncio
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -8,7 +7,8 @@ import numpy as np
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
 from pydantic_core import to_json
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.concurrency import run_in_threadpool
+from starlette.types import Receive, Scope
 from typing_extensions import Self
 
 from drone_env.agents.pathqnet import PathQNetAgent
@@ -33,7 +33,7 @@ from drone_env.models import (
 )
 from drone_env.server.addresses import shared_address
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
-from drone_env.server.json_routes import JsonRequest, JsonRoute
+from drone_env.server.json_routes import READ, JsonRequest, JsonRoute
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
@@ -266,55 +266,32 @@ def predict(app_state: AppStateDep, session: SessionDep) -> Prediction:
     )
 
 
-class Steps:
-    """Middleware that flies a valid step without FastAPI, whose overhead exceeds the cost of the step.
+async def answer_step(app_state: AppState, scope: Scope, receive: Receive) -> Response | None:
+    """Answer a step without FastAPI, whose overhead exceeds the cost of the step.
 
-    Invalid ones go to FastAPI, which explains the error.
+    Returns None for other requests, and for invalid steps, whose errors FastAPI explains.
     """
-
-    def __init__(self, app: ASGIApp, app_state: AppState) -> None:
-        self.app = app
-        self._app_state = app_state
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a step, or pass on the request."""
-        if scope["type"] != "http" or scope["path"] != "/step" or scope["method"] != "POST":
-            await self.app(scope, receive, send)
-            return
-        request = JsonRequest(scope, receive)
-        try:
-            await request.read()
-            step = _valid_step(request)
-            if step is None:
-                body = iter([{"type": "http.request", "body": request.content}])
-
-                async def receive_again() -> Message:
-                    return next(body, None) or await receive()
-
-                await self.app(scope, receive_again, send)
-                return
-            loop, app_state = asyncio.get_running_loop(), self._app_state
-            answer = await loop.run_in_executor(app_state.steps, _advance, app_state, *step)
-        except DroneEnvError as error:
-            answer = answer_to(error, scope)
-        await answer(scope, receive, send)
-
-
-def _valid_step(request: JsonRequest) -> tuple[Caller, StepRequest, int | None] | None:
-    caller = Caller.of(request)
-    if len(caller.named or "") > LONGEST_ID:
+    if scope["path"] != "/step" or scope["method"] != "POST":
         return None
+    request = scope[READ] = JsonRequest(scope, receive)
     try:
-        body = StepRequest.model_validate(request.value)
-        return caller, body, STEP_COUNT.validate_python(request.headers.get(STEP_HEADER))
+        await request.read()
+        caller, count = Caller.of(request), request.headers.get(STEP_HEADER)
+        if len(caller.named or "") > LONGEST_ID:
+            return None
+        body, after = StepRequest.model_validate(request.value), STEP_COUNT.validate_python(count)
+        return await _fly(app_state, caller, body, after)
     except ValidationError:
         return None
+    except DroneEnvError as error:
+        return answer_to(error, scope)
 
 
-def _advance(app_state: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
-    session = caller.named or caller.session(app_state.sessions)
+async def _fly(app_state: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
+    sessions = app_state.sessions
+    session = caller.named or await run_in_threadpool(caller.session, sessions)
     answer = flat_json if body.action is None else _step_result
-    stepped = app_state.sessions.step(session, body.chosen, answer, after, caller.address)
+    stepped = await app_state.write(sessions.step, session, body.chosen, answer, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
@@ -328,7 +305,7 @@ def _step_result(episode: Episode) -> bytes:
 @router.post(
     "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | error_responses(400, 413, 415)
 )
-def step(
+async def step(
     app_state: AppStateDep,
     caller: CallerDep,
     body: Annotated[StepRequest, Body()],
@@ -348,4 +325,4 @@ def step(
 
     With `X-Step-Count` the server flies a repeated request once and returns the same response.
     """
-    return _advance(app_state, caller, body, after)
+    return await _fly(app_state, caller, body, after)
