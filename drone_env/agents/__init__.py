@@ -7,20 +7,26 @@ from drone_env.agents.base import Agent
 from drone_env.agents.custom import MODULE_AND_NAME, as_agent, imported
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.planned import BeamAgent, NearestAgent, OptimalAgent
+from drone_env.agents.ppo import PpoAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
 from drone_env.agents.tournet import TournetAgent
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 
-NETWORK_AGENTS: dict[str, Callable[..., Agent]] = {"pathqnet": PathQNetAgent, "tournet": TournetAgent}
-"""The agents with a network, made from a task and a file: the shipped one, or that of `NAME:FILE`."""
+NETWORK_AGENTS: dict[str, Callable[..., Agent]] = {
+    "pathqnet": PathQNetAgent,
+    "ppo": PpoAgent,
+    "tournet": TournetAgent,
+}
+"""The agents with a network, made from a task and the file of `NAME:FILE`."""
 AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
     "nearest": NearestAgent,
     "beam": BeamAgent,
     "optimal": OptimalAgent,
-    **NETWORK_AGENTS,
+    "pathqnet": PathQNetAgent,
+    "tournet": TournetAgent,
 }
 """The factory of each agent, by its name."""
 SHIPPED_AGENTS = tuple(AGENTS)

@@ -17,7 +17,6 @@ from drone_env.agents.base import Agent, StatelessAgent, named_failures
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnsupportedTaskError
-from drone_env.planning.from_observation import episode_of
 
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 MODULE_AND_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
@@ -44,8 +43,7 @@ class FunctionAgent:
 class Sb3Agent(StatelessAgent):
     """Takes the likeliest action of a model (`predict(deterministic=True)`); a MaskablePPO gets the action mask.
 
-    The observation space of the model decides what it gets: the plain observation, or the form of `OneHotPlanes` or
-    `FlatObservation`.
+    The observation space of the model decides what it gets: the plain observation or another of `envs.forms`.
 
     Raises:
         UnsupportedTaskError: if the task has no observation of that space.
@@ -54,13 +52,14 @@ class Sb3Agent(StatelessAgent):
 
     def __init__(self, task: TaskConfig, model: Any) -> None:
         # Imported lazily, because Gymnasium takes a while.
-        from drone_env.envs.forms import observation_space, planes_space, to_planes, to_vector, vector_space
+        from drone_env.envs import forms as of
 
-        plain = observation_space(task)
+        plain, stops = of.observation_space(task), of.StopEntries(task)
         forms: dict[str, tuple[Any, Callable[[Any], Any]]] = {
             "plain": (plain, dict),
-            "planes": (planes_space(plain), to_planes),
-            "flat": (vector_space(plain), to_vector),
+            "planes": (of.planes_space(plain), of.to_planes),
+            "flat": (of.vector_space(plain), of.to_vector),
+            "stops": (stops.space, stops),
         }
         fitting = [(name, to_form) for name, (space, to_form) in forms.items() if space == model.observation_space]
         if not fitting:
@@ -91,8 +90,9 @@ class Sb3Agent(StatelessAgent):
         """The likeliest actions, int64[N]."""
         masks: dict[str, Any] = {}
         if self._masked:
-            each: Any = [{"grid": grid, "telemetry": values} for grid, values in zip(grids, telemetry, strict=True)]
-            masks["action_masks"] = np.array([episode_of(self._task, one).action_mask() for one in each], np.bool_)
+            from drone_env.planning.nearby import action_masks  # Imported lazily: compiling takes seconds.
+
+            masks["action_masks"] = action_masks(self._task, grids, telemetry)
         observations = self._to_form({"grid": grids, "telemetry": telemetry})
         return np.asarray(self._policy.predict(observations, deterministic=True, **masks)[0], np.int64)
 

@@ -22,7 +22,7 @@ from drone_env.files import read_file, replacing
 WEIGHTS = Path(__file__).parents[1] / "weights"
 """The folder of the shipped networks."""
 Array = npt.NDArray[np.float32]
-PATHQNET, TOURNET = "pathqnet", "tournet"
+PATHQNET, TOURNET, PPO = "pathqnet", "tournet", "ppo"
 """The networks."""
 METADATA = "drone_env"
 MOST_BYTES = 1 << 20

@@ -48,8 +48,8 @@ def evaluate(
 
     Args:
         task: One or more tasks; `all` for every registered task.
-        agents: One or more agents: names, `pathqnet:FILE` or `tournet:FILE` for a network, `MODULE:NAME` for your own
-            agent or a model of Stable-Baselines3 and its observation wrapper (docs/agents.md).
+        agents: One or more agents: names, `pathqnet:FILE` (or `ppo`, `tournet`) for a network, `MODULE:NAME` for your
+            own agent or a model of Stable-Baselines3 and its observation wrapper (docs/agents.md).
         split: Fly the first maps of this split. Training never uses validation and test.
         episodes: Number of maps of the split.
         seeds: Fly maps A to B - 1 instead of a split's.

@@ -15,14 +15,26 @@ from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
-from drone_env.rl.config import TourConfig, TrainConfig, preset
+from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig, ppo_preset, preset
 
-NetworkName = Literal["pathqnet", "tournet"]
+AlgorithmName = Literal["dqn", "ppo", "tournet"]
+AGENTS = {"episodes": "pathqnet", "steps": "ppo", "updates": "tournet"}
+"""The agent that flies by a trained network, by the unit of the training."""
 
 
 @dataclass(frozen=True)
 class Settings(TrainConfig):
-    """The settings of PathQNet."""
+    """The settings of DQN."""
+
+    task: TaskName = "easy"
+    """The task, by its short name, id or grader."""
+    reward_profile: ProfileName = DEFAULT_PROFILE
+    """Reward profile, or a TOML file with one. Potential-based shaping, if the profile has it, uses `gamma`."""
+
+
+@dataclass(frozen=True)
+class PpoSettings(PpoConfig):
+    """The settings of PPO."""
 
     task: TaskName = "easy"
     """The task, by its short name, id or grader."""
@@ -38,18 +50,21 @@ class TourSettings(TourConfig):
     """`all` for one network that flies every registered task, or one task."""
 
 
-AnySettings = TypeVar("AnySettings", Settings, TourSettings)
+AnySettings = TypeVar("AnySettings", Settings, PpoSettings, TourSettings)
 
 
 def train_command(arguments: Sequence[str]) -> Callable[..., int]:
     """The subcommand for these arguments, with the defaults of its preset or checkpoint."""
     given = _given(arguments)
-    if given.network == "tournet":
+    if given.algorithm == "tournet":
         tour = TourSettings(task=given.task or "all")
         return _tour_command(_resumed(tour, tour.name, given))
     if given.task == "all":
-        raise InvalidValueError("PathQNet learns one task at a time: name it, or add --network tournet")
+        raise InvalidValueError("DQN and PPO learn one task at a time: name it, or add --algorithm tournet")
     task = given.task or "easy"
+    if given.algorithm == "ppo":
+        ppo = PpoSettings(**vars(ppo_preset(task)))
+        return _ppo_command(_resumed(ppo, ppo.name, given))
     episodes = int(given.episodes) if given.episodes and given.episodes.isdecimal() else None
     defaults = Settings(**vars(preset(given.preset or "fast", task, episodes)))
     # The number of environments depends on the first number of episodes, which only the checkpoint has.
@@ -59,7 +74,7 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
 def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
-        network: NetworkName = "pathqnet",
+        algorithm: AlgorithmName = "dqn",
         preset: Literal["fast", "original"] = "fast",
         fresh: bool = False,
         data: OptionalPath = None,
@@ -72,15 +87,15 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         `drone-env evaluate --agents pathqnet:data/TASK.safetensors`.
 
         The defaults below are those of the preset for the task and the number of episodes. `original` has the
-        hyperparameters of the first version of this project, `fast` learns fastest. `--network tournet` has other
-        settings: `drone-env train --network tournet --help`.
+        hyperparameters of the first version of this project, `fast` learns fastest. Other algorithms have other
+        settings: `drone-env train --algorithm ppo --help`.
 
         Example: drone-env train --task hard
 
         Args:
             config: The settings.
-            network: The network: `pathqnet` learns the values of actions on one task from rewards, `tournet` learns
-                which parcel or pad to fly to next from exact values, on all tasks at once.
+            algorithm: `dqn` learns the values of actions on one task (PathQNet), `ppo` a policy on one task, both from
+                rewards; `tournet` learns the next parcel or pad from exact values, on all tasks at once.
             preset: The preset of the defaults.
             fresh: Start from scratch; the earlier checkpoint is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
             data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
@@ -97,10 +112,42 @@ train = _train_command(Settings(**vars(preset("fast", "easy"))))
 """The subcommand in the overview of all commands."""
 
 
+def _ppo_command(defaults: PpoSettings) -> Callable[..., int]:
+    def train(
+        config: Annotated[PpoSettings, tyro.conf.arg(name="")] = defaults,
+        algorithm: AlgorithmName = "ppo",
+        fresh: bool = False,
+        data: Path | None = None,
+        results: Path | None = None,
+    ) -> int:
+        """Train a policy by PPO to fly a task, and validate it against the exact optimum.
+
+        The command continues from `data/ppo_TASK.pth` if that exists, with its settings; Ctrl-C saves and ends. The
+        best network by validation is `data/ppo_TASK.safetensors`. `drone-env serve` in the same folder offers it; to
+        evaluate it, type `drone-env evaluate --agents ppo:data/ppo_TASK.safetensors`.
+
+        The defaults below are those for the task.
+
+        Example: drone-env train --algorithm ppo --task skyline_easy
+
+        Args:
+            config: The settings.
+            algorithm: `ppo`.
+            fresh: Start from scratch; the earlier checkpoint is kept as `ppo_TASK.pth.1` and so on.
+            data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
+            results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
+        """
+        with needs("train"):
+            from drone_env.rl.ppo import PpoTrainer
+        return _train(PpoTrainer(config), fresh, data, results)
+
+    return train
+
+
 def _tour_command(defaults: TourSettings) -> Callable[..., int]:
     def train(
         config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
-        network: NetworkName = "tournet",
+        algorithm: AlgorithmName = "tournet",
         fresh: bool = False,
         data: OptionalPath = None,
         results: OptionalPath = None,
@@ -112,11 +159,11 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
         is `data/tournet.safetensors`; to fly it, type `drone-env evaluate --agents
         tournet:data/tournet.safetensors`. A network for one task is `tournet_TASK` instead of `tournet`.
 
-        Example: drone-env train --network tournet --task all
+        Example: drone-env train --algorithm tournet --task all
 
         Args:
             config: The settings.
-            network: The network: `tournet`.
+            algorithm: `tournet`.
             fresh: Start from scratch; the earlier checkpoint is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
             data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
             results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
@@ -131,7 +178,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
 def _given(arguments: Sequence[str]) -> argparse.Namespace:
     """The arguments that the defaults depend on; tyro reports their errors."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for flag in ("--network", "--task", "--preset", "--episodes", "--data"):
+    for flag in ("--algorithm", "--task", "--preset", "--episodes", "--data"):
         parser.add_argument(flag, nargs="?")
     parser.add_argument("--fresh", action=argparse.BooleanOptionalAction)
     return parser.parse_known_args(arguments)[0]
@@ -164,7 +211,7 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
 
     if run.done >= total:
         log(f"{run.checkpoint} has {run.done} of {total} {unit}: nothing to do.")
-        more = "Raise --episodes to go on, or add" if unit == "episodes" else "Add"
+        more = "Add" if unit == "updates" else f"Raise --{unit} to go on, or add"
         log(f"{more} --fresh to start again; the old training is kept.")
         return 0
     if run.resumed:
@@ -181,7 +228,7 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
         log(f"stopped after {run.done} {unit}, saved as {run.checkpoint}; {command} goes on")
         return 130
     log(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
-    task, agent = run.trainer.config.task, "pathqnet" if unit == "episodes" else "tournet"
+    task = run.trainer.config.task
     task = task if task == "all" else get_task(task).short_name
-    log(f"next: drone-env evaluate --task {task} --agents greedy {agent}:{run.network}")
+    log(f"next: drone-env evaluate --task {task} --agents greedy {AGENTS[unit]}:{run.network}")
     return 0

@@ -1,4 +1,4 @@
-"""The observation space, and observations as one-hot planes or as one vector.
+"""The observation space, and observations in other forms: one-hot planes, one vector, or stops as the drone sees them.
 
 Shapes are those of one drone. Leading axes, such as the batch axis, are preserved.
 """
@@ -54,3 +54,43 @@ def planes_space(space: Any) -> spaces.Dict:
 def vector_space(space: Any) -> spaces.Box:
     """The space of `to_vector(observation)`, from the space of plain observations."""
     return cast(spaces.Box, spaces.flatten_space(planes_space(space)))
+
+
+class StopEntries:
+    """The stops, waiting parcels and pads, as the drone sees them: `{"entries": int32[L], "features": float32[n + 6]}`.
+
+    Entries are rows of an embedding table, whose sum a network takes (`torch.nn.EmbeddingBag`, `padding_idx=0`): cost
+    and first action of the cheapest path to each stop, units to spare there, the battery, and the cells beside the
+    drone (`planning.nearby`). Features are the telemetry, and the direction of the target: its distance along x and y,
+    the signs, and the absolute values.
+
+    Args:
+        task: The task.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        from drone_env.planning.nearby import ENTRIES, entry_count  # Imported lazily: compiling takes seconds.
+
+        self.task = task
+        self.table_size = ENTRIES
+        """Rows of the embedding table, the same for every task."""
+        self.space = spaces.Dict(
+            {
+                "entries": spaces.Box(0, ENTRIES - 1, (entry_count(task),), np.int32),
+                "features": spaces.Box(-1.0, 1.0, (task.telemetry_size + 6,), np.float32),
+            }
+        )
+
+    def __call__(self, observation: Shown) -> dict[str, npt.NDArray[Any]]:
+        """The observation in this form."""
+        from drone_env.planning.nearby import entries_of
+
+        grid, telemetry = observation["grid"], observation["telemetry"]
+        flat = np.reshape(telemetry, (-1, telemetry.shape[-1]))
+        entries = entries_of(self.task, grid.reshape(-1, *grid.shape[-2:]), flat)
+        to_target = telemetry[..., 3:5] - telemetry[..., :2]
+        features = [telemetry, to_target, np.sign(to_target), np.abs(to_target)]
+        return {
+            "entries": entries.reshape(*telemetry.shape[:-1], -1),
+            "features": np.concatenate(features, axis=-1, dtype=np.float32),
+        }

@@ -12,9 +12,8 @@ from drone_env.core.actions import N_ACTIONS
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.forms import to_planes, to_vector
 from drone_env.envs.vector import DroneDeliveryVectorEnv
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, StopObservation
 from drone_env.errors import InvalidValueError, UnknownNameError
 
 try:
@@ -25,7 +24,7 @@ except ModuleNotFoundError as error:
 
 Observations = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
 
-FORMS = {"dict": OneHotPlanes, "flat": FlatObservation}
+FORMS = {"dict": OneHotPlanes, "flat": FlatObservation, "stops": StopObservation}
 """The forms of the observation, and the wrapper of a single drone with the same form."""
 
 
@@ -48,7 +47,8 @@ class DroneDeliveryVecEnv(VecEnv):
         reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
         observation: `dict` for `{"grid": uint8[N, kinds, H, W], "telemetry": float32[N, n]}`, the grid as one-hot
             planes, for `MultiInputPolicy`; `flat` for float32[N, kinds * H * W + n], the planes and then the
-            telemetry, for `MlpPolicy`. n is the task's `telemetry_size`: 5, 6 or 13.
+            telemetry, for `MlpPolicy`; `stops` for `forms.StopEntries`, for a features extractor with an embedding
+            table. n is the task's `telemetry_size`: 5, 6 or 13.
 
     Raises:
         UnknownNameError: if the task, version, profile or form of the observation does not exist.
@@ -73,6 +73,7 @@ class DroneDeliveryVecEnv(VecEnv):
         self.observation = observation
         self.render_mode = None  # the base class reads it through get_attr()
         single = FORMS[observation](DroneDeliveryEnv(self.task))
+        self._to_form: Any = single.func
         super().__init__(self.batch.num_envs, single.observation_space, spaces.Discrete(N_ACTIONS))
         self._actions: Any = None
         self._returns = np.zeros(self.num_envs)
@@ -158,9 +159,7 @@ class DroneDeliveryVecEnv(VecEnv):
 
     def _observations(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Observations:
         """New observations from uint8[n, H, W] and float32[n, telemetry_size]."""
-        if self.observation == "flat":
-            return to_vector({"grid": grids, "telemetry": telemetry})
-        return to_planes({"grid": grids, "telemetry": telemetry.copy()})
+        return self._to_form({"grid": grids, "telemetry": telemetry.copy()})
 
     def _add_finals(self, infos: list[dict[str, Any]]) -> None:
         """Fill in the infos of the episodes that ended in the last step."""

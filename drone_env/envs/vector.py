@@ -35,7 +35,8 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         num_envs: N, at least 1.
         task: A task or its name.
         version: The task's version; None for the current one.
-        reward_profile: A reward profile, its name, or the path of a TOML file that defines one.
+        reward_profile: A reward profile, its name, or the path of a TOML file that defines one. `aligned` shapes with a
+            discount of 0.99; for a learner with another, `core.rewards.profile_for_discount` makes the profile.
         autoreset_mode: When the next episode starts: at the `NEXT_STEP`, in the `SAME_STEP`, or, if `DISABLED`, by
             a `reset` with a mask. An `AutoresetMode`, its name or its value.
         copy: If True, observations, rewards and masks are copies. If False, they are read-only views of the live

@@ -3,6 +3,7 @@
 import ctypes
 import math
 import sys
+import time
 from copy import deepcopy
 from dataclasses import asdict
 from typing import Any, ClassVar, NamedTuple
@@ -96,6 +97,15 @@ class BaseTrainer:
         """The lines of the log."""
         self.best: dict[str, torch.Tensor] = {}
         """The parameters of the network to export; empty before the first validation."""
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Processor time of this training, including the parts before a resume."""
+        return time.process_time() - self._cpu_since
+
+    @cpu_seconds.setter
+    def cpu_seconds(self, seconds: float) -> None:
+        self._cpu_since = time.process_time() - seconds
 
     def get_state(self) -> dict[str, Any]:
         """The state of the training as tensors and plain values."""

@@ -4,6 +4,7 @@ A new hyperparameter is one more field.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, get_origin, get_type_hints
@@ -140,14 +141,19 @@ class TrainConfig:
 
     def identity(self) -> dict[str, Any]:
         """The settings that a resumed run shares with its checkpoint, task and reward profile in full."""
-        task, own = get_task(self.task), own_profile(self.reward_profile)
-        rewards = {} if own is None else {f"reward {own.id}": own.digest}
-        return {name: value for name, value in asdict(self).items() if name not in self.unsaved} | {
-            "task": task.id,
-            "task_version": task.version,
-            **custom_task_rules(task),
-            **rewards,
-        }
+        return one_task_identity(self, self.unsaved)
+
+
+def one_task_identity(config: Any, unsaved: Collection[str]) -> dict[str, Any]:
+    """The settings of a training on one task, except those that may change; task and reward profile in full."""
+    task, own = get_task(config.task), own_profile(config.reward_profile)
+    rewards = {} if own is None else {f"reward {own.id}": own.digest}
+    return {name: value for name, value in asdict(config).items() if name not in unsaved} | {
+        "task": task.id,
+        "task_version": task.version,
+        **custom_task_rules(task),
+        **rewards,
+    }
 
 
 ORIGINAL = TrainConfig(
@@ -211,6 +217,96 @@ def preset(name: Literal["fast", "original"], task: str, episodes: int | None = 
         epsilon_steps=max(episodes * known.max_steps * 2 // 5, 1),
         validation_every=max(episodes // 10, 1),
     )
+
+
+# PPO
+
+
+@dataclass(frozen=True)
+class PpoConfig:
+    """The settings of one PPO training; `ppo_preset` makes one to start from."""
+
+    unit: ClassVar[str] = "steps"
+    """The field that sets the length of a training."""
+    checkpoint_episodes: ClassVar[int] = 1
+    """Minimum number of steps between two checkpoints."""
+
+    task: str = "easy"
+    """The task, by its short name, id or grader."""
+    steps: PositiveInt = 500_000
+    """Number of environment steps. Learning rate and entropy bonus fall to 0 over them."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Seed of the weights, maps, actions and batches: equal seeds give equal runs on a CPU."""
+    reward_profile: str = DEFAULT_PROFILE
+    """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
+    num_threads: PositiveInt = 1
+    """Number of PyTorch threads. It changes the last bits of a run."""
+    num_envs: PositiveInt = 256
+    """Number of parallel environments."""
+    num_steps: PositiveInt = 32
+    """Steps of each environment between two rounds of updates."""
+    update_epochs: PositiveInt = 4
+    """Number of times that a round learns from each step."""
+    minibatch_size: Annotated[int, Field(ge=2)] = 2_048
+    """Steps per update."""
+    hidden: PositiveInt = 128
+    """Units of each hidden layer."""
+    gamma: Share = 0.99
+    """Discount factor."""
+    gae_lambda: Share = 0.95
+    """Decay of generalised advantage estimation."""
+    clip: PositiveFloat = 0.2
+    """Largest change of an action's probability, relative to 1, that an update gains from."""
+    entropy_weight: NonNegativeFloat = 0.03
+    """Weight of the entropy bonus at the start."""
+    value_weight: NonNegativeFloat = 0.5
+    """Weight of the loss of the values."""
+    reward_scale: PositiveFloat = 5.0
+    """Factor on the rewards that the network learns."""
+    learning_rate: PositiveFloat = 1e-3
+    """Learning rate of Adam at the start."""
+    max_grad_norm: PositiveFloat = 0.5
+    """Maximum norm of the gradient."""
+    average: ShareBelowOne = 0.99
+    """Decay of the moving average of the weights, which is the network that flies."""
+    validation_every: PositiveInt = 100_000
+    """Steps between two validations."""
+    validation_maps: PositiveInt = 200
+    """Number of validation maps."""
+    log_every: PositiveInt = 50_000
+    """Steps per line of the log."""
+    checkpoint_seconds: NonNegativeFloat = 10.0
+    """Minimum time between two checkpoints in seconds."""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        get_task(self.task)
+        get_reward_profile(self.reward_profile)
+
+    @property
+    def name(self) -> str:
+        """The name of the training's files."""
+        return f"ppo_{get_task(self.task).short_name}"
+
+    def identity(self) -> dict[str, Any]:
+        """The settings that a resumed run shares with its checkpoint, task and reward profile in full."""
+        return one_task_identity(self, ("steps", "checkpoint_seconds"))
+
+
+PPO_STEPS = {
+    "easy_delivery": 200_000,
+    "medium_delivery": 300_000,
+    "hard_delivery": 400_000,
+    "skyline_easy": 2_000_000,
+    "rush_easy": 1_000_000,
+}
+"""Number of steps of PPO by task; other tasks take `MORE_STEPS`."""
+MORE_STEPS = 4_000_000
+
+
+def ppo_preset(task: str) -> PpoConfig:
+    """The settings of PPO for a task."""
+    return PpoConfig(task=task, steps=PPO_STEPS.get(get_task(task).id, MORE_STEPS))
 
 
 # The tour network

@@ -1,4 +1,4 @@
-"""The networks in PyTorch: PathQNet, which values actions, and the tour network, which chooses where to fly next.
+"""The networks in PyTorch: PathQNet, which values actions; the tour network, which chooses where to fly next; PPO's.
 
 PathQNet:
 
@@ -131,3 +131,32 @@ class TourNet(nn.Module):
         y = y + torch.relu(self.hidden(y))
         y = self.head(y)
         return y[:, 0], y[:, 1]
+
+
+class ActorCritic(nn.Module):
+    """The logits of the actions, float32[B, 5], and the values of the states, float32[B].
+
+    Inputs are those of `envs.forms.StopEntries`: entries int32[B, L] and features float32[B, features].
+    """
+
+    def __init__(self, entries: int, features: int, hidden: int) -> None:
+        super().__init__()
+        self.stops = nn.EmbeddingBag(entries, hidden, mode="sum", padding_idx=0)
+        nn.init.normal_(self.stops.weight, std=0.05)
+        nn.init.zeros_(self.stops.weight.data[0])
+        self.features, self.hidden = orthogonal(features, hidden), orthogonal(hidden, hidden)
+        self.actor, self.critic = orthogonal(hidden, N_ACTIONS, 0.01), orthogonal(hidden, 1, 1.0)
+
+    def forward(self, entries: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits and values of B states."""
+        x = torch.relu(self.stops(entries) + self.features(features))
+        x = torch.relu(self.hidden(x))
+        return self.actor(x), self.critic(x)[:, 0]
+
+
+def orthogonal(inputs: int, outputs: int, gain: float = sqrt(2)) -> nn.Linear:
+    """A linear layer with orthogonal weights."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer

@@ -10,7 +10,6 @@ run generates the last ones again and continues bit for bit.
 """
 
 import math
-import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -202,15 +201,6 @@ class TourTrainer(BaseTrainer):
 
     def _generator(self, task: TaskConfig) -> SampleGenerator:
         return SampleGenerator(task, self.config.maps_per_chunk, self.config.states_per_map)
-
-    @property
-    def cpu_seconds(self) -> float:
-        """Processor time of this training, including the parts before a resume."""
-        return time.process_time() - self._cpu_since
-
-    @cpu_seconds.setter
-    def cpu_seconds(self, seconds: float) -> None:
-        self._cpu_since = time.process_time() - seconds
 
     def train(self) -> Iterator[list[TourProgress]]:
         """Train until `config.updates` updates; yields the new log lines after each update.

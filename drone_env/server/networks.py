@@ -10,7 +10,7 @@ from pathlib import Path
 from drone_env.agents import AGENTS, NETWORK_AGENTS, make_agent, tournet
 from drone_env.agents.base import Agent
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
-from drone_env.agents.weights_file import TOURNET, network_of
+from drone_env.agents.weights_file import PPO, network_of
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.files import file_identity
@@ -33,14 +33,15 @@ def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
 
 
 class Networks:
-    """The agents of the pilots, with the PathQNets and tour networks of the server, shipped and trained. Thread-safe.
+    """The agents of the pilots, with the networks of the server, shipped and trained. Thread-safe.
 
     A trained PathQNet has priority over the shipped one. A file that has changed is read again, so a server uses a new
     network without a restart.
 
     Args:
         shipped: Folder with `<task id>_v<version>.safetensors` and `tournet_v1.safetensors`.
-        trained: Data folder with `<short name>`, `tournet_<short name>` and `tournet`, all `.safetensors`.
+        trained: Data folder with `<short name>`, `ppo_<short name>`, `tournet_<short name>` and `tournet`, all
+            `.safetensors`.
     """
 
     def __init__(self, shipped: Path, trained: Path) -> None:
@@ -100,7 +101,7 @@ class Networks:
         return NETWORK_AGENTS[kind](task, found) if isinstance(found, Path) else found
 
     def network(self, pilot: str, task: TaskConfig) -> PathQNetAgent | Path:
-        """Return the network of a pilot for a task: the PathQNet, or the file of a tour network, whose agents are new.
+        """Return the network of a pilot for a task: the PathQNet, or the file of another network, whose agents are new.
 
         Raises:
             UnsupportedTaskError: if there is none.
@@ -113,7 +114,7 @@ class Networks:
                 if identity is None:
                     raise UnsupportedTaskError(f"there is no network for {task.id!r}: {pilot!r} has no {file.name}")
                 if file not in self._loaded or self._loaded[file][0] != identity:
-                    network = PathQNetAgent(task, file) if pilot in (TRAINED, NETWORK) else _tour_file(file)
+                    network = PathQNetAgent(task, file) if pilot in (TRAINED, NETWORK) else _checked(file, pilot)
                     self._loaded[file] = identity, network
             except OSError as error:
                 raise CheckpointError(f"{file.name} cannot be read: {error.strerror}") from None
@@ -121,10 +122,12 @@ class Networks:
 
     def file(self, pilot: str, task: TaskConfig) -> Path:
         """Return the path of a pilot's network for a task, whether it exists or not."""
-        trained = BUILTIN_PILOTS[pilot].trained
+        _, _, network, trained = BUILTIN_PILOTS[pilot]
         folder = self._trained if trained else self._shipped
         if pilot in (TRAINED, NETWORK):
             return folder / (f"{task.short_name}.safetensors" if trained else shipped_network(task).name)
+        if network == PPO:
+            return folder / f"ppo_{task.short_name}.safetensors"
         if not trained:
             return folder / tournet.SHIPPED.name
         # A network of this task has priority over one of all tasks.
@@ -136,9 +139,9 @@ class Networks:
         return next((pilot for pilot in (TRAINED, NETWORK) if self.file(pilot, task).exists()), None)
 
 
-def _tour_file(file: Path) -> Path:
-    """Return the file if its header names a tour network. Agents read the rest, which compiles code."""
-    network = network_of(file)
-    if network != TOURNET:
-        raise CheckpointError(f"{file} holds a network of {network!r}, not of {TOURNET!r}")
+def _checked(file: Path, pilot: str) -> Path:
+    """Return the file if its header names the pilot's network. Agents read the rest, which compiles code."""
+    network, flown = network_of(file), BUILTIN_PILOTS[pilot].network
+    if network != flown:
+        raise CheckpointError(f"{file} holds a network of {network!r}, not of {flown!r}")
     return file

@@ -29,6 +29,7 @@ BUILTIN_PILOTS: dict[str, Pilot] = {
     "trained-tournet": Pilot(
         "Tournet trained here", "The tour network that you trained, from the same folder.", "tournet", trained=True
     ),
+    "trained-ppo": Pilot("PPO trained here", "The policy that you trained, from the same folder.", "ppo", trained=True),
     NETWORK: Pilot(
         "PathQNet", "The network that is shipped: sees the map, takes the action of the highest value.", "pathqnet"
     ),

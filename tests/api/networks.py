@@ -10,6 +10,7 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tournet import SHIPPED
 from drone_env.agents.weights_file import write_weights
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.planning.nearby import ENTRIES
 
 
 def put_network(task: TaskConfig, folder: Path) -> Path:
@@ -38,8 +39,21 @@ def write_network(task: TaskConfig, file: Path, times: float = 1) -> Path:
 
 def put_tour(file: Path, seed: int = 0) -> Path:
     """Write a tour network with random weights, and return its file."""
+    shapes = {name: array.shape for name, array in load_tour_network(SHIPPED).parameters.items()}
+    return put_random(file, shapes, {"network": "tournet"}, seed)
+
+
+def put_policy(task: TaskConfig, data: Path) -> Path:
+    """Write a policy of PPO with random weights into the data folder, and return its file."""
+    shapes = {"stops.weight": (ENTRIES, 4), "features.weight": (4, task.telemetry_size + 6), "features.bias": (4,)}
+    shapes |= {"hidden.weight": (4, 4), "hidden.bias": (4,), "actor.weight": (5, 4), "actor.bias": (5,)}
+    file = data / f"ppo_{task.short_name}.safetensors"
+    return put_random(file, shapes, {"network": "ppo", "telemetry_size": task.telemetry_size})
+
+
+def put_random(file: Path, shapes: dict[str, tuple[int, ...]], metadata: dict[str, Any], seed: int = 0) -> Path:
     file.parent.mkdir(exist_ok=True)
-    rng, shipped = np.random.default_rng(seed), load_tour_network(SHIPPED).parameters
-    parameters: dict[str, Any] = {name: rng.normal(0, 0.1, array.shape).astype("f4") for name, array in shipped.items()}
-    write_weights(file, parameters, {"network": "tournet"})
+    rng = np.random.default_rng(seed)
+    parameters: dict[str, Any] = {name: rng.normal(0, 0.1, shape).astype("f4") for name, shape in shapes.items()}
+    write_weights(file, parameters, metadata)
     return file

@@ -11,7 +11,7 @@ from drone_env.server.app import create_app
 from drone_env.server.routes.flights import MOST_FLIGHTS
 from drone_env.server.settings import Settings
 from tests.api.flying import ByHand, directions, flown, start
-from tests.api.networks import put_network, put_tour
+from tests.api.networks import put_network, put_policy, put_tour
 from tests.unit.stores import open_sessions
 
 
@@ -20,6 +20,7 @@ def test_a_race_is_what_the_agents_fly_beside_what_pathqnet_thinks(tmp_path: Pat
     shipped, trained = put_tour(weights / "tournet_v1.safetensors"), put_tour(data / "tournet.safetensors", 1)
     pilots = {
         "trained-tournet": f"tournet:{trained}",
+        "trained-ppo": f"ppo:{put_policy(get_task('hard'), data)}",
         "tournet": f"tournet:{shipped}",
         "pathqnet": f"pathqnet:{put_network(get_task('hard'), weights)}",
     }
@@ -29,7 +30,7 @@ def test_a_race_is_what_the_agents_fly_beside_what_pathqnet_thinks(tmp_path: Pat
         # Who opens the link again flies no other flight.
         assert start(client, *pilots, task="hard", reward_profile="composite") == flights
         stored = {row["id"]: (row["agent"], row["score"]) for row in client.get("/episodes").json()["episodes"]}
-    assert len(stored) == 3
+    assert len(stored) == len(pilots)
     for shown, (pilot, agent) in zip(flights, pilots.items(), strict=True):
         episode, frames = flown("hard", agent, profile="composite"), shown["frames"]
         assert [frame["action"] for frame in frames] == [None, *directions(episode)]

@@ -21,7 +21,10 @@ from tests.same import assert_same
 PAGE = ROOT / "docs" / "libraries.md"
 
 
-@pytest.mark.parametrize(("task", "form"), [(TASKS["easy_delivery"], "dict"), (TASKS["skyline_easy"], "flat")])
+@pytest.mark.parametrize(
+    ("task", "form"),
+    [(TASKS["easy_delivery"], "dict"), (TASKS["skyline_easy"], "flat"), (TASKS["skyline_easy"], "stops")],
+)
 def test_it_does_what_sb3s_own_vectorisation_of_single_drones_does(task: Any, form: str) -> None:
     ours = DroneDeliveryVecEnv(task, N, observation=form)
     theirs = DummyVecEnv([lambda: Monitor(FORMS[form](DroneDeliveryEnv(task)))] * N)

@@ -24,6 +24,7 @@ FORMS: dict[str, tuple[Any, Any]] = {
     "plain": (lambda env: env, lambda env: env),
     "planes": (wrappers.OneHotPlanes, vector.OneHotPlanes),
     "flat": (wrappers.FlatObservation, vector.FlatObservation),
+    "stops": (wrappers.StopObservation, vector.StopObservation),
 }
 
 
@@ -39,7 +40,12 @@ def assert_seen(told: tuple[Any, dict[str, Any]], expected: tuple[Any, dict[str,
 
 @pytest.mark.parametrize(
     ("mode", "form"),
-    [(AutoresetMode.NEXT_STEP, "planes"), (AutoresetMode.SAME_STEP, "plain"), (AutoresetMode.DISABLED, "flat")],
+    [
+        (AutoresetMode.NEXT_STEP, "planes"),
+        (AutoresetMode.SAME_STEP, "plain"),
+        (AutoresetMode.SAME_STEP, "stops"),
+        (AutoresetMode.DISABLED, "flat"),
+    ],
 )
 @several
 @given(task=TASK, profile=PROFILES, seeds=st.lists(SEEDS, min_size=N, max_size=N), number=NUMBERS)

@@ -7,7 +7,8 @@ from typing import Any, TypeVar
 import torch
 from torch import nn
 
-from drone_env.rl.config import TourConfig, TrainConfig
+from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig
+from drone_env.rl.ppo import PpoTrainer
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tournet import TourTrainer
 from drone_env.rl.trainer import Trainer
@@ -40,7 +41,19 @@ SMALL_TOUR = TourConfig(
     log_every=2,
     checkpoint_seconds=3600,
 )
-AnyTrainer = TypeVar("AnyTrainer", Trainer, TourTrainer)
+SMALL_PPO = PpoConfig(
+    task="skyline_easy",
+    steps=320,
+    num_envs=8,
+    num_steps=8,
+    minibatch_size=16,
+    hidden=8,
+    validation_every=128,
+    validation_maps=3,
+    log_every=64,
+    checkpoint_seconds=3600,
+)
+AnyTrainer = TypeVar("AnyTrainer", Trainer, PpoTrainer, TourTrainer)
 
 
 def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun:

@@ -103,7 +103,7 @@ def test_the_maps_of_a_command() -> None:
         (["dataset", "--out", "set", "--epsilon", "2"], "0 to 1"),
         (["dataset", "--out", "set", "--agents", "greedy", "greedy"], "each once"),
         (["dataset", "--out", "set", "--prompt", "poem"], "unknown prompt 'poem'"),
-        (["train", "--task", "all"], "add --network tournet"),
+        (["train", "--task", "all"], "add --algorithm tournet"),
         (["serve", "--port", "99999"], "--port: must be less than or equal to 65535"),
         ([], "name a command, such as fly"),
     ],
@@ -132,7 +132,7 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
         (["fly", "--help"], 0, "Example: drone-env"),
         (["solve", "--help"], 0, "(optional)"),
         (["train", "--gamma", "high"], 2, "could not convert string to float: 'high'"),
-        (["train", "--network", "tournet", "--preset", "original"], 2, "--preset"),
+        (["train", "--algorithm", "tournet", "--preset", "original"], 2, "--preset"),
     ],
 )
 def test_help_is_a_manual_and_wrong_options_are_named(

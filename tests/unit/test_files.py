@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from drone_env.agents.pathqnet import load_network
+from drone_env.agents.ppo import load_actor
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.openstreetmap import import_city
@@ -28,6 +29,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "town.osm": import_city,
     "easy.safetensors": load_network,
     "tournet.safetensors": load_tour_network,
+    "ppo_easy.safetensors": load_actor,
     "easy.pth": load_checkpoint,
     "flight.json": load_record,
     "flights of records.jsonl": lambda path: list(read_records(path)),

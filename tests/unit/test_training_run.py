@@ -18,7 +18,7 @@ from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl import common
-from drone_env.rl.config import TourConfig, TrainConfig
+from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig
 from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line, save_checkpoint
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
@@ -207,11 +207,12 @@ def test_the_command_trains_and_leaves_what_it_says(
 
 
 @pytest.mark.feature("L4")
-@pytest.mark.parametrize(("network", "config", "other"), [("pathqnet", TrainConfig, "--maps-per-chunk"),
-                                                          ("tournet", TourConfig, "--preset")])  # fmt: skip
-def test_every_value_is_a_flag(network: str, config: Any, other: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("algorithm", "config", "other"), [("dqn", TrainConfig, "--maps-per-chunk"),
+                                                            ("ppo", PpoConfig, "--episodes"),
+                                                            ("tournet", TourConfig, "--preset")])  # fmt: skip
+def test_every_value_is_a_flag(algorithm: str, config: Any, other: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["train", "--network", network, "--help"])
+        main(["train", "--algorithm", algorithm, "--help"])
     shown = capsys.readouterr().out
     assert [field.name for field in fields(config) if f"--{field.name.replace('_', '-')}" not in shown] == []
     assert other not in shown
@@ -246,7 +247,7 @@ def test_how_often_it_is_saved_and_how_the_task_is_called_makes_no_other_run() -
 
 
 TOUR = [
-    "train", "--network", "tournet", "--updates", "4", "--batch-size", "16", "--maps-per-chunk", "1",
+    "train", "--algorithm", "tournet", "--updates", "4", "--batch-size", "16", "--maps-per-chunk", "1",
     "--states-per-map", "8", "--window", "3", "--warm-up", "2", "--validation-every", "2", "--validation-maps", "3",
     "--log-every", "2",
 ]  # fmt: skip
@@ -275,7 +276,7 @@ def test_interrupted_it_saves_and_goes_on_to_the_same_end(
         # Of a network that was not validated, a server flies nothing.
         assert (tmp_path / "data" / file).with_suffix(".safetensors").exists() == (update == 3)
     # What is not said is as it was.
-    assert main(["train", "--network", "tournet", "--task", "skyline_easy"]) == 0
+    assert main(["train", "--algorithm", "tournet", "--task", "skyline_easy"]) == 0
     assert f"going on from data/{file}: 3 of 4 updates" in capsys.readouterr().err
     assert main([*EASY, "--data", "whole", "--results", "whole"]) == 0
     state = load_checkpoint(tmp_path / "data" / file)

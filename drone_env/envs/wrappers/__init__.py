@@ -1,4 +1,4 @@
-"""Wrappers: the optimum at the end of an episode, and observations as one-hot planes or as one vector."""
+"""Wrappers: the optimum at the end of an episode, and observations in other forms."""
 
 from typing import Any, SupportsFloat, cast
 
@@ -7,7 +7,7 @@ from gymnasium.wrappers import TransformObservation
 
 from drone_env.core.episode import Observation
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.forms import planes_space, to_planes, to_vector, vector_space
+from drone_env.envs.forms import StopEntries, planes_space, to_planes, to_vector, vector_space
 from drone_env.planning.optimal import Solution, best_of
 
 Env = gymnasium.Env[Observation, int]
@@ -73,3 +73,12 @@ class FlatObservation(TransformObservation[Any, int, Observation]):
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env, to_vector, vector_space(env.observation_space))
+
+
+class StopObservation(TransformObservation[Any, int, Observation]):
+    """The stops as the drone sees them, for an embedding table: `forms.StopEntries`."""
+
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        form = StopEntries(cast(DroneDeliveryEnv, env.unwrapped).task)
+        super().__init__(env, form, form.space)

@@ -1,0 +1,81 @@
+"""The network of PPO in NumPy, from an exported file, and its agent."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.agents.base import StatelessAgent
+from drone_env.agents.weights_file import PPO, Array, Weights, in_one_thread, read_weights, rejecting
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import CheckpointError
+
+
+class ActorNetwork:
+    """The logits of the five actions, float32[N, 5]: the same as `rl.model.ActorCritic` without the values.
+
+    Args:
+        weights: The content of an exported file; its metadata contain `telemetry_size`.
+    """
+
+    def __init__(self, weights: Weights) -> None:
+        self.parameters, self.metadata, self.digest = weights
+
+    @in_one_thread
+    def __call__(self, entries: npt.NDArray[np.int32], features: Array) -> Array:
+        """The logits, from entries int32[N, L] and features float32[N, n] of `envs.forms.StopEntries`."""
+        p = self.parameters
+        x = p["stops.weight"][entries].sum(axis=1) + features @ p["features.weight"].T + p["features.bias"]
+        x = np.maximum(np.maximum(x, 0) @ p["hidden.weight"].T + p["hidden.bias"], 0)
+        return x @ p["actor.weight"].T + p["actor.bias"]
+
+
+def load_actor(path: Path) -> ActorNetwork:
+    """Read an exported network.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it is not an exported network.
+    """
+    from drone_env.planning.nearby import ENTRIES  # Imported lazily: compiling takes seconds.
+
+    network = ActorNetwork(read_weights(path, PPO))
+    with rejecting(path):  # one call shows whether the parameters fit
+        features = np.zeros((1, network.metadata["telemetry_size"] + 6), np.float32)
+        network(np.array([[ENTRIES - 1]], np.int32), features)
+    return network
+
+
+class PpoAgent(StatelessAgent):
+    """Takes the likeliest action that does not bump.
+
+    Args:
+        task: The task.
+        network: The file of an exported network.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it is no network, or takes other telemetry than the task has.
+    """
+
+    def __init__(self, task: TaskConfig, network: Path) -> None:
+        # Imported lazily, because Gymnasium takes a while.
+        from drone_env.envs.forms import StopEntries
+
+        self._network = load_actor(network)
+        takes = self._network.metadata["telemetry_size"]
+        if takes != task.telemetry_size:
+            raise CheckpointError(
+                f"{network} takes {takes} values of telemetry, and {task.id!r} has {task.telemetry_size}"
+            )
+        self._task, self._look = task, StopEntries(task)
+        self.config: Mapping[str, object] = {"agent": "ppo", "version": 1, "network": self._network.digest}
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The likeliest actions, int64[N]."""
+        from drone_env.planning.nearby import action_masks
+
+        seen = self._look({"grid": grids, "telemetry": telemetry})
+        logits = self._network(seen["entries"], seen["features"])
+        return np.where(action_masks(self._task, grids, telemetry), logits, -np.inf).argmax(axis=1)

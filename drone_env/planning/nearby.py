@@ -1,0 +1,140 @@
+"""What a drone has around it, as entries of an embedding table, and the actions that do not bump; compiled.
+
+Each stop, a waiting parcel or a pad, gives two entries. Both name its kind and the first action of the cheapest path to
+it; one adds the cost of that path, the other what is spare on arrival. So a network need not search paths.
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.cells import DELIVERY_CELL, N_CELL_KINDS, PAD_CELL, ROAD_CELL
+from drone_env.core.compiled import jitable, kernel
+from drone_env.core.rules import NONE, collision, open_actions
+from drone_env.core.tables import CELL, N_MOVES, Tables, tabulate
+from drone_env.core.tasks import TERRAIN, TaskConfig
+from drone_env.planning.from_observation import drone_positions
+from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs
+
+WAIT = int(Action.WAIT)
+EXACT, WIDTH, BUCKETS = 16, 4, 25
+"""Numbers below `EXACT` have a bucket each, `WIDTH` larger ones share one. Bucket 0 is for negative numbers."""
+BY_ACTION = N_ACTIONS * BUCKETS
+COSTS = 1  # entry 0 is padding
+SPARES = COSTS + 2 * BY_ACTION
+UNITS = SPARES + 2 * BY_ACTION
+NEIGHBOURS = UNITS + BUCKETS
+ENTRIES = NEIGHBOURS + N_MOVES * N_CELL_KINDS
+"""The first entry of each part, and the size of the table: cost of the path to a stop, spare units at it, units of the
+battery, kinds of the cells beside the drone. The numbers are frozen: weights depend on them."""
+
+
+@jitable
+def bucket(number: int) -> int:
+    """The bucket of a number, 0 to `BUCKETS` - 1."""
+    if number < 0:
+        return 0
+    if number < EXACT:
+        return number + 1
+    return min(EXACT + 1 + (number - EXACT) // WIDTH, BUCKETS - 1)
+
+
+@kernel
+def entries_kernel(tables: Tables, grounds: Any, drones: Any, kind_costs: Any, work: Any, entries: Any) -> None:
+    """Fill in the entries of N drones.
+
+    Args:
+        tables: The task's tables.
+        grounds: uint8[N, cells], the kinds of the cells without the drones.
+        drones: int64[N, 2], cell and units left.
+        kind_costs: int64[kinds], cost of a move onto each kind of cell.
+        work: int64[4, cells], working memory.
+        entries: int32[N, at least all entries of one drone], zeros.
+    """
+    from_drone, first, to_pad, unused = work[0], work[1], work[2], work[3]
+    moves: Any = tables.moves
+    for i in range(len(grounds)):
+        ground, drone, units = grounds[i], drones[i, 0], drones[i, 1]
+        pads = waiting = 0
+        for cell in range(tables.cells):
+            from_drone[cell] = to_pad[cell] = NO_PATH
+            first[cell] = unused[cell] = NO_ACTION
+            if ground[cell] == PAD_CELL:
+                to_pad[cell] = 0
+                pads += 1
+            elif ground[cell] == DELIVERY_CELL:
+                waiting += 1
+        from_drone[drone] = 0
+        find_costs(tables, ground, kind_costs, from_drone, first)
+        if pads > 0 and waiting > 1:
+            find_costs(tables, ground, kind_costs, to_pad, unused)
+        entries[i, 0] = UNITS + bucket(units)
+        n = 1
+        for action in range(N_MOVES):
+            to = moves[drone * N_ACTIONS + action]
+            if collision(tables, ground, to) == NONE:
+                entries[i, n] = NEIGHBOURS + action * N_CELL_KINDS + ground[to]
+                n += 1
+        for cell in range(tables.cells):
+            is_parcel = ground[cell] == DELIVERY_CELL
+            if from_drone[cell] == NO_PATH or not (is_parcel or ground[cell] == PAD_CELL):
+                continue
+            cost = from_drone[cell] // UNIT_COST
+            spare = units - cost - 1  # the last unit ends the flight
+            if is_parcel and pads > 0 and waiting > 1:
+                # Found backwards: a move pays for the cell that it enters.
+                back = to_pad[cell] - kind_costs[DELIVERY_CELL] + kind_costs[PAD_CELL]
+                spare = spare - back // UNIT_COST if to_pad[cell] < NO_PATH else -1
+            action = WAIT if cell == drone else first[cell]
+            row = is_parcel * BY_ACTION + action * BUCKETS
+            entries[i, n] = COSTS + row + bucket(cost)
+            entries[i, n + 1] = SPARES + row + bucket(spare)
+            n += 2
+
+
+@kernel
+def mask_kernel(tables: Tables, grids: Any, drones: Any, state: Any, masks: Any) -> None:
+    """Write the open actions of N drones, as `rules.open_actions`, int64[N]."""
+    for i in range(len(grids)):
+        state[CELL] = drones[i]
+        masks[i] = open_actions(tables, grids[i], state)
+
+
+def entries_of(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int32]:
+    """The entries of N observations, int32[N, 5 + 2 * (parcels + pads)]; 0 for those that are missing."""
+    tables, n = tabulate(task), len(grids)
+    cells = _drone_cells(task, grids, telemetry)
+    grounds = grids.reshape(n, -1).copy()
+    shown: Any = np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)] if task.pads else ROAD_CELL
+    grounds[np.arange(n), cells] = shown
+    units = np.rint(telemetry[:, 2] * task.battery_capacity).astype(np.int64)
+    entries = np.zeros((n, entry_count(task)), np.int32)
+    work = np.zeros((4, tables.cells), np.int64)
+    entries_kernel(tables, grounds, np.stack([cells, units], axis=1), move_costs(tables), work, entries)
+    return entries
+
+
+def entry_count(task: TaskConfig) -> int:
+    """The largest number of entries of a drone."""
+    return 1 + N_MOVES + 2 * (task.deliveries + task.pads)
+
+
+def action_masks(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.bool_]:
+    """The actions that do not bump, bool[N, 5], of N observations: as `info["action_mask"]`."""
+    masks = np.zeros(len(grids), np.dtype("<i8"))
+    cells, state = _drone_cells(task, grids, telemetry), np.zeros(CELL + 1, np.uint16)
+    mask_kernel(tabulate(task), grids.reshape(len(grids), -1), cells, state, masks)
+    return masks.view(np.bool_).reshape(-1, 8)[:, :N_ACTIONS]
+
+
+def _drone_cells(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int64]:
+    x, y = drone_positions(task, grids, telemetry).T
+    return y * task.width + x
