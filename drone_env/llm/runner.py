@@ -10,7 +10,7 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common
 from drone_env.llm.budget import LimitReachedError, RateLimiter
 from drone_env.llm.config import RunConfig
 from drone_env.llm.on_server import repeat_on_server
@@ -137,7 +137,7 @@ class Calls:
             try:
                 answer = await self.sender.send(run.request(self.changes), str(run.key))
                 latency = time.monotonic() - sent
-                return answer, read_answer(answer, run.prompt.plan, run.prompt.marks), latency
+                return answer, run.read(answer), latency
             except TryFailedError as error:
                 failed = error
             if failed.changes:
