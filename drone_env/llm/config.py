@@ -20,6 +20,8 @@ OPENAI = "https://api.openai.com/v1"
 OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
+LOCAL = r"local:(bfloat16|float32):[0-9a-f]{16}"
+"""In place of an endpoint's address: the type of a local model's numbers, and the digest of its files."""
 PROVIDERS_KEY = re.compile(r"\Ahf_|\Ask-.*T3BlbkFJ")
 """Beginning of a key of Hugging Face, and a part of every key of OpenAI."""
 
@@ -131,6 +133,8 @@ class RunConfig(StrictModel):
     @field_validator("base_url")
     @classmethod
     def _check_url(cls, url: str) -> str:
+        if re.fullmatch(LOCAL, url):
+            return url
         parts = urlsplit(url)
         plain = "@" not in parts.netloc and not parts.query and not parts.fragment
         if parts.scheme not in ("http", "https") or not parts.hostname or not plain:
