@@ -119,7 +119,7 @@ class Trajectory(NamedTuple):
             random actions replace some, `reward`, `event` (`Event`), `regret`, `optimal_actions`, and the `score` after
             it and whether it `terminated` the flight.
         end: `grid`, `telemetry` and `action_mask` of the last state, after which nothing is flown.
-        stops: Of a flight by stops: for each, the number of earlier steps, and V* after each stop in reach, by label.
+        stops: Of a flight by stops: for each, the number of earlier steps, and the `stop_values`.
     """
 
     number: int
@@ -175,7 +175,7 @@ def _fly_stops(number: int, episode: Episode, solver: Solver, name: str, epsilon
 
     def actions() -> Iterator[tuple[int, int]]:
         for share, _ in random_actions(name, episode.seed):
-            ways, values = ways_of(episode), stop_values(episode, solver)
+            ways, values = ways_of(episode), stop_values(episode)
             if not values:
                 break
             requests.append((episode.steps, values))

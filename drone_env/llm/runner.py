@@ -213,8 +213,10 @@ def summary_lines(result: RunResult) -> list[str]:
     unusable, lines = Unusable.among(turns_of(results)), list[str]()
     mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
-        counted = [one.success for one in results if one.status != "errored"]
-        flights = f"{plural(len(counted), 'flight')}, {sum(counted)} delivered everything"
+        counted = [one for one in results if one.status != "errored"]
+        flights = f"{plural(len(counted), 'flight')}, {sum(one.success for one in counted)} delivered everything"
+        decisions, steps = sum(turns_of(counted).values()), sum(one.steps for one in counted)
+        flights += f" by {plural(decisions, 'decision')} in {plural(steps, 'step')}"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))

@@ -11,14 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS, Action, Event
-from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rules import score_of
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, least_units, move_costs
-from drone_env.planning.solver import Solver
 from drone_env.planning.states import require_memory, state_arrays
 
 WAIT = int(Action.WAIT)
@@ -60,6 +59,7 @@ class NextStop(NamedTuple):
     label: str
     """`A`, `B` and so on: first the parcels, by index, then the pads, by cell. A stop keeps it for the whole flight."""
     is_parcel: bool
+    cell: int
     actions: list[Action]
     """The path and the waits."""
     cost: int
@@ -298,6 +298,62 @@ def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, 
 
 
 @kernel
+def stop_value_kernel(stops: StopMap, units: Any, steps: Any, work: Any, values: Any) -> None:
+    """Compute the highest score by stops from each state, if no path leads on beyond a waiting parcel.
+
+    Args:
+        stops: The map; its ground is modified.
+        units: int64[sets delivered, stops, stops], receives the battery units of the cheapest paths.
+        steps: The same shape, receives their steps.
+        work: int64[2, cells], working memory.
+        values: float64[sets delivered, stops, units + 1, steps left + 1], receives the scores.
+    """
+    n, n_stops, everything, capacity = stops.parcels, len(units[0]), len(units) - 1, stops.tables.capacity
+    costs, first, cells = work[0], work[1], stops.cells
+    for delivered in range(everything):
+        for parcel in range(n):
+            stops.ground[cells[parcel]] = DELIVERED_CELL if delivered >> parcel & 1 else DELIVERY_CELL
+        for place in range(n_stops):
+            costs[:] = NO_PATH
+            first[:] = NO_ACTION
+            costs[cells[place]] = 0
+            find_costs(stops.tables, stops.ground, stops.kind_costs, stops.through, costs, first)
+            for stop in range(n_stops):
+                cost = costs[cells[stop]]
+                units[delivered, place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
+                steps[delivered, place, stop] = cost % UNIT_COST if cost < NO_PATH else FAR
+    for left in range(values.shape[3]):  # each stop takes a step at least
+        for delivered in range(everything + 1):
+            ways = StopMap(
+                stops.tables,
+                stops.ground,
+                stops.kind_costs,
+                stops.cells,
+                stops.parcels,
+                stops.through,
+                stops.costs,
+                units[delivered],
+                steps[delivered],
+                stops.passed,
+                stops.reserves,
+                stops.chains,
+            )
+            for place in range(n_stops):
+                if place < n and not delivered >> place & 1:
+                    continue
+                for charge in range(0 if place < n else capacity, capacity + 1):
+                    flight = Flight(delivered, place, charge, left)
+                    best = score_at(stops, flight)
+                    for stop in range(n_stops):
+                        if charge == 0 or (stop < n and delivered >> stop & 1):
+                            continue
+                        after = fly_to(ways, flight, stop)
+                        if after.left < left:
+                            best = max(best, values[after.delivered, after.place, after.units, after.left])
+                    values[delivered, place, charge, left] = best
+
+
+@kernel
 def route_kernel(stops: StopMap, flight: Flight, order: Any, actions: Any) -> int:
     """Write the actions of a flight to these stops, int64[steps], and return their number."""
     n = 0
@@ -387,19 +443,30 @@ def next_stops(episode: Episode) -> list[NextStop]:
         n = route_kernel(stops, start, np.array([stop]), actions)
         way = list(map(Action, actions[:n].tolist()))
         facts = (int(stops.units[start.place, stop]), *_outlook(stops, after))
-        option = NextStop(_label(cells.index(cell)), stop < stops.parcels, way, *facts)
+        option = NextStop(_label(cells.index(cell)), stop < stops.parcels, cell, way, *facts)
         (repeated if cell in left_full else found).append(option)
     return found or repeated
 
 
-def stop_values(episode: Episode, solver: Solver) -> dict[str, float]:
-    """V* after each of `next_stops`, the highest score that can still be reached, by label.
+def stop_values(episode: Episode) -> dict[str, float]:
+    """The highest score that can still be reached by stops after each of `next_stops`, by label.
 
-    Args:
-        episode: The episode; it is not changed.
-        solver: Its solver.
+    Raises:
+        TooLargeError: as `measure_stops`, or if the values of all states take too much memory.
     """
-    return {stop.label: solver.value(episode.copy().fly(stop.actions)) for stop in next_stops(episode)}
+    task, found, left = episode.task, next_stops(episode), episode.task.max_steps - episode.steps
+    if not found:
+        return {}
+    ground, _, _ = state_arrays(episode)
+    stops = measure_stops(task, ground, episode.cell, through=False)
+    n, sets = len(stops.cells) - 1, 1 << stops.parcels
+    require_memory("the values of stops", task, 8 * sets * n * (2 * n + (task.battery_capacity + 1) * (left + 1)))
+    units, steps = np.zeros((2, sets, n, n), np.int64)
+    values = np.zeros((sets, n, task.battery_capacity + 1, left + 1))
+    stop_value_kernel(stops, units, steps, np.zeros((2, task.width * task.height), np.int64), values)
+    start, places = Flight(0, n, episode.battery_units, left), stops.cells.tolist()
+    ends = {stop.label: fly_to(stops, start, places.index(stop.cell)) for stop in found}
+    return {label: float(values[at.delivered, at.place, at.units, at.left]) for label, at in ends.items()}
 
 
 def _left_full(episode: Episode) -> set[int]:
