@@ -18,9 +18,9 @@ def chat_rows(config: DatasetConfig, flight: Trajectory) -> Iterator[dict[str, A
 
     The answer is the agent's, also if a random one is flown instead.
 
-    `step` is the number of earlier steps, `regret` is optimum - score, `options` are all actions in `DIRECTIONS`, or the
-    stops in reach. For each of the `actions` of the answer, `optimal_actions` contains the best options, and `regrets`
-    contains what each option loses: V* - Q*, or the best of `stop_values` minus its own.
+    `step` is the number of earlier steps, `regret` is optimum - score, `options` are the actions in `DIRECTIONS`, or
+    the stops in reach. For each of the `actions` of the answer, `optimal_actions` contains the best options, and
+    `regrets` contains what each option loses: V* - Q*, or the best of `stop_values` minus its own.
     """
     prompt = get_prompt(config.prompt or "")
     turns = _stop_turns(flight) if prompt.stop else _action_turns(prompt, flight)

@@ -217,8 +217,9 @@ def test_a_conversation_by_stops_is_that_of_a_run_with_the_best_stops(tmp_path: 
         config_of("skyline_easy", range(3), "train", prompt="stops")
 
 
-@pytest.mark.parametrize("task", ["skyline_easy", "rush_easy", "medium"])
-def test_the_best_stops_reach_the_score_that_they_promise(task: str) -> None:
+# A full charge can cost a parcel where steps are short.
+@pytest.mark.parametrize(("task", "most"), [("skyline_easy", 0.01), ("rush_easy", 0.1), ("medium", 0)])
+def test_the_best_stops_reach_the_score_that_they_promise(task: str, most: float) -> None:
     for seed in range(3):
         episode = Episode(task, seed=seed)
         promised = stop_values(episode)
@@ -228,7 +229,7 @@ def test_the_best_stops_reach_the_score_that_they_promise(task: str) -> None:
             label = max(values, key=values.__getitem__)
             episode.fly(next(stop.actions for stop in next_stops(episode) if stop.label == label))
         assert episode.counted_score() == best
-        assert solve(task, seed).score - best < 0.01
+        assert 0 <= solve(task, seed).score - best <= most
 
 
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
