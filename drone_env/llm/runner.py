@@ -215,7 +215,7 @@ def summary_lines(result: RunResult) -> list[str]:
     if mean is not None:
         counted = [one for one in results if one.status != "errored"]
         flights = f"{plural(len(counted), 'flight')}, {sum(one.success for one in counted)} delivered everything"
-        decisions, steps = sum(turns_of(counted).values()), sum(one.steps for one in counted)
+        decisions, steps = Unusable.among(turns_of(counted)).of, sum(one.steps for one in counted)
         flights += f" by {plural(decisions, 'decision')} in {plural(steps, 'step')}"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
