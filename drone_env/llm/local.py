@@ -149,11 +149,15 @@ class LocalModel:
                 max_new_tokens=options.get("max_tokens", 1024),
                 eos_token_id=sorted(self._ends),
                 pad_token_id=self._pad,
-                stopping_criteria=[lambda ids, _: torch.full((len(ids),), self._closed, device=ids.device)],
+                stopping_criteria=[self._is_stopped],
                 **sampling,
                 **{name: value for name, value in options.items() if name not in SENT},
             )
         return [self._answer(len(tokens), row[longest:]) for tokens, row in zip(prompts, made.tolist(), strict=True)]
+
+    def _is_stopped(self, ids: Any, scores: Any) -> Any:
+        """For each answer so far, whether it ends early; as `generate` calls it."""
+        return torch.full((len(ids),), self._closed, device=ids.device)
 
     def _answer(self, prompt: int, tokens: Sequence[int]) -> Answer:
         """The answer in the tokens after a request, which padding follows."""
@@ -189,7 +193,7 @@ def best_dtype() -> str:
         a, b = torch.ones(256, 1024, dtype=dtype), torch.ones(1024, 1024, dtype=dtype)
         for _ in range(5):
             started = process_time()
-            a @ b
+            torch.matmul(a, b)
             taken, name = process_time() - started, str(dtype).removeprefix("torch.")
             seconds[name] = min(taken, seconds.get(name, taken))
     return min(seconds, key=seconds.__getitem__)
