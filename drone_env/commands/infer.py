@@ -32,7 +32,9 @@ class RunOptions:
 
     Args:
         task: The task: short name, id or grader. Default: DRONE_TASK.
-        model: The model. Default: MODEL_NAME.
+        local: Evaluate the model in this folder, in this process: that of transformers, or one with a GGUF file.
+            --concurrency is the number of flights in a batch.
+        model: The model. Default: MODEL_NAME, or the name of the folder of --local.
         base_url: The endpoint. Default: API_BASE_URL.
         episodes: Number of maps of the split. Default: 1.
         split: Fly the first maps of this split. Default: test.
@@ -49,6 +51,7 @@ class RunOptions:
     """
 
     task: ChosenTask = None
+    local: Path | None = None
     model: str | None = None
     base_url: str | None = None
     episodes: Whole = None
@@ -87,7 +90,7 @@ def infer(
     sampling: Annotated[SamplingOptions, tyro.conf.arg(name="")],
     options: Annotated[Options, tyro.conf.arg(name="")],
 ) -> int:
-    """Evaluate a language model of any OpenAI-compatible endpoint.
+    """Evaluate a language model of any OpenAI-compatible endpoint, or one in a local folder.
 
     Standard output contains one [START] line, one [STEP] line per step and one [END] line for each flight, and nothing
     else. HF_TOKEN, OPENAI_API_KEY, API_BASE_URL, MODEL_NAME and DRONE_TASK come from the environment or .env. An
@@ -116,8 +119,10 @@ def infer(
         from drone_env.llm.progress import Progress
 
     settings = load_settings(run.base_url)
+    if run.local is not None:
+        settings = _local_settings(run, run.local, settings)
     config = _config(run, sampling, settings)
-    token = settings.token_for(config.base_url)
+    token = None if run.local is not None else settings.token_for(config.base_url)
     if run.use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server: give it without --server")
     path = run.out or _new_folder(data_folder() / RUNS, config.model, config.task_config.short_name)
@@ -134,7 +139,12 @@ def infer(
             first = Episode(config.task_config, ORIGINAL_PROFILE, config.seeds[0])
             repeat_on_server(options.server, first, config.model)
         stack.enter_context(run_folder.locked_run(path, config, run.resume))
-        sender = Endpoint(config.base_url, token, options.timeout)
+        if run.local is None:
+            sender = Endpoint(config.base_url, token, options.timeout)
+        else:
+            from drone_env.llm.local import LocalModel
+
+            sender = LocalModel(run.local, config.base_url.split(":")[1])
         progress = Progress(config, Budget(options), path, store)
         try:
             result = asyncio.run(runner.run_flights(config, path, sender, progress))
@@ -146,6 +156,26 @@ def infer(
         resume = [] if result.verdict == "valid" else [f"to continue, {to_resume}"]
         print(*runner.summary_lines(result), f"run: {path}", *resume, sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[result.verdict]
+
+
+def _local_settings(run: RunOptions, folder: Path, settings: "InferenceSettings") -> "InferenceSettings":
+    """The settings with a local model in place of an endpoint."""
+    from drone_env.llm.local import best_dtype, model_digest
+    from drone_env.llm.run_folder import CONFIG, load_config
+
+    if run.base_url is not None:
+        raise InvalidValueError("--local evaluates a model in this process: give it without --base-url")
+    if not folder.is_dir():
+        raise InvalidValueError(f"--local takes the folder of a model, got {str(folder)!r}")
+    dtype = best_dtype()
+    if run.resume and run.out is not None and (run.out / CONFIG).exists():
+        # Another type could give other answers.
+        begun = load_config(run.out).base_url.split(":")
+        dtype = begun[1] if begun[0] == "local" else dtype
+    name = "-".join(folder.resolve().name.split())
+    return settings.model_copy(
+        update={"api_base_url": f"local:{dtype}:{model_digest(folder)}", "model_name": run.model or name}
+    )
 
 
 def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSettings") -> "RunConfig":

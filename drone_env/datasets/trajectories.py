@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -12,15 +12,16 @@ import numpy.typing as npt
 from drone_env import __version__
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
-from drone_env.core.actions import N_ACTIONS
+from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.llm.prompt import get_prompt
+from drone_env.llm.prompt import get_prompt, ways_of
 from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
+from drone_env.planning.stops import stop_values
 from drone_env.results.evaluate import episodes_key
 
 FORMAT = "drone_env/dataset"
@@ -35,7 +36,8 @@ class DatasetConfig:
         seeds: The maps.
         split: The split that the maps belong to, or `custom`.
         agents: The agents, in this order on each map.
-        epsilon: Probability that a step takes a uniformly random action instead of the agent's.
+        epsilon: Probability that a step takes a uniformly random action instead of the agent's; if the prompt asks for
+            stops, that a random stop is flown.
         reward_profile: The reward profile.
         prompt: The prompt of conversations; None to write none.
         minari: Whether to write the flights as a Minari dataset, too.
@@ -62,7 +64,14 @@ class DatasetConfig:
             raise InvalidValueError(f"epsilon must be a probability, 0 to 1; got {self.epsilon!r}")
         if self.minari and sys.version_info < (3, 11):
             raise InvalidValueError("a Minari dataset needs Python 3.11 or newer")
+        if self.asks_for_stops and list(self.agents) != ["optimal"]:
+            raise InvalidValueError(f"agents must be optimal alone: no other chooses the stops of prompt {self.prompt}")
         self.as_json()  # raises if another value is invalid
+
+    @property
+    def asks_for_stops(self) -> bool:
+        """Whether the flights are by stops, because the prompt asks for them."""
+        return self.prompt is not None and get_prompt(self.prompt).stop
 
     @property
     def episodes(self) -> int:
@@ -110,6 +119,7 @@ class Trajectory(NamedTuple):
             random actions replace some, `reward`, `event` (`Event`), `regret`, `optimal_actions`, and the `score` after
             it and whether it `terminated` the flight.
         end: `grid`, `telemetry` and `action_mask` of the last state, after which nothing is flown.
+        stops: Of a flight by stops: for each, the number of earlier steps, and the `stop_values`.
     """
 
     number: int
@@ -119,6 +129,7 @@ class Trajectory(NamedTuple):
     optimal_score: float
     steps: dict[str, npt.NDArray[Any]]
     end: dict[str, Any]
+    stops: Sequence[tuple[int, dict[str, float]]] = ()
 
 
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
@@ -132,7 +143,8 @@ def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
     solver = solver_of(start)
     first = (seed - config.seeds.start) * len(config.agents)
     for number, name in enumerate(config.agents, first):
-        yield _fly(number, start.copy(), solver, name, config.epsilon)
+        fly = _fly_stops if config.asks_for_stops else _fly
+        yield fly(number, start.copy(), solver, name, config.epsilon)
 
 
 def random_actions(agent: str, seed: int) -> Iterator[tuple[float, int]]:
@@ -149,10 +161,42 @@ def random_actions(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
-    act, rows = begin(make_agent(name, episode.task), name, episode), list[dict[str, Any]]()
-    for choice, (share, action) in zip(choices(episode, act), random_actions(name, episode.seed), strict=False):
+    act = begin(make_agent(name, episode.task), name, episode)
+    actions = (
+        (int(choice), action if share < epsilon else int(choice))
+        for choice, (share, action) in zip(choices(episode, act), random_actions(name, episode.seed), strict=False)
+    )
+    return _recorded(number, episode, solver, name, actions)
+
+
+def _fly_stops(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
+    """A flight by stops: the best one, or with probability epsilon a random one. After the last it waits."""
+    requests = list[tuple[int, dict[str, float]]]()
+
+    def actions() -> Iterator[tuple[int, int]]:
+        for share, _ in random_actions(name, episode.seed):
+            ways, values = ways_of(episode), stop_values(episode)
+            if not values:
+                break
+            requests.append((episode.steps, values))
+            label = max(values, key=values.__getitem__)
+            if share < epsilon:  # then share / epsilon is uniform in [0, 1)
+                label = list(values)[int(share / epsilon * len(values))]
+            yield from ((action, action) for action in ways[label])
+        while not episode.ended:
+            yield Action.WAIT, Action.WAIT
+
+    return _recorded(number, episode, solver, name, actions())._replace(stops=requests)
+
+
+def _recorded(
+    number: int, episode: Episode, solver: Solver, name: str, actions: Iterable[tuple[int, int]]
+) -> Trajectory:
+    """Fly actions, each with the agent's, and record every step."""
+    rows = list[dict[str, Any]]()
+    for choice, action in actions:
         row = _state(episode) | {"q_values": solver.q_values(episode), "agent_action": int(choice)}
-        row["action"] = action if share < epsilon else int(choice)
+        row["action"] = int(action)
         row["reward"] = episode.step(row["action"])
         rows.append({**row, "event": int(episode.event), "score": episode.score, "terminated": episode.ended})
     steps = {column: np.array([row[column] for row in rows]) for column in rows[0]}

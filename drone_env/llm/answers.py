@@ -47,7 +47,7 @@ FINISH_REASONS: dict[FinishKind, set[str]] = {
 
 KEYS = {
     "answer",
-    *(name + end for name in ("action", "direction", "move", "route", "plan", "path") for end in ("", "s")),
+    *(name + end for name in ("action", "direction", "move", "route", "plan", "path", "stop") for end in ("", "s")),
 }
 ASIDES = {"reason", "reasoning", "rationale", "thought", "thoughts", "thinking", "explanation", "step"}
 """Keys beside the actions that only explain or number them."""
@@ -94,7 +94,7 @@ WRAPPERS = [
         rf"```(?:(?!(?:{'|'.join(Action.__members__)})\b)[a-z]+(?=[\s\[{{]))?(.*)```",
         rf"<(?:{'|'.join(sorted(KEYS))}|response|output|tool_call)>(.*)</\w+>",
         r"[$\s]*\\(?:boxed|text|textbf|mathbf)\{(.*)\}[$\s.]*",
-        r"\[?fly\w*\((?:directions?\s*=)?(.*)\)\]?",
+        r"\[?(?:fly\w*|goto)\((?:(?:directions?|stop)\s*=)?(.*)\)\]?",
         r"\[([^\[\]{}\"]*)\]",
     )
 ]
@@ -166,6 +166,7 @@ class Reading(NamedTuple):
 
     kind: AnswerKind
     actions: tuple[Action, ...]
+    """Those that it names, or those of the way to the stop that it names."""
     reason: str
     """Why it is not ok; empty if it is."""
     text: str
@@ -191,13 +192,16 @@ def finish_kind(reason: str | None) -> FinishKind:
     return kinds[0] if kinds else "failed"
 
 
-def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
+def read_answer(
+    answer: Answer, plan: bool, marks: Sequence[str] = (), ways: Mapping[str, Sequence[Action]] | None = None
+) -> Reading:
     """Parse an answer.
 
     Args:
         answer: The answer.
         plan: Whether the prompt asks for a whole route; else for exactly one action.
         marks: Marks that can start the line of the answer.
+        ways: The actions of each stop that the answer can name; None if it names actions.
 
     Raises:
         EndpointError: if the server did not finish the answer, so that it says nothing about the model.
@@ -223,12 +227,12 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
     if not words and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
     if not words or (len(words) > 1 and not plan):
-        expected = "a list of actions" if plan else "one action"
+        expected = "a list of actions" if plan else "one action" if ways is None else "one stop"
         part = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
         return unusable("parse_error", f"{part} is not {expected}{missing}" if text.strip() else "the answer is empty")
     try:
-        return Reading("ok", actions_named(words), "", content)
+        return Reading("ok", actions_named(words) if ways is None else way_to(words[0], ways), "", content)
     except InvalidValueError as error:
         return unusable("illegal", str(error))
 
@@ -244,6 +248,18 @@ def actions_named(words: Sequence[object]) -> tuple[Action, ...]:
             shown = repr(word[:40]) if isinstance(word, str) else f"a value of type {type(word).__name__}"
             raise InvalidValueError(f"{shown} is not an action")
     return tuple(Action[cast(str, word).upper()] for word in words)
+
+
+def way_to(stop: object, ways: Mapping[str, Sequence[Action]]) -> tuple[Action, ...]:
+    """The actions of the way to a stop, in any letter case.
+
+    Raises:
+        InvalidValueError: if it is not among the stops.
+    """
+    label = str(stop).strip().upper()
+    if label not in ways:
+        raise InvalidValueError(f"{label[:40]!r} is no stop in reach: {', '.join(ways) or 'there is none'}")
+    return tuple(ways[label])
 
 
 def _plain(content: str) -> str | None:

@@ -20,6 +20,8 @@ OPENAI = "https://api.openai.com/v1"
 OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
+LOCAL = r"local:(bfloat16|float32):[0-9a-f]{16}"
+"""In place of an endpoint's address: the type of a local model's numbers, and the digest of its files."""
 PROVIDERS_KEY = re.compile(r"\Ahf_|\Ask-.*T3BlbkFJ")
 """Beginning of a key of Hugging Face, and a part of every key of OpenAI."""
 
@@ -131,6 +133,8 @@ class RunConfig(StrictModel):
     @field_validator("base_url")
     @classmethod
     def _check_url(cls, url: str) -> str:
+        if re.fullmatch(LOCAL, url):
+            return url
         parts = urlsplit(url)
         plain = "@" not in parts.netloc and not parts.query and not parts.fragment
         if parts.scheme not in ("http", "https") or not parts.hostname or not plain:
@@ -160,7 +164,7 @@ class RunConfig(StrictModel):
         """A flight at its start, by its number: all maps once, then all again."""
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
         run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, ORIGINAL_PROFILE, self.history)
-        run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat, prompt.plan)
+        run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat, prompt)
         return run
 
     def load_prompt(self) -> Prompt:
@@ -180,27 +184,31 @@ class RunConfig(StrictModel):
             return get_prompt(self.prompt)
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
-    def _parameters(self, repeat: int, plan: bool) -> dict[str, Any]:
+    def _parameters(self, repeat: int, prompt: Prompt) -> dict[str, Any]:
         """The fields of the requests of a repeat besides the messages."""
         sampling = self.sampling.model_dump(exclude={"extra"}, exclude_none=True)
         if "seed" in sampling:  # equal seeds would make each repeat a copy of the first
             sampling["seed"] += repeat
-        return {"model": self.model, **sampling, **_answer_form(self.answers, plan), **self.sampling.extra}
+        return {"model": self.model, **sampling, **_answer_form(self.answers, prompt), **self.sampling.extra}
 
 
-def _answer_form(answers: Literal["text", "json", "tool"], plan: bool) -> dict[str, Any]:
-    """The fields of the body that request a form of answers: an action, or a whole route."""
+def _answer_form(answers: Literal["text", "json", "tool"], prompt: Prompt) -> dict[str, Any]:
+    """The fields of the body that request a form of answers: an action, a stop, or a whole route."""
     if answers == "text":
         return {}
     one = {"type": "string", "enum": DIRECTIONS}
-    properties = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
+    if prompt.stop:
+        name, properties, about = "goto", {"stop": {"type": "string"}}, "Fly to a stop."
+    elif prompt.plan:
+        name, properties, about = "fly_route", {"actions": {"type": "array", "items": one}}, "Fly the whole route."
+    else:
+        name, properties, about = "fly", {"direction": one}, "Fly one step."
     fixed = {"required": list(properties), "additionalProperties": False}
     schema = {"type": "object", "properties": properties, **fixed}
-    name = "fly_route" if plan else "fly"
     if answers == "json":
         form = {"name": name, "schema": schema, "strict": True}
         return {"response_format": {"type": "json_schema", "json_schema": form}}
-    function = {"name": name, "description": f"Fly {'the whole route' if plan else 'one step'}.", "parameters": schema}
+    function = {"name": name, "description": about, "parameters": schema}
     return {
         "tools": [{"type": "function", "function": function}],
         "tool_choice": {"type": "function", "function": {"name": name}},

@@ -9,13 +9,13 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
-from drone_env.core.actions import ACTION_OFFSETS, Action
+from drone_env.core.actions import ACTION_OFFSETS, Action, Event
 from drone_env.core.cells import CELL_KINDS, LETTERS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
@@ -24,6 +24,9 @@ from drone_env.files import read_file
 from drone_env.llm.answers import MARK, ChatMessage
 from drone_env.models import StrictModel
 from drone_env.toml_text import parse_toml
+
+if TYPE_CHECKING:
+    from drone_env.planning.stops import NextStop
 
 FOLDER = Path(__file__).with_name("prompts")
 MAX_FILE = 1 << 18
@@ -44,6 +47,7 @@ class PromptFile(StrictModel):
 
     format: Literal[1]
     plan: bool = Field(description="Whether it asks for a whole route.")
+    stop: bool = Field(default=False, description="Whether it asks for the next stop: see `planning.stops.next_stops`.")
     marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(
         default=(), strict=False, description="What can start the line with the answer; empty for a bare answer."
     )
@@ -70,7 +74,7 @@ class Prompt(PromptFile):
             InvalidValueError: if the template of your own prompt cannot be rendered.
         """
         values = _values(episode, last_steps)
-        user = [self._render(self.user, values), below_text(episode)]
+        user = [self._render(self.user, values), "" if self.stop else below_text(episode)]
         texts = {"system": self._render(self.system, values), "user": "\n".join(filter(None, user))}
         return [{"role": role, "content": text} for role, text in texts.items() if text or role == "user"]
 
@@ -123,8 +127,8 @@ def get_prompt(name: str) -> Prompt:
 
 
 def tools_prompt() -> Prompt:
-    """The prompt of flights by tool calls: see `TextEpisode.fly`."""
-    return read_prompt(FOLDER / "tools" / "fly-3.toml")
+    """The prompt of flights by tool calls: see `TextEpisode.fly` and `TextEpisode.goto`."""
+    return read_prompt(FOLDER / "tools" / "fly-4.toml")
 
 
 def read_prompt(path: Path) -> Prompt:
@@ -222,6 +226,8 @@ def _values(episode: Episode, last_steps: Sequence[str]) -> dict[str, object]:
         "impassable": sorted(map(_label, task.impassable)),
         "terrain": [(title, _places(cells == kind), kind in deciding) for kind, title in TITLES.items()],
         "compass": partial(_compass, episode),  # takes milliseconds
+        "stops": partial(stops_of, episode),
+        "came": _came(episode),
     }
 
 
@@ -251,6 +257,31 @@ def _compass(episode: Episode) -> str:
             way = Action(first[cell]).name if cell != here else "WAIT"
             lines.append(f"{label} {where} cost {units[cell]} via {way}")
     return "\n".join(lines)
+
+
+def stops_of(episode: Episode) -> "list[NextStop]":
+    """The stops that an answer can name."""
+    from drone_env.planning.stops import next_stops  # compiles
+
+    return next_stops(episode)
+
+
+def ways_of(episode: Episode) -> dict[str, list[Action]]:
+    """The actions of the way to each stop that an answer can name, by label."""
+    return {stop.label: stop.actions for stop in stops_of(episode)}
+
+
+def stops_text(episode: Episode) -> str:
+    """One line for each stop in reach."""
+    return _template('{% include "stops-1.j2" %}').render(stops=partial(stops_of, episode)).strip()
+
+
+def _came(episode: Episode) -> str:
+    """The action that leads back to the previous cell; empty if the last step was no move."""
+    last = episode.last_step
+    if last is None or last.event in (Event.WALL, Event.BLOCKED) or last.action is Action.WAIT:
+        return ""
+    return Action(last.action ^ 1).name
 
 
 def _label(kind: Cell) -> str:

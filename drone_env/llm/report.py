@@ -59,6 +59,8 @@ def report(run: VerifiedRun) -> LeaderboardEntry:
         "normalised": normalised(summary.score, floor, summary.optimum),
         "baselines": {"random": floor, "optimal": summary.optimum},
         "turns": turns,
+        "decisions": Unusable.among(turns_of(counted)).of,
+        "steps": sum(result.steps for result in counted),
         "unusable": {**unusable._asdict(), "share": unusable.share, "marked": unusable.marked},
         "waits": sum(result.waits for result in flown),
         "calls": {"answered": budget.answers, "requests": budget.requests, "without_usage": budget.unmetered},

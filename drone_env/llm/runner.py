@@ -10,7 +10,7 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
-from drone_env.llm.answers import Answer, Reading, Unusable, in_common, read_answer
+from drone_env.llm.answers import Answer, Reading, Unusable, in_common
 from drone_env.llm.budget import LimitReachedError, RateLimiter
 from drone_env.llm.config import RunConfig
 from drone_env.llm.on_server import repeat_on_server
@@ -137,7 +137,7 @@ class Calls:
             try:
                 answer = await self.sender.send(run.request(self.changes), str(run.key))
                 latency = time.monotonic() - sent
-                return answer, read_answer(answer, run.prompt.plan, run.prompt.marks), latency
+                return answer, run.read(answer), latency
             except TryFailedError as error:
                 failed = error
             if failed.changes:
@@ -213,8 +213,10 @@ def summary_lines(result: RunResult) -> list[str]:
     unusable, lines = Unusable.among(turns_of(results)), list[str]()
     mean = Summary.of(results_of(result.config, results, {})).score
     if mean is not None:
-        counted = [one.success for one in results if one.status != "errored"]
-        flights = f"{plural(len(counted), 'flight')}, {sum(counted)} delivered everything"
+        counted = [one for one in results if one.status != "errored"]
+        flights = f"{plural(len(counted), 'flight')}, {sum(one.success for one in counted)} delivered everything"
+        decisions, steps = Unusable.among(turns_of(counted)).of, sum(one.steps for one in counted)
+        flights += f" by {plural(decisions, 'decision')} in {plural(steps, 'step')}"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     verdict = ": ".join(filter(None, (verdict, result.reason)))

@@ -1,4 +1,4 @@
-"""What a run sends its requests with. Another way to reach a model is one class with these two methods."""
+"""What a run sends its requests with: `endpoint.Endpoint` or `local.LocalModel`, two classes with the same methods."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

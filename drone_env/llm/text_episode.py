@@ -8,8 +8,8 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError, InvalidValueError
-from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named, read_answer
-from drone_env.llm.prompt import Prompt, below_text, get_prompt
+from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named, read_answer, way_to
+from drone_env.llm.prompt import Prompt, below_text, get_prompt, stops_text, ways_of
 from drone_env.llm.rejections import NO_CHANGES, Changes, changed
 
 if TYPE_CHECKING:
@@ -65,7 +65,8 @@ class TextEpisode:
         self.attempt: Literal[1, 2] = 1
         self._history = history
         self._steps: list[str] = []
-        self.messages: list[ChatMessage] = self.prompt.messages(self.episode)
+        self._ways: dict[str, list[Action]] = {}
+        self.messages: list[ChatMessage] = self._request()
 
     def answer(self, answer: Answer | str) -> list[ChatMessage]:
         """Fly the actions of the model's answer; returns the next `messages`, empty at the end of the flight.
@@ -75,7 +76,11 @@ class TextEpisode:
             EndpointError: if the server did not finish the answer; ask for another one.
         """
         given = Answer(text=answer) if isinstance(answer, str) else answer
-        return self.take(read_answer(given, self.prompt.plan, self.prompt.marks))
+        return self.take(self.read(given))
+
+    def read(self, answer: Answer) -> Reading:
+        """Parse an answer to the next request; raises as `answer`."""
+        return read_answer(answer, self.prompt.plan, self.prompt.marks, self._ways if self.prompt.stop else None)
 
     def take(self, reading: Reading) -> list[ChatMessage]:
         """Fly an answer that has been parsed."""
@@ -101,8 +106,16 @@ class TextEpisode:
             if ended:
                 break
         done = self.prompt.plan or self.flown[-1][2]
-        self.messages = [] if done else self.prompt.messages(episode, self._steps[-self._history :])
+        self.messages = [] if done else self._request()
         return self.messages
+
+    def _request(self) -> list[ChatMessage]:
+        """The request in the current state; empty if the prompt asks for a stop and none is in reach."""
+        if self.prompt.stop:
+            self._ways = ways_of(self.episode)
+            if not self._ways:
+                return []
+        return self.prompt.messages(self.episode, self._steps[-self._history :])
 
     def fly(self, directions: object) -> str:
         """Fly a tool call instead of an answer; returns what happened, and where the drone is now.
@@ -113,7 +126,7 @@ class TextEpisode:
         Raises:
             InvalidValueError: if it is anything else; nothing is flown then.
         """
-        episode, most = self.episode, self.episode.task.max_steps
+        most = self.episode.task.max_steps
         route = cast(Sequence[object], directions) if isinstance(directions, list | tuple) else ()
         if not 0 < len(route) <= most:
             raise InvalidValueError(self.prompt.repair_text(f"A route is a list of 1 to {most} directions"))
@@ -121,7 +134,20 @@ class TextEpisode:
             actions = actions_named(route)
         except InvalidValueError as error:
             raise InvalidValueError(self.prompt.repair_text(str(error))) from None
-        told: dict[str, None] = {}
+        return self._flown_text(actions)
+
+    def goto(self, stop: object) -> str:
+        """Fly a tool call that names a stop; returns what happened, where the drone is, and the stops in reach.
+
+        Raises:
+            InvalidValueError: if the stop is not in reach; nothing is flown then.
+        """
+        told = self._flown_text(way_to(stop, ways_of(self.episode)))
+        return told if self.episode.ended else f"{told}\n{stops_text(self.episode)}"
+
+    def _flown_text(self, actions: Sequence[Action]) -> str:
+        """Fly actions, up to the end; returns what happened, and where the drone is now."""
+        episode, told = self.episode, dict[str, None]()
         for action in actions:
             episode.step(action)
             told[episode.message] = None
@@ -219,15 +245,12 @@ class EpisodeRun(TextEpisode):
         Raises:
             InvalidValueError: if a call sent another request than the flight makes.
         """
-        readings = [
-            read_answer(call.answer, self.prompt.plan, self.prompt.marks) for call in calls.values() if call.answer
-        ]
         sent: list[Mapping[str, Any]] = []
-        for (key, call), reading in zip(calls.items(), readings, strict=True):
-            if not self.messages or key != self.next_key:
+        for key, call in calls.items():
+            if call.answer is None or not self.messages or key != self.next_key:
                 break
             sent.append(self.request(call.changes))
-            self.take(reading)
+            self.take(self.read(call.answer))
         for call, request in zip(calls.values(), sent, strict=False):
             call.check(request)
         return len(sent)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class DroneEnvironment:
-    """One drone. TRL creates one per rollout, resets it for each map, and offers `fly` and `fly_route` to the model.
+    """One drone. TRL creates one per rollout, resets it for each map, and offers the model its tools.
 
     TRL treats every public method except `reset` as a tool, and shows the model the errors that they raise.
     """
@@ -81,6 +81,17 @@ class DroneEnvironment:
             What happened, and where the drone is now.
         """
         return self._started().fly(directions)
+
+    def goto(self, stop: str) -> str:
+        """Fly the drone to a parcel or a pad by the cheapest way, and fill up on a pad.
+
+        Args:
+            stop: The letter of a stop in reach.
+
+        Returns:
+            What happened, where the drone is now, and the stops in reach from there.
+        """
+        return self._started().goto(stop)
 
     def _started(self) -> TextEpisode:
         if self._flown is None:

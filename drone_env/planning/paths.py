@@ -152,13 +152,14 @@ def find_paths(search: PathSearch, start: int, most: int, base: int) -> None:
 
 
 @jitable
-def find_costs(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: Any) -> None:
+def find_costs(tables: Tables, grid: Any, kind_costs: Any, through: Any, costs: Any, first: Any) -> None:
     """Find the cost of the cheapest path to each cell, and its first action (Bellman-Ford).
 
     Args:
         tables: The task's tables.
         grid: uint8[cells], cell ids.
         kind_costs: int64[kinds], cost of a move onto each kind of cell.
+        through: Whether paths lead on beyond waiting parcels; else they end there.
         costs: int64[cells], 0 at the starts, else `NO_PATH`; receives the costs.
         first: int64[cells], all `NO_ACTION`; receives the actions.
     """
@@ -166,7 +167,8 @@ def find_costs(tables: Tables, grid: Any, kind_costs: Any, costs: Any, first: An
     while changed:
         changed = False
         for cell in range(tables.cells):
-            if costs[cell] == NO_PATH:
+            ends = not through and grid[cell] == DELIVERY_CELL and costs[cell] != 0
+            if costs[cell] == NO_PATH or ends:
                 continue
             for action in range(N_MOVES):
                 to = tables.moves[cell * N_ACTIONS + action]
@@ -184,7 +186,7 @@ def cost_kernel(tables: Tables, grids: Any, starts: Any, kind_costs: Any, costs:
     """`find_costs` on N maps, each from one start."""
     for i in range(len(grids)):
         costs[i, starts[i]] = 0
-        find_costs(tables, grids[i], kind_costs, costs[i], first[i])
+        find_costs(tables, grids[i], kind_costs, True, costs[i], first[i])
 
 
 def cheapest_paths(

@@ -4,13 +4,14 @@ The rule is nearest neighbour with recharging, a construction heuristic of elect
 parcel from which a pad is in range; else fill up at the pad on the cheapest chain of pads to such a parcel.
 """
 
+from string import ascii_uppercase
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Action
-from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
+from drone_env.core.actions import N_ACTIONS, Action, Event
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rules import score_of
@@ -36,6 +37,8 @@ class StopMap(NamedTuple):
     """int64[N + 1], the cell of each place."""
     parcels: Any
     """Number of stops that are parcels."""
+    through: Any
+    """Whether paths lead on beyond waiting parcels, which they deliver; else they end there."""
     costs: Any
     """int64[N + 1, cells], the cost of the cheapest path from each place to each cell."""
     units: Any
@@ -48,6 +51,24 @@ class StopMap(NamedTuple):
     """int64[2, parcels], the units that a drone needs on arrival: to deliver, and to fly on to a pad as well."""
     chains: Any
     """int64[2, N, parcels], the units from each pad, left full, by way of others to each parcel, for each reserve."""
+
+
+class NextStop(NamedTuple):
+    """A stop that a drone can reach: it flies the cheapest path and, on a pad, fills up."""
+
+    label: str
+    """`A`, `B` and so on: first the parcels, by index, then the pads, by cell. A stop keeps it for the whole flight."""
+    is_parcel: bool
+    cell: int
+    actions: list[Action]
+    """The path and the waits."""
+    cost: int
+    """Battery units of the path."""
+    spare: int
+    """Units left on arrival above those for the way on to a pad, if a parcel remains. Of a pad: those at the parcel
+    after it that leaves most. Negative if no pad is in range then."""
+    next: int | None
+    """Units of the cheapest path from there to another waiting parcel; None if there is none."""
 
 
 class Flight(NamedTuple):
@@ -71,7 +92,9 @@ def step_back(stops: StopMap, place: int, cell: int) -> tuple[int, int]:
     for action in range(N_MOVES):
         # The opposite of a move differs in the last bit.
         neighbour = moves[cell * N_ACTIONS + (action ^ 1)]
-        if neighbour < stops.tables.cells and costs[neighbour] == before:
+        if neighbour >= stops.tables.cells or costs[neighbour] != before:
+            continue
+        if stops.through or before == 0 or stops.ground[neighbour] != DELIVERY_CELL:
             return neighbour, action
     return cell, NO_ACTION
 
@@ -109,7 +132,7 @@ def measure_kernel(stops: StopMap, first: Any) -> None:
         costs[:] = NO_PATH
         first[:] = NO_ACTION
         costs[cells[place]] = 0
-        find_costs(tables, stops.ground, stops.kind_costs, costs, first)
+        find_costs(tables, stops.ground, stops.kind_costs, stops.through, costs, first)
         for stop in range(len(cells) - 1):
             cost, passed = costs[cells[stop]], 1 << stop if stop < n else 0
             stops.units[place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
@@ -275,6 +298,62 @@ def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, 
 
 
 @kernel
+def stop_value_kernel(stops: StopMap, units: Any, steps: Any, work: Any, values: Any) -> None:
+    """Compute the highest score by stops from each state, if no path leads on beyond a waiting parcel.
+
+    Args:
+        stops: The map; its ground is modified.
+        units: int64[sets delivered, stops, stops], receives the battery units of the cheapest paths.
+        steps: The same shape, receives their steps.
+        work: int64[2, cells], working memory.
+        values: float64[sets delivered, stops, units + 1, steps left + 1], receives the scores.
+    """
+    n, n_stops, everything, capacity = stops.parcels, len(units[0]), len(units) - 1, stops.tables.capacity
+    costs, first, cells = work[0], work[1], stops.cells
+    for delivered in range(everything):
+        for parcel in range(n):
+            stops.ground[cells[parcel]] = DELIVERED_CELL if delivered >> parcel & 1 else DELIVERY_CELL
+        for place in range(n_stops):
+            costs[:] = NO_PATH
+            first[:] = NO_ACTION
+            costs[cells[place]] = 0
+            find_costs(stops.tables, stops.ground, stops.kind_costs, stops.through, costs, first)
+            for stop in range(n_stops):
+                cost = costs[cells[stop]]
+                units[delivered, place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
+                steps[delivered, place, stop] = cost % UNIT_COST if cost < NO_PATH else FAR
+    for left in range(values.shape[3]):  # each stop takes a step at least
+        for delivered in range(everything + 1):
+            ways = StopMap(
+                stops.tables,
+                stops.ground,
+                stops.kind_costs,
+                stops.cells,
+                stops.parcels,
+                stops.through,
+                stops.costs,
+                units[delivered],
+                steps[delivered],
+                stops.passed,
+                stops.reserves,
+                stops.chains,
+            )
+            for place in range(n_stops):
+                if place < n and not delivered >> place & 1:
+                    continue
+                for charge in range(0 if place < n else capacity, capacity + 1):
+                    flight = Flight(delivered, place, charge, left)
+                    best = score_at(stops, flight)
+                    for stop in range(n_stops):
+                        if charge == 0 or (stop < n and delivered >> stop & 1):
+                            continue
+                        after = fly_to(ways, flight, stop)
+                        if after.left < left:
+                            best = max(best, values[after.delivered, after.place, after.units, after.left])
+                    values[delivered, place, charge, left] = best
+
+
+@kernel
 def route_kernel(stops: StopMap, flight: Flight, order: Any, actions: Any) -> int:
     """Write the actions of a flight to these stops, int64[steps], and return their number."""
     n = 0
@@ -292,13 +371,14 @@ def route_kernel(stops: StopMap, flight: Flight, order: Any, actions: Any) -> in
     return n
 
 
-def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int) -> StopMap:
+def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int, through: bool = True) -> StopMap:
     """Measure a map.
 
     Args:
         task: The task.
         ground: uint8[cells], without the drone.
         drone: The cell of the drone.
+        through: Whether paths lead on beyond waiting parcels.
 
     Raises:
         TooLargeError: if the map would take more memory than `states.MAX_BYTES`.
@@ -310,7 +390,9 @@ def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int) -
     require_memory("the distances", task, 8 * p * (tables.cells + 3 * p + 2 * n))
     costs, (units, steps, passed) = np.zeros((p, tables.cells), np.int64), np.zeros((3, p, p - 1), np.int64)
     reserves, chains = np.zeros((2, n), np.int64), np.zeros((2, p, n), np.int64)
-    stops = StopMap(tables, ground, move_costs(tables), places, n, costs, units, steps, passed, reserves, chains)
+    stops = StopMap(
+        tables, ground, move_costs(tables), places, n, through, costs, units, steps, passed, reserves, chains
+    )
     measure_kernel(stops, np.zeros(tables.cells, np.int64))
     return stops
 
@@ -334,3 +416,87 @@ def planned_actions(episode: Episode, width: int) -> npt.NDArray[np.int64]:
     n = beam_kernel(stops, np.array(start), beams, scores, best, order)
     actions = np.zeros(left, np.int64)
     return actions[: route_kernel(stops, start, best[:n], actions)]
+
+
+def next_stops(episode: Episode) -> list[NextStop]:
+    """The stops that a drone can fly to: the parcels, then the pads, the cheapest first.
+
+    A way delivers no other parcel. Pads that the drone has left full since the last delivery are left out, unless
+    nothing else is in reach.
+
+    Raises:
+        TooLargeError: as `measure_stops`.
+    """
+    task, left = episode.task, episode.task.max_steps - episode.steps
+    if episode.ended:
+        return []
+    ground, _, _ = state_arrays(episode)
+    stops = measure_stops(task, ground, episode.cell, through=False)
+    start = Flight(0, len(stops.cells) - 1, episode.battery_units, left)
+    cells = [y * task.width + x for x, y, _ in episode.parcels] + stops.cells[stops.parcels : -1].tolist()
+    left_full, found, repeated = _left_full(episode), list[NextStop](), list[NextStop]()
+    for stop in sorted(range(start.place), key=lambda stop: (stop >= stops.parcels, stops.units[start.place, stop])):
+        after = fly_to(stops, start, stop)
+        if after.left == left:
+            continue
+        cell, actions = int(stops.cells[stop]), np.zeros(left, np.int64)
+        n = route_kernel(stops, start, np.array([stop]), actions)
+        way = list(map(Action, actions[:n].tolist()))
+        facts = (int(stops.units[start.place, stop]), *_outlook(stops, after))
+        option = NextStop(_label(cells.index(cell)), stop < stops.parcels, cell, way, *facts)
+        (repeated if cell in left_full else found).append(option)
+    return found or repeated
+
+
+def stop_values(episode: Episode) -> dict[str, float]:
+    """The highest score that can still be reached by stops after each of `next_stops`, by label.
+
+    Raises:
+        TooLargeError: as `measure_stops`, or if the values of all states take too much memory.
+    """
+    task, found, left = episode.task, next_stops(episode), episode.task.max_steps - episode.steps
+    if not found:
+        return {}
+    ground, _, _ = state_arrays(episode)
+    stops = measure_stops(task, ground, episode.cell, through=False)
+    n, sets = len(stops.cells) - 1, 1 << stops.parcels
+    require_memory("the values of stops", task, 8 * sets * n * (2 * n + (task.battery_capacity + 1) * (left + 1)))
+    units, steps = np.zeros((2, sets, n, n), np.int64)
+    values = np.zeros((sets, n, task.battery_capacity + 1, left + 1))
+    stop_value_kernel(stops, units, steps, np.zeros((2, task.width * task.height), np.int64), values)
+    start, places = Flight(0, n, episode.battery_units, left), stops.cells.tolist()
+    ends = {stop.label: fly_to(stops, start, places.index(stop.cell)) for stop in found}
+    return {label: float(values[at.delivered, at.place, at.units, at.left]) for label, at in ends.items()}
+
+
+def _left_full(episode: Episode) -> set[int]:
+    """The cells at which the battery has been full since the last delivery."""
+    cells, task = set[int](), episode.task
+    for step in reversed(episode.path):
+        if step.event is Event.DELIVERY:
+            break
+        if step.battery == task.battery_capacity:
+            cells.add(step.y * task.width + step.x)
+    return cells
+
+
+def _outlook(stops: StopMap, after: Flight) -> tuple[int, int | None]:
+    """The `spare` and `next` of a `NextStop`, given the flight on arrival."""
+    n, place, capacity = stops.parcels, after.place, stops.tables.capacity
+    waiting = [parcel for parcel in range(n) if not after.delivered >> parcel & 1]
+    ways = {parcel: int(stops.units[place, parcel]) for parcel in waiting if stops.units[place, parcel] < FAR}
+    if place >= n:
+        reserves = stops.reserves[int(len(waiting) > 1)]
+        spare = max((capacity - units - reserves[parcel] for parcel, units in ways.items()), default=-capacity)
+    else:
+        spare = after.units - (stops.reserves[1, place] if waiting and len(stops.cells) > n + 1 else 0)
+    return max(int(spare), -capacity), min(ways.values(), default=None)
+
+
+def _label(number: int) -> str:
+    """`A` to `Z`, then `AA`, `AB` and so on."""
+    label = ""
+    while number >= 0:
+        number, letter = divmod(number, len(ascii_uppercase))
+        label, number = ascii_uppercase[letter] + label, number - 1
+    return label

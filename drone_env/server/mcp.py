@@ -1,4 +1,4 @@
-"""MCP, the Model Context Protocol: the tools `reset`, `fly` and `look` over JSON-RPC, as in OpenEnv's own server."""
+"""MCP, the Model Context Protocol: tools over JSON-RPC, as in OpenEnv's own server."""
 
 import asyncio
 from functools import lru_cache
@@ -12,7 +12,7 @@ from starlette.datastructures import Headers
 from drone_env import __version__
 from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, NoSessionError, text_of
 from drone_env.flights.sessions import ANONYMOUS
-from drone_env.llm.prompt import FOLDER, Prompt, read_prompt
+from drone_env.llm.prompt import FOLDER, Prompt, read_prompt, stops_text
 from drone_env.models import StrictModel
 from drone_env.server.exceptions import error_responses
 from drone_env.server.json_routes import JsonRoute
@@ -42,6 +42,12 @@ class FlyArguments(StrictModel):
     )
 
 
+class GotoArguments(StrictModel):
+    """The arguments of the tool `goto`."""
+
+    stop: str = Field(max_length=10, description="The letter of a stop in reach.")
+
+
 class LookArguments(StrictModel):
     """The tool `look` has no arguments."""
 
@@ -49,6 +55,11 @@ class LookArguments(StrictModel):
 TOOLS: dict[str, tuple[type[StrictModel], str]] = {
     "reset": (SessionReset, "Start a flight over a map. Returns the rules and the observation."),
     "fly": (FlyArguments, "Fly one action or a route. Returns what happened, and where the drone is now."),
+    "goto": (
+        GotoArguments,
+        "Fly to a parcel or a pad in reach by the cheapest way, and fill up on a pad. Returns what happened, where the "
+        "drone is now, and the stops in reach from there.",
+    ),
     "look": (LookArguments, "Return the rules and the observation."),
 }
 """The arguments of each tool, and what it does."""
@@ -73,14 +84,14 @@ class ToolError(Exception):
 
 @lru_cache(maxsize=1)
 def _prompt() -> Prompt:
-    return read_prompt(FOLDER / "tools" / "route-1.toml")
+    return read_prompt(FOLDER / "tools" / "route-2.toml")
 
 
 async def call_tool(session: OpenEnvSession, name: object, arguments: object) -> dict[str, Any]:
     """Call a tool.
 
     Returns:
-        `text` for the model, `reward` (null unless the tool is `fly`), `flown` steps, `done`, and `score`.
+        `text` for the model, `reward` (null unless the tool is `fly` or `goto`), `flown` steps, `done`, and `score`.
 
     Raises:
         ToolError: if the call is invalid or cannot be executed.
@@ -95,6 +106,11 @@ async def call_tool(session: OpenEnvSession, name: object, arguments: object) ->
         if isinstance(given, FlyArguments):
             episode, reward, flown = await session.fly(given.route)
             text = flown_text(episode, flown)
+        elif isinstance(given, GotoArguments):
+            episode, reward, flown = await session.goto(given.stop)
+            text = flown_text(episode, flown)
+            if not episode.ended:
+                text += "\n" + await asyncio.to_thread(stops_text, episode)
         else:
             episode = await (session.reset(given) if isinstance(given, SessionReset) else session.look())
             # Reading the prompt loads Jinja, which takes 0.1 s.
@@ -128,7 +144,7 @@ async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[
 @router.post("/mcp/", include_in_schema=False)
 @router.post("/mcp", response_model=dict[str, Any], responses=error_responses(413, 415, 422) | REFUSED)
 async def mcp(request: Request, app_state: AppStateDep, body: Annotated[Any, Body()] = None) -> Response:
-    """MCP over JSON-RPC 2.0, with the tools `reset`, `fly` and `look`.
+    """MCP over JSON-RPC 2.0, with the tools `reset`, `fly`, `goto` and `look`.
 
     `initialize` opens a session and returns it as the header `Mcp-Session-Id`, `openenv/session/create` returns it as
     `session_id`. Each call names it in the same way.

@@ -10,7 +10,8 @@ from drone_env.errors import EpisodeError
 from drone_env.flights.flight import new_id
 from drone_env.flights.provenance import Provenance
 from drone_env.flights.sessions import ANONYMOUS, Session
-from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.answers import way_to
+from drone_env.llm.prompt import Prompt, get_prompt, ways_of
 from drone_env.llm.text_episode import status_text
 from drone_env.models import openenv_json
 from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
@@ -97,6 +98,15 @@ class OpenEnvSession:
                 self._last = fly_route(route, session.episode, session.fly)
 
         return await self._use(fly), *self._last
+
+    async def goto(self, stop: str) -> tuple[Episode, float, int]:
+        """Fly to a stop; returns and raises as `fly`.
+
+        Raises:
+            InvalidValueError: if the stop is not in reach.
+        """
+        ways = await asyncio.to_thread(ways_of, (await self.look()).copy())
+        return await self.fly(" ".join(action.name for action in way_to(stop, ways)))
 
     async def look(self) -> Episode:
         """Return the episode.

@@ -9,7 +9,7 @@ from drone_env.core.actions import Action
 from drone_env.planning.optimal import solve
 from tests.api.serving import Server
 
-TOOLS = ["reset", "fly", "look"]
+TOOLS = ["reset", "fly", "goto", "look"]
 
 
 def best_route(task: str, seed: int) -> str:
@@ -30,6 +30,13 @@ def test_the_tool_client_flies_a_map(server: Server) -> None:
         result = env.step(CallToolAction(tool_name="fly", arguments={"route": rest}))
         assert (result.reward, result.done) == (solve("hard", 7).score, True)
         assert env.call_tool("fly", route="UP")["flown"] == 0
+        env.reset(task_name="hard", seed=7)
+        assert "\nA parcel cost" in env.call_tool("look")["text"]
+        arrived = env.call_tool("goto", stop="A")
+        assert "Delivered: 1 of 5." in arrived["text"]
+        assert "\nB parcel cost" in arrived["text"]
+        with pytest.raises(RuntimeError, match="'A' is no stop in reach: "):
+            env.call_tool("goto", stop="A")
         assert "10 x 10" in env.call_tool("reset", task_name="easy", seed=7)["text"]
         assert env.state().step_count == 0
         with pytest.raises(RuntimeError, match="route: 'SIDEWAYS' is not an action"):

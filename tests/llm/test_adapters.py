@@ -13,6 +13,7 @@ from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError, install_command
 from drone_env.llm.trl_environment import DroneEnvironment, flight_reward, training_maps
 from drone_env.planning.optimal import solve
+from drone_env.planning.stops import next_stops
 
 
 def test_a_flight_by_tool_calls() -> None:
@@ -59,6 +60,20 @@ def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
     assert " Below the drone: " in drone.fly("WAIT")
 
 
+def test_a_stop_is_flown_to_by_its_letter() -> None:
+    drone, episode = DroneEnvironment(), Episode("skyline_easy", seed=3)
+    told = drone.reset(task="skyline_easy", seed=3)
+    while stops := next_stops(episode):
+        stop = stops[-1]  # a pad, as long as one is in reach
+        assert f"\n{stop.label} {'parcel' if stop.is_parcel else 'pad'} " in told
+        told = drone.goto(stop.label.lower())
+        episode.fly(stop.actions)
+        assert told.startswith(episode.message) == episode.ended
+        with pytest.raises(InvalidValueError, match="is no stop in reach"):
+            drone.goto("Z")
+    assert drone._started().episode.actions == episode.actions
+
+
 @pytest.mark.parametrize("profile", ["tiered", "aligned"])
 def test_the_reward_is_what_the_profile_pays_to_the_end(profile: str) -> None:
     drone, actions = DroneEnvironment(), solve("hard", 3).actions[:5]
@@ -70,7 +85,7 @@ def test_the_reward_is_what_the_profile_pays_to_the_end(profile: str) -> None:
 
 def test_bad_calls_are_told_and_fly_nothing() -> None:
     methods = [name for name, _ in inspect.getmembers(DroneEnvironment, inspect.isfunction) if name[0] != "_"]
-    assert methods == ["fly", "fly_route", "reset"]
+    assert methods == ["fly", "fly_route", "goto", "reset"]
     drone = DroneEnvironment()
     with pytest.raises(EpisodeError, match="reset"):
         drone.fly_route(["UP"])

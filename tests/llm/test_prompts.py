@@ -25,8 +25,10 @@ GOLDEN = {
     "plan-2": "458cb8ee7f1beb94",
     "think-1": "7d787407cec46442",
     "think-plan-1": "d7e663d4b716d17a",
-    "fly-3": "36e2d107c9cf6c0f",
-    "route-1": "d27d1cfba351e9bf",
+    "short-1": "611d67f55862e59a",
+    "stops-1": "d49a0e5c7466c2ba",
+    "fly-4": "52214653476f80a4",
+    "route-2": "00c4acc4f33536f5",
 }
 
 

@@ -17,12 +17,15 @@ from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import FOLDER, Prompt, get_prompt, prompt_ids, read_prompt
+from drone_env.llm.text_episode import TextEpisode
 from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.optimal import solve, solver_of
+from drone_env.planning.stops import next_stops
 from drone_env.server.openenv_session import full_text
 
 MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
-PROMPTS = [*map(get_prompt, prompt_ids()), *map(read_prompt, sorted(FOLDER.glob("tools/*.toml")))]
+ALL = [*map(get_prompt, prompt_ids()), *map(read_prompt, sorted(FOLDER.glob("tools/*.toml")))]
+PROMPTS = [prompt for prompt in ALL if prompt.id not in ("stops-1", "short-1")]
 GENERATED = [task for task in TASKS.values() if task.terrain is None]
 EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
 ODD = [
@@ -221,6 +224,53 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
 def test_who_reads_nothing_but_the_prompt_flies_the_optimum(prompt: Prompt, task: str) -> None:
     for seed in split_seeds("test", MAPS or 1):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
+
+
+STOP = re.compile(r"([A-Z]+) (parcel|pad)(?: cost(\d+))? steps(\d+) (spare|short)(\d+)(?: next(\d+))?")
+
+
+@pytest.mark.parametrize("task", [*TASKS.values(), *ODD], ids=lambda task: task.short_name)
+def test_each_stop_costs_what_the_prompt_says_and_no_pad_in_reach_is_left_out(task: TaskConfig) -> None:
+    flight, rng = TextEpisode(task, 3, "stops"), np.random.default_rng(3)
+    while flight.messages:
+        before, lines = flight.episode, flight.messages[1]["content"].splitlines()
+        assert lines[0] == f"{before.battery_units} units, {task.max_steps - before.steps} steps"
+        options = [found.groups() for line in lines[1:] if (found := STOP.fullmatch(line))]
+        assert len(options) == len(lines) - 1
+        label, kind, cost, steps, sign, spare, _ = options[rng.integers(len(options))]
+        units, start, done = before.battery_units, before.steps, before.deliveries_done
+        flight.answer(f"**{label.lower()}**")
+        after = flight.episode
+        assert (flight.turns[-1], after.steps - start) == ("ok", int(steps))
+        assert after.deliveries_done - done == (kind == "parcel")
+        assert after.battery_units == (task.battery_capacity if kind == "pad" else max(0, units - int(cost)))
+        if kind == "parcel" and not after.ended:
+            ways = [option for option in next_stops(after) if not option.is_parcel]
+            nearest = min((option.cost for option in ways), default=task.battery_capacity)
+            # A pad that only a drone without units reaches is none.
+            assert (sign == "spare") == (not task.charge_rate or not task.pads or nearest < after.battery_units)
+            assert sign == "short" or task.uniform or after.battery_units - nearest - 1 <= int(spare)
+
+
+def read_stops(text: str) -> str:
+    """The answer of a rule that reads nothing but the prompt `stops`: a near parcel with units to spare, else a pad."""
+    rows = [found.groups() for line in text.splitlines() if (found := STOP.fullmatch(line))]
+    good = [row for row in rows if row[4] == "spare"] or [row for row in rows if row[1] == "pad"] or rows
+
+    def key(row: tuple[str, ...]) -> tuple[bool, int]:
+        return row[1] == "pad", int(row[3]) + int(row[6] or 0)
+
+    return min(good, key=key)[0]
+
+
+def test_a_rule_that_reads_nothing_but_the_stops_flies_well() -> None:
+    shares = []
+    for seed in split_seeds("validation", 20):
+        flight = TextEpisode("skyline_easy", seed, "stops")
+        while flight.messages:
+            flight.answer(read_stops(flight.messages[1]["content"]))
+        shares.append(flight.score / solve("skyline_easy", seed).score)
+    assert np.mean(shares) > 0.9, shares
 
 
 def test_openenv_shows_both_texts_of_a_prompt() -> None:

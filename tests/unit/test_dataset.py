@@ -21,8 +21,10 @@ from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.files import locked
 from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.prompt import get_prompt
+from drone_env.llm.text_episode import TextEpisode
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
+from drone_env.planning.stops import next_stops, stop_values
 
 MINARI = sys.version_info >= (3, 11)
 
@@ -188,6 +190,47 @@ def test_a_conversation_is_the_request_of_a_prompt_and_an_answer_with_its_exact_
     assert chat == []
     about = json.loads(pyarrow.parquet.read_schema(folder / "steps.parquet").metadata[b"drone_env"])
     assert (about["task_digest"], about["prompt_digest"]) == (config.task.digest, prompt.digest)
+
+
+def test_a_conversation_by_stops_is_that_of_a_run_with_the_best_stops(tmp_path: Path) -> None:
+    config = config_of("skyline_easy", range(3, 6), "train", ["optimal"], epsilon=0.4, prompt="stops")
+    folder = made(tmp_path, config)
+    chat = [json.loads(line) for line in (folder / "chat.jsonl").read_text(encoding="utf-8").splitlines()]
+    wrong = 0
+    for steps in flights(folder):
+        run = TextEpisode("skyline_easy", steps[0]["seed"], "stops")
+        while run.messages:
+            row, values = chat.pop(0), stop_values(run.episode)
+            *request, answer = row["messages"]
+            assert (request, row["step"], row["options"]) == (run.messages, run.episode.steps, list(values))
+            best = max(values.values())
+            assert row["optimal_actions"] == [[label for label, value in values.items() if value == best]]
+            assert row["actions"] == [answer["content"]] == row["optimal_actions"][0][:1]
+            assert row["regrets"] == [[best - value for value in values.values()]]
+            ahead = [step["action"] for step in steps[run.episode.steps :]]
+            flown = [one.label for one in next_stops(run.episode) if ahead[: len(one.actions)] == one.actions]
+            wrong += answer["content"] not in flown
+            run.answer(flown[-1])
+        assert row["score"] == run.score
+    assert chat == []
+    assert wrong > 0
+    with pytest.raises(InvalidValueError, match="agents must be optimal alone"):
+        config_of("skyline_easy", range(3), "train", prompt="stops")
+
+
+# A full charge can cost a parcel where steps are short.
+@pytest.mark.parametrize(("task", "most"), [("skyline_easy", 0.01), ("rush_easy", 0.1), ("medium", 0)])
+def test_the_best_stops_reach_the_score_that_they_promise(task: str, most: float) -> None:
+    for seed in range(3):
+        episode = Episode(task, seed=seed)
+        promised = stop_values(episode)
+        best = max(promised.values())
+        while values := stop_values(episode):
+            assert max(values.values()) == best
+            label = max(values, key=values.__getitem__)
+            episode.fly(next(stop.actions for stop in next_stops(episode) if stop.label == label))
+        assert episode.counted_score() == best
+        assert 0 <= solve(task, seed).score - best <= most
 
 
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
