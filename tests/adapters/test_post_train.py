@@ -17,7 +17,7 @@ from drone_env.datasets.trajectories import DatasetConfig
 from tests.docs.pages import ROOT
 from tools.docs_notebook import run
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = pytest.mark.timeout(900)
 sys.path.insert(0, str(ROOT / "examples"))
 
 
