@@ -17,7 +17,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +26,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
-from drone_env.agents.tour_features import SHORT_TIME, SMALL_BATTERY, FeatureEncoder, Features
+from drone_env.agents.tour_features import SHORT_TIME, SMALL_BATTERY, Features
 from drone_env.agents.tour_network import load_tour_network
-from drone_env.agents.tournet import choose
+from drone_env.agents.tournet import TourFlyer
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, TooLargeError
@@ -184,7 +183,7 @@ class TourTrainer(BaseTrainer):
         self._task_shares = np.array(list(sampled.values()))
         self._windows: list[deque[Samples]] = [deque(maxlen=config.window) for _ in sampled]
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in config.tasks()}
-        self._encoders = {task.short_name: FeatureEncoder(task) for task in config.tasks()}
+        self._flyers = {task.short_name: TourFlyer(task, self._logits) for task in config.tasks()}
         self.online = TourNet()
         if config.initial:
             parameters = load_tour_network(Path(config.initial)).parameters
@@ -312,18 +311,17 @@ class TourTrainer(BaseTrainer):
 
     def validate(self) -> None:
         """Fly the validation maps of each task with the average of the weights."""
-        network = partial(self._logits, self.average)
         for name, validator in self._validators.items():
-            result = validator.validate(partial(choose, self._encoders[name], network))
+            flyer = self._flyers[name]
+            result = validator.validate(flyer.act_batch, flyer.reset_batch)
             self.ratios[name] = result.score / result.optimum
         self.best = clone_state(self.average)
 
-    @staticmethod
-    def _logits(network: TourNet, features: Features) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """The network as an agent takes it: choice and completion logits of each option."""
+    def _logits(self, features: Features) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """The average of the weights as an agent takes it: choice and completion logits of each option."""
         batch = TourBatch(features, np.zeros(len(features.token), np.float32))
         with torch.no_grad():
-            preference, completion = network(*batch.inputs)
+            preference, completion = self.average(*batch.inputs)
         return choice_logits(preference, completion).numpy(), completion.numpy()
 
     @property
