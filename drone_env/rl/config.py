@@ -218,11 +218,14 @@ def preset(name: Literal["fast", "original"], task: str, episodes: int | None = 
 ALL = "all"
 SHARES = {
     "easy_delivery": 0.0,  # one parcel, one path: nothing to choose
-    "medium_delivery": 0.06,
-    "hard_delivery": 0.10,
-    "skyline_easy": 0.14,
-    "skyline_medium": 0.20,
-    "skyline_hard": 0.35,
+    "medium_delivery": 0.05,
+    "hard_delivery": 0.08,
+    "skyline_easy": 0.11,
+    "skyline_medium": 0.16,
+    "skyline_hard": 0.28,
+    "rush_easy": 0.05,
+    "rush_medium": 0.07,
+    "rush_hard": 0.09,
 }
 """Share of the samples from each task in a training on all tasks; the rest goes to `VARIANTS`."""
 VARIANTS = (
