@@ -82,7 +82,7 @@ def sample_batch(window: Sequence[Samples], size: int, rng: np.random.Generator)
     """
     parts: list[tuple[npt.NDArray[Any], ...]] = []
     chunks = [window[int(rng.integers(len(window)))] for _ in range(CHUNKS)]
-    most = max(features.tokens.shape[1] for features, _ in chunks)
+    most = max(features.tokens.shape[1] for features, *_ in chunks)
     for features, values, parcels in chunks:
         padding = (0, most - features.tokens.shape[1])
         chosen = rng.integers(0, len(features.tokens), size // CHUNKS)
@@ -128,7 +128,7 @@ def distillation_losses(
     missing = ~torch.isfinite(values)
     choice = -(target * log_probs.masked_fill(missing, 0)).sum(1).mean()
     regret = (log_probs.exp() * regrets.clamp(max=MAX_REGRET).masked_fill(missing, 0)).sum(1).mean()
-    most = batch.table(batch.parcels, -1).amax(1)
+    most = batch.table(batch.parcels, -1.0).amax(1)
     keeps = batch.parcels == most[batch.inputs[3]]
     return choice, regret, binary_cross_entropy_with_logits(completion, keeps.float())
 
