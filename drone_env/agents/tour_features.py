@@ -429,6 +429,7 @@ class FeatureEncoder:
 
     Attributes:
         most: Maximum number of observations per call.
+        tokens: Number of tokens of a state.
 
     Raises:
         TooLargeError: if the features of one state would take too much memory.
@@ -438,6 +439,7 @@ class FeatureEncoder:
         self._task = task
         self._pads = 0 if task.uniform or not task.charge_rate else task.pads
         n = task.deliveries + self._pads
+        self.tokens = n + 1
         search = make_search(task, n)
         options = n * search.paths.units.shape[1]
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))

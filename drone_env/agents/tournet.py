@@ -7,28 +7,99 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.base import StatelessAgent
 from drone_env.agents.weights_file import WEIGHTS
 from drone_env.core.actions import Action
+from drone_env.core.cells import DELIVERY_CELL
+from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError
+from drone_env.planning.from_observation import read_observations
 
 if TYPE_CHECKING:
-    from drone_env.agents.tour_features import FeatureEncoder, Features
+    from drone_env.agents.tour_features import Features
 
 SHIPPED = WEIGHTS / "tournet_v1.safetensors"
 """The shipped network, for all tasks."""
 TourForward = Callable[["Features"], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
-"""From features to two logits of each option, float32[options] each: its choice, and whether the mission can be
-completed after it."""
+"""From features to two logits of each option, float32[options] each: its choice, and whether it keeps all parcels that
+can still be delivered."""
 TIE = 1e-4
 """Closer logits are equal: the size of a batch changes their last bits."""
+LAST = np.float32(1e6)
+"""What an option that leads nowhere loses: more than any logit."""
 
 
-class TournetAgent(StatelessAgent):
-    """Takes the first action of the option that the network prefers: a path to a parcel or pad, or a charge.
+class TourFlyer:
+    """Takes the first action of the option that a network prefers: a path to a parcel or pad, or a charge.
 
-    One network flies any task, of any size. Not thread-safe.
+    It does not fly back to a pad where it has had as many units since the last delivery, unless the network expects
+    every other option to lose a parcel. So it does not circle.
+
+    Not thread-safe.
+
+    Args:
+        task: The task.
+        network: The network.
+
+    Raises:
+        TooLargeError: if the features of a state would take too much memory.
+    """
+
+    def __init__(self, task: TaskConfig, network: TourForward) -> None:
+        # Imported lazily: importing the compiler takes seconds.
+        from drone_env.agents.tour_features import FeatureEncoder
+
+        self._task, self._network, self._encoder = task, network, FeatureEncoder(task)
+        self._forget(1)
+
+    def _forget(self, episodes: int) -> None:
+        self._left = np.full(episodes, self._task.max_steps + 1)
+        """Steps left at the last observation of each episode; -1 after its end."""
+        self._waiting = np.zeros(episodes, np.int64)
+        """Number of parcels that waited then."""
+        self._held = np.full((episodes, self._encoder.tokens), -1)
+        """The most units at each pad since the last delivery, by token; -1 before the first visit."""
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode."""
+        self._forget(1)
+
+    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
+        """Forget the last episodes."""
+        self._forget(len(seeds))
+
+    def act(self, observation: Observation) -> int:
+        """The next action, 0 to 4, as `act_batch`."""
+        return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions, int64[N]; WAIT if no stop is within reach.
+
+        Steps left that do not fall belong to another episode: that row is ignored, with WAIT, until the next reset.
+        """
+        grounds, drones = read_observations(self._task, grids, telemetry)
+        if len(grids) != len(self._left):
+            self._forget(len(grids))
+        _, units, left = drones.T
+        self._left = np.where(left < self._left, left, -1)
+        waiting = np.count_nonzero(grounds == DELIVERY_CELL, axis=1)
+        self._held[waiting != self._waiting] = -1
+        self._waiting = waiting
+        actions, flying = np.full(len(grids), Action.WAIT, np.int64), np.flatnonzero(self._left >= 0)
+        for i in range(0, len(flying), self._encoder.most):
+            rows = flying[i : i + self._encoder.most]
+            features = self._encoder.encode(grounds[rows], drones[rows])
+            choices, completions = self._network(features)
+            self._held[rows] = held = most_held(self._held[rows], features, units[rows])
+            last = leads_nowhere(features, units[rows], held, completions)
+            options = best_options(features, np.where(last, choices - LAST, choices))
+            found = options >= 0
+            actions[rows[found]] = features.numbers[options[found], 2]
+        return actions
+
+
+class TournetAgent(TourFlyer):
+    """Flies any task, of any size, by one network, as `TourFlyer`.
 
     Args:
         task: The task.
@@ -41,37 +112,41 @@ class TournetAgent(StatelessAgent):
     """
 
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
-        # Imported lazily: importing the compiler takes seconds.
-        from drone_env.agents.tour_features import FeatureEncoder
+        # Imported lazily, as in the base class.
         from drone_env.agents.tour_network import load_tour_network
 
-        self._network = load_tour_network(SHIPPED if network is None else network)
-        self._encoder = FeatureEncoder(task)
-        self.config: Mapping[str, object] = {"agent": "tournet", "version": 1, "network": self._network.digest}
-
-    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The next actions, int64[N]; WAIT if no stop is within reach."""
-        return choose(self._encoder, self._network, grids, telemetry)
+        loaded = load_tour_network(SHIPPED if network is None else network)
+        super().__init__(task, loaded)
+        self.config: Mapping[str, object] = {"agent": "tournet", "version": 2, "network": loaded.digest}
 
 
-def choose(
-    encoder: "FeatureEncoder", network: "TourForward", grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
-) -> npt.NDArray[np.int64]:
-    """The first actions of the options that a network prefers, int64[N]; WAIT if there is none.
+def most_held(held: npt.NDArray[np.int64], features: "Features", units: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The most units at each pad, int64[M, tokens], after those of the drones: the pads below them count too."""
+    from drone_env.agents.tour_features import HERE
+
+    return np.where(features.tokens[:, :, HERE] > 0, np.maximum(held, units[:, None]), held)
+
+
+def leads_nowhere(
+    features: "Features",
+    units: npt.NDArray[np.int64],
+    held: npt.NDArray[np.int64],
+    keeps: npt.NDArray[np.float32],
+) -> npt.NDArray[np.bool_]:
+    """Whether an option leads to a pad with no more units than before, while another may lose no parcel: bool[options].
 
     Args:
-        encoder: The encoder of the task.
-        network: The network.
-        grids: uint8[N, height, width]
-        telemetry: float32[N, telemetry_size]
+        features: The features of M states.
+        units: int64[M], units left.
+        held: int64[M, tokens], the most units at each pad.
+        keeps: float32[options], logits of whether an option loses no parcel.
     """
-    actions = np.full(len(grids), Action.WAIT, np.int64)
-    for i in range(0, len(grids), encoder.most):
-        some = slice(i, i + encoder.most)
-        features = encoder(grids[some], telemetry[some])
-        options = best_options(features, network(features)[0])
-        actions[some][options >= 0] = features.numbers[options[options >= 0], 2]
-    return actions
+    owner = np.repeat(np.arange(len(units)), np.diff(features.begins))
+    drained = features.numbers[:, 0]  # below zero for a charge
+    back = (drained > 0) & (held[owner, features.token] >= units[owner] - drained)
+    another = np.zeros(len(units), np.bool_)
+    another[owner[~back & (keeps > 0)]] = True
+    return back & another[owner]
 
 
 def best_options(features: "Features", choices: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:

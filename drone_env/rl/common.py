@@ -4,11 +4,13 @@ import ctypes
 import math
 import sys
 import time
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import nn
 
@@ -48,9 +50,14 @@ class Validator:
         best = [best_of(task, seed) for seed in self._seeds.tolist()]
         self.optimum = float(np.mean([math.nan if one is None else one.score for one in best]))
 
-    def validate(self, act: ActBatch) -> Validation:
-        """Fly each map once; `act` is stateless."""
-        ends = rollout_batch(self._task, self._seeds, act, stateless=True)
+    def validate(self, act: ActBatch, reset: Callable[[npt.NDArray[np.int64]], None] | None = None) -> Validation:
+        """Fly each map once; `act` is stateless, unless `reset` makes it forget the last maps."""
+
+        def begin() -> None:
+            if reset is not None:
+                reset(self._seeds)
+
+        ends = rollout_batch(self._task, self._seeds, act, reset is None, reset=begin)
         success = ends.deliveries_done == self._task.deliveries
         return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))
 

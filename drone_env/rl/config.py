@@ -314,11 +314,14 @@ def ppo_preset(task: str) -> PpoConfig:
 ALL = "all"
 SHARES = {
     "easy_delivery": 0.0,  # one parcel, one path: nothing to choose
-    "medium_delivery": 0.06,
-    "hard_delivery": 0.10,
-    "skyline_easy": 0.14,
-    "skyline_medium": 0.20,
-    "skyline_hard": 0.35,
+    "medium_delivery": 0.05,
+    "hard_delivery": 0.08,
+    "skyline_easy": 0.12,
+    "skyline_medium": 0.16,
+    "skyline_hard": 0.30,
+    "rush_easy": 0.04,
+    "rush_medium": 0.06,
+    "rush_hard": 0.06,
 }
 """Share of the samples from each task in a training on all tasks; the rest goes to `VARIANTS`."""
 VARIANTS = (
@@ -347,7 +350,7 @@ class TourConfig:
     """The task, by its short name, id or grader; `all` for one network on all tasks and their variants."""
     initial: str = ""
     """File of an exported tour network to start from; empty for random weights."""
-    updates: PositiveInt = 12_000
+    updates: PositiveInt = 8_000
     """Number of updates, and length of the learning rate's decay."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of the weights, maps and batches: equal seeds give equal runs on a CPU."""

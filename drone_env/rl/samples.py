@@ -5,6 +5,7 @@ options and at times others. An option that loses the mission is labelled but no
 matter. The states depend on the seeds of the maps alone, not on the network.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,9 +36,6 @@ from drone_env.planning.solver import ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 
 WAIT = int(Action.WAIT)
-COMPLETE = 0.8 - 1e-9
-"""Minimum value of a complete mission. (On a uniform task of more than 8 parcels, where battery and time do not end
-together, incomplete ones can be as high.)"""
 FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """Percentages: flights from the start; options that are not the best; those of them with a regret of at most `NEAR`;
 steps after which a flight stays on its path instead of choosing again."""
@@ -61,13 +59,15 @@ class Workspace(NamedTuple):
     """Of whole episodes: all parcels wait at the start."""
     scores: Any
     """float64[ranks], the score of each rank."""
+    delivered: Any
+    """int8[ranks], the most parcels with that score."""
     distances: Distances
 
 
 @inlined
 def draw_start(workspace: Workspace, start: int, key: int) -> tuple[int, bool]:
     """Place the drone at the start of the map or anywhere on it; return the next key and whether the cell is free."""
-    tables, _, grid, state, parcels, legs, _, _ = workspace
+    tables, _, grid, state, parcels, legs, _, _, _ = workspace
     counts = legs.search.counts
     delivered, cell, units, left = 0, start, tables.capacity, tables.max_steps
     key = next_key(key)
@@ -101,29 +101,31 @@ def row_after_option(legs: Legs, delivered: int, done: int, features: Features, 
 
 
 @inlined
-def write_state(workspace: Workspace, features: Features, values: Any, m: int) -> tuple[int, int, bool]:
-    """Write the current state and the values of its options as state m.
+def write_state(workspace: Workspace, features: Features, values: Any, parcels: Any, m: int) -> tuple[int, int, bool]:
+    """Write the current state, with the values and parcels of its options, as state m.
 
     Returns:
-        The best option, or -1 if there is none; the number of options that lose the mission; and whether values differ.
+        The best option, or -1 if there is none; the number of options that lose a parcel; and whether values differ.
     """
-    tables, _, _, state, parcels, legs, scores, distances = workspace
+    tables, _, _, state, places, legs, scores, delivered_of, distances = workspace
     search = legs.search
-    delivered = delivered_set(state, parcels)
+    delivered = delivered_set(state, places)
     cell, units, left = int(state[CELL]), int(state[BATTERY]), tables.max_steps - state[STEPS]
     still = left if search.counts else min(left, units)
     done = mark_delivered(legs, delivered)
     find_paths(search, cell, units, 0)
     tour = TourState(legs.stops, legs.parcels, delivered, cell, units, left)
     write_features(search, tour, distances, features, m)
-    first, best, lost, differ = features.begins[m], -1, 0, False
-    for option in range(first, features.begins[m + 1]):
+    first, end, best, lost, differ = features.begins[m], features.begins[m + 1], -1, 0, False
+    for option in range(first, end):
         row = row_after_option(legs, delivered, done, features, option, units)
-        values[option] = scores[legs.ranks[row, still - features.numbers[option, 1]]]
+        rank = legs.ranks[row, still - features.numbers[option, 1]]
+        values[option], parcels[option] = scores[rank], delivered_of[rank]
         differ |= values[option] != values[first]
-        lost += values[option] < COMPLETE
         if best < 0 or values[option] > values[best]:
             best = option
+    for option in range(first, end):
+        lost += parcels[option] < parcels[best]
     return best, lost, differ
 
 
@@ -141,8 +143,8 @@ def find_option(features: Features, m: int, token: int, units: int, steps: int) 
 
 
 @inlined
-def draw_option(features: Features, values: Any, m: int, best: int, key: int) -> tuple[int, int]:
-    """The best option of state m, or another one that keeps the mission; and the next key."""
+def draw_option(features: Features, values: Any, parcels: Any, m: int, best: int, key: int) -> tuple[int, int]:
+    """The best option of state m, or another one that loses no parcel; and the next key."""
     first, end = features.begins[m], features.begins[m + 1]
     key = next_key(key)
     other = uniform_below(key, 100)
@@ -150,30 +152,35 @@ def draw_option(features: Features, values: Any, m: int, best: int, key: int) ->
     for _ in range(8):
         key = next_key(key)
         option = first + uniform_below(key, end - first)
-        if values[option] >= max(COMPLETE, values[best] - allowed):
+        if parcels[option] >= parcels[best] and values[option] >= values[best] - allowed:
             return option, key
     return best, key
 
 
 @inlined
-def sample_flight(workspace: Workspace, features: Features, values: Any, m: int, end: int, key: int) -> tuple[int, int]:
-    """Fly from the current state on and write states from number m on, before `end`; return the next m and key."""
-    tables, rewards, grid, state, _, legs, _, _ = workspace
+def sample_flight(
+    workspace: Workspace, features: Features, values: Any, parcels: Any, m: int, end: int, goal: int, key: int
+) -> tuple[int, int]:
+    """Fly from the current state on and write states from number m on, before `end`; return the next m and key.
+
+    States from which fewer parcels than `goal` can be delivered are lost.
+    """
+    tables, rewards, grid, state, _, legs, _, _, _ = workspace
     token, units, steps = -1, 0, 0  # the rest of the path that the drone is on
     while state[OUTCOME] == FLYING and m < end:
-        best, lost, differ = write_state(workspace, features, values, m)
+        best, lost, differ = write_state(workspace, features, values, parcels, m)
         if best < 0:
             break
         key = next_key(key)
         drawn = uniform_below(key, 200)
         chosen = find_option(features, m, token, units, steps)
         keep = KEEP_ON_PATH if chosen >= 0 else KEEP_AT_CHOICE
-        if values[best] < COMPLETE:
+        if parcels[best] < goal:
             chosen, keep = best, KEEP_LOST
         elif lost == 0:
             keep //= 2
         if chosen < 0:
-            chosen, key = draw_option(features, values, m, best, key)
+            chosen, key = draw_option(features, values, parcels, m, best, key)
         token, action, battery = features.token[chosen], features.numbers[chosen, 2], int(state[BATTERY])
         units, steps = features.numbers[chosen, 0], features.numbers[chosen, 1]
         if differ and drawn < 2 * keep:
@@ -187,9 +194,21 @@ def sample_flight(workspace: Workspace, features: Features, values: Any, m: int,
     return m, key
 
 
+@inlined
+def find_goal(workspace: Workspace, start: int, features: Features, values: Any, parcels: Any, m: int) -> int:
+    """All parcels if a flight from the start of the map can deliver them, else 0."""
+    tables, _, grid, state, places, _, _, _, _ = workspace
+    put_parcels(tables, grid, state, places, 0)
+    put_drone(tables, grid, state, start, 0, tables.capacity)
+    choose_target(tables, state)
+    best, _, _ = write_state(workspace, features, values, parcels, m)
+    grid[start] = state[UNDER]
+    return len(places) if best >= 0 and parcels[best] == len(places) else 0
+
+
 @kernel
 def sample_kernel(
-    workspace: Workspace, start: int, seed: int, per_map: int, features: Features, values: Any, m: int
+    workspace: Workspace, start: int, seed: int, per_map: int, features: Features, values: Any, parcels: Any, m: int
 ) -> int:
     """Write up to `per_map` states of a map, from number m on, and return the number of the next state.
 
@@ -200,28 +219,41 @@ def sample_kernel(
         per_map: Maximum number of states.
         features: The output.
         values: float32[options], the values of the options, also output.
+        parcels: int8[options], the parcels that a best flight after each option has delivered, also output.
         m: Number of the first state.
     """
     legs = workspace.legs
     mark_delivered(legs, (1 << legs.parcels) - 1)
     find_distances(legs.search, legs.stops, workspace.distances)
+    goal = find_goal(workspace, start, features, values, parcels, m)
     key, end = mix64(seed ^ GOLDEN), m + per_map
     for _ in range(4 * per_map):
         if m == end:
             break
         key, flies = draw_start(workspace, start, key)
         if flies:
-            m, key = sample_flight(workspace, features, values, m, end, key)
+            m, key = sample_flight(workspace, features, values, parcels, m, end, goal, key)
             workspace.grid[workspace.state[CELL]] = workspace.state[UNDER]
     return m
 
 
+@lru_cache
+def delivered_parcels(task: TaskConfig) -> npt.NDArray[np.int8]:
+    """The most parcels of the flights with each score of a task, int8[ranks]."""
+    scores, ranks = ranked_scores(task)
+    most = np.zeros(len(scores), np.int8)
+    np.maximum.at(most, ranks, np.arange(task.deliveries + 1, dtype=np.int8)[:, None, None])
+    return most
+
+
 class Samples(NamedTuple):
-    """States of one task, with the values of their options."""
+    """States of one task, with what each of their options leads to."""
 
     features: Features
     values: npt.NDArray[np.float32]
     """float32[options], the highest score that is still possible after each."""
+    parcels: npt.NDArray[np.int8]
+    """int8[options], the parcels that a flight with this score delivers."""
 
 
 class SampleGenerator:
@@ -242,13 +274,15 @@ class SampleGenerator:
         # All maps of a task have the same number of stops.
         stops, states = len(self._workspace(Episode(task, seed=0)).legs.stops), maps * per_map + 1
         options = states * stops * most_paths(task)
-        self._features, self._values = make_features(states, stops, options), np.zeros(options, np.float32)
+        self._features = make_features(states, stops, options)
+        self._values, self._parcels = np.zeros(options, np.float32), np.zeros(options, np.int8)
 
     def _workspace(self, episode: Episode) -> Workspace:
         task, tables, (grid, state, parcels) = self.task, tabulate(self.task), state_arrays(episode)
         legs = make_legs(task, grid, state[parcels].tolist(), 0, tables.capacity, tables.max_steps)
-        rewards, (scores, _) = tabulate_rewards(task, UNPAID), ranked_scores(task)
-        return Workspace(tables, rewards, grid, state, parcels, legs, scores, make_distances(len(legs.stops)))
+        rewards, (scores, _), delivered = tabulate_rewards(task, UNPAID), ranked_scores(task), delivered_parcels(task)
+        distances = make_distances(len(legs.stops))
+        return Workspace(tables, rewards, grid, state, parcels, legs, scores, delivered, distances)
 
     def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:
         """The samples of these maps."""
@@ -257,6 +291,9 @@ class SampleGenerator:
             episode = Episode(self.task, seed=seed)
             workspace = self._workspace(episode)
             value_kernel(workspace.legs)
-            m = sample_kernel(workspace, episode.cell, seed, self._per_map, self._features, self._values, m)
+            m = sample_kernel(
+                workspace, episode.cell, seed, self._per_map, self._features, self._values, self._parcels, m
+            )
         features = Features(*(array.copy() for array in first_states(self._features, m)))
-        return Samples(features, self._values[: len(features.token)].copy())
+        options = len(features.token)
+        return Samples(features, self._values[:options].copy(), self._parcels[:options].copy())

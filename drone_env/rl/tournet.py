@@ -1,8 +1,8 @@
 """Training of the tour network by distillation of exact values.
 
 For each state the network is fitted to a soft choice, which gives each option exp(-regret / temperature), as in policy
-distillation (Rusu et al., 2016); the loss adds the expected regret, and a second output learns whether the mission can
-still be completed after an option. The exported network is the moving average of the weights (Polyak and Juditsky,
+distillation (Rusu et al., 2016); the loss adds the expected regret, and a second output learns whether an option keeps
+all parcels that can still be delivered. The exported network is the moving average of the weights (Polyak and Juditsky,
 1992).
 
 A thread generates a chunk of samples for every update. Its states depend on the seed and its number alone, so a resumed
@@ -16,7 +16,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +25,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
-from drone_env.agents.tour_features import SHORT_TIME, SMALL_BATTERY, FeatureEncoder, Features
+from drone_env.agents.tour_features import SHORT_TIME, Features
 from drone_env.agents.tour_network import load_tour_network
-from drone_env.agents.tournet import choose
+from drone_env.agents.tournet import TourFlyer
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, TooLargeError
 from drone_env.rl.common import BaseTrainer, Validator, clone_state, figure, update_average
 from drone_env.rl.config import TourConfig, randomise
 from drone_env.rl.model import TourNet
-from drone_env.rl.samples import COMPLETE, SampleGenerator, Samples
+from drone_env.rl.samples import SampleGenerator, Samples
 
 CHUNKS = 4
 """Number of chunks in a batch."""
@@ -51,9 +50,10 @@ class TourBatch:
     Args:
         features: The features of the states.
         values: float32[options], the values of the options.
+        parcels: int8[options], the parcels that a best flight after each option has delivered.
     """
 
-    def __init__(self, features: Features, values: npt.NDArray[np.float32]) -> None:
+    def __init__(self, features: Features, values: npt.NDArray[np.float32], parcels: npt.NDArray[np.int8]) -> None:
         counts = np.diff(features.begins)
         owner = np.repeat(np.arange(len(counts)), counts)
         self._size = (len(counts), int(counts.max(initial=1)))
@@ -64,6 +64,7 @@ class TourBatch:
         self.inputs = tuple(torch.from_numpy(array) for array in arrays)
         """The inputs of the network."""
         self.values = torch.from_numpy(values)
+        self.parcels = torch.from_numpy(parcels).float()
 
     def table(self, values: Tensor, missing: float) -> Tensor:
         """One row for each state of a number for each option, float32[states, most options]."""
@@ -80,8 +81,8 @@ def sample_batch(window: Sequence[Samples], size: int, rng: np.random.Generator)
     """
     parts: list[tuple[npt.NDArray[Any], ...]] = []
     chunks = [window[int(rng.integers(len(window)))] for _ in range(CHUNKS)]
-    most = max(features.tokens.shape[1] for features, _ in chunks)
-    for features, values in chunks:
+    most = max(features.tokens.shape[1] for features, *_ in chunks)
+    for features, values, parcels in chunks:
         padding = (0, most - features.tokens.shape[1])
         chosen = rng.integers(0, len(features.tokens), size // CHUNKS)
         counts: npt.NDArray[np.int64] = np.diff(features.begins)[chosen]
@@ -93,14 +94,14 @@ def sample_batch(window: Sequence[Samples], size: int, rng: np.random.Generator)
             np.pad(features.edges[chosen], ((0, 0), padding, padding, (0, 0))),
             counts,
         )
-        by_option = (features.token, features.options, features.numbers, values)
+        by_option = (features.token, features.options, features.numbers, values, parcels)
         parts.append((*by_state, *(array[options] for array in by_option)))
-    tokens, present, edges, counts, *by_option, values = map(np.concatenate, zip(*parts, strict=True))
-    return TourBatch(Features(tokens, present, edges, np.append(0, np.cumsum(counts)), *by_option), values)
+    tokens, present, edges, counts, *by_option, values, parcels = map(np.concatenate, zip(*parts, strict=True))
+    return TourBatch(Features(tokens, present, edges, np.append(0, np.cumsum(counts)), *by_option), values, parcels)
 
 
 def choice_logits(preference: Tensor, completion: Tensor) -> Tensor:
-    """The logits of the choice: options that probably lose the mission become unlikely."""
+    """The logits of the choice: options that probably lose a parcel become unlikely."""
     return preference + 2 * logsigmoid(completion)
 
 
@@ -111,23 +112,24 @@ def distillation_losses(
 
     Args:
         preference: float32[options], the network's preferences.
-        completion: float32[options], the logits of whether the mission can be completed after each option.
+        completion: float32[options], the logits of whether each option keeps all parcels that can still be delivered.
         batch: The batch.
         temperature: Regret at which the target probability is 1 / e of the best option's.
     """
     logits = batch.table(choice_logits(preference, completion), -math.inf)
     values = batch.table(batch.values, -math.inf)
     regrets = values.amax(1, keepdim=True) - values
-    # At most the cost of a step over a road: else equal mistakes would count for less on larger maps.
-    drone = batch.inputs[0][:, 0]
-    step_cost = drone[:, SMALL_BATTERY] / 100 + drone[:, SHORT_TIME] / 400
+    # At most the cost of a step: else equal mistakes would count for less on larger maps. Units do not count: a pad
+    # refunds them, so a temperature of their cost makes the way back to a pad look as good as the way on.
+    step_cost = batch.inputs[0][:, 0, SHORT_TIME] / 400
     target = (-regrets / step_cost.clamp(max=temperature)[:, None]).softmax(1)
     log_probs = logits.log_softmax(1)
     missing = ~torch.isfinite(values)
     choice = -(target * log_probs.masked_fill(missing, 0)).sum(1).mean()
     regret = (log_probs.exp() * regrets.clamp(max=MAX_REGRET).masked_fill(missing, 0)).sum(1).mean()
-    can_complete = (batch.values >= COMPLETE).float()
-    return choice, regret, binary_cross_entropy_with_logits(completion, can_complete)
+    most = batch.table(batch.parcels, -1.0).amax(1)
+    keeps = batch.parcels == most[batch.inputs[3]]
+    return choice, regret, binary_cross_entropy_with_logits(completion, keeps.float())
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ class TourTrainer(BaseTrainer):
         self._task_shares = np.array(list(sampled.values()))
         self._windows: list[deque[Samples]] = [deque(maxlen=config.window) for _ in sampled]
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in config.tasks()}
-        self._encoders = {task.short_name: FeatureEncoder(task) for task in config.tasks()}
+        self._flyers = {task.short_name: TourFlyer(task, self._logits) for task in config.tasks()}
         self.online = TourNet()
         if config.initial:
             parameters = load_tour_network(Path(config.initial)).parameters
@@ -302,18 +304,18 @@ class TourTrainer(BaseTrainer):
 
     def validate(self) -> None:
         """Fly the validation maps of each task with the average of the weights."""
-        network = partial(self._logits, self.average)
         for name, validator in self._validators.items():
-            result = validator.validate(partial(choose, self._encoders[name], network))
+            flyer = self._flyers[name]
+            result = validator.validate(flyer.act_batch, flyer.reset_batch)
             self.ratios[name] = result.score / result.optimum
         self.best = clone_state(self.average)
 
-    @staticmethod
-    def _logits(network: TourNet, features: Features) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """The network as an agent takes it: choice and completion logits of each option."""
-        batch = TourBatch(features, np.zeros(len(features.token), np.float32))
+    def _logits(self, features: Features) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """The average of the weights as an agent takes it: choice and completion logits of each option."""
+        options = len(features.token)
+        batch = TourBatch(features, np.zeros(options, np.float32), np.zeros(options, np.int8))
         with torch.no_grad():
-            preference, completion = network(*batch.inputs)
+            preference, completion = self.average(*batch.inputs)
         return choice_logits(preference, completion).numpy(), completion.numpy()
 
     @property

@@ -19,6 +19,8 @@ PAIRS = [
     ("pathqnet", get_task("easy")),
 ]
 """Agents that fly batches, with tasks that they can fly: of one and of several parcels, without pads and with them."""
+CIRCLES = 6755399441055752
+"""A map of skyline_medium on which tournet circled a pad before it had a memory."""
 
 
 @pytest.mark.parametrize(("name", "task"), PAIRS, ids=lambda value: getattr(value, "id", value))
@@ -28,7 +30,7 @@ def test_together_the_agents_choose_as_they_do_alone(
     """Which also means: an agent flies a map in the same way every time."""
     monkeypatch.setattr("drone_env.agents.pathqnet.MAPS_AT_ONCE", 4)  # networks evaluate this many maps per call
     monkeypatch.setattr("drone_env.agents.tour_features.STATES_AT_ONCE", 2)
-    seeds = np.array([0, 2**53 - 1, 1, 2**52, *range(500, 516)], np.int64)[: 3 if name in NETWORK_AGENTS else 20]
+    seeds = np.array([0, 2**53 - 1, CIRCLES, 2**52, *range(500, 516)], np.int64)[: 3 if name in NETWORK_AGENTS else 20]
     together, alone = make_agent(name, task), make_agent(name, task)
     batch = Batch(task, len(seeds))
     batch.reset(seeds)
@@ -46,6 +48,12 @@ def test_together_the_agents_choose_as_they_do_alone(
             assert act(episode.observation()) == actions[i]
             episode.step(actions[i])
         assert episode.ended
+
+
+def test_the_tour_network_does_not_circle_a_pad() -> None:
+    """Its choices by the observation alone are up, down and wait, again and again until the steps run out."""
+    flight = flown("skyline_medium", "tournet", seed=CIRCLES)
+    assert flight.deliveries_done == flight.task.deliveries
 
 
 def test_the_random_agent_draws_all_actions_alike_and_differently_on_each_map() -> None:

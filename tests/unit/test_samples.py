@@ -13,7 +13,7 @@ from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.legs import LegSolver
 from drone_env.planning.states import state_arrays
-from drone_env.rl.samples import COMPLETE, SampleGenerator, Samples
+from drone_env.rl.samples import SampleGenerator, Samples
 from tests.same import assert_same
 from tests.unit.tour_features import EVERY_TASK
 
@@ -49,7 +49,7 @@ def states_of(task: TaskConfig, seed: int, samples: Samples) -> Iterator[tuple[E
     start, state, entries = state_arrays(Episode(task, seed=seed))
     parcels = state[entries].tolist()
     stops = [*parcels, *np.flatnonzero(start == Cell.PAD).tolist()]
-    (features, values), encoder = samples, FeatureEncoder(task)
+    (features, values, _), encoder = samples, FeatureEncoder(task)
     for m in range(len(features.tokens)):
         options = options_of(features, m, stops)
         units = round(features.tokens[m, 0, UNITS] * task.battery_capacity)
@@ -110,10 +110,12 @@ def test_lessons_depend_on_the_seeds_of_their_maps_alone() -> None:
 
 
 def test_of_every_state_that_is_kept_the_options_differ_in_worth() -> None:
-    for name, fatal in (("hard", False), ("skyline_easy", True)):
-        features, values = SampleGenerator(get_task(name), 8, 32).generate(np.arange(8))
+    for name, fatal in (("hard", False), ("skyline_easy", True), ("rush_easy", True)):
+        features, values, parcels = SampleGenerator(get_task(name), 8, 32).generate(np.arange(8))
         assert len(features.tokens) == 256
-        worst, best = (function.reduceat(values, features.begins[:-1]) for function in (np.minimum, np.maximum))
+        first = features.begins[:-1]
+        worst, best = (function.reduceat(values, first) for function in (np.minimum, np.maximum))
         assert (worst < best).all()
-        # Where a mission can be lost, a choice often decides on that.
-        assert (((worst < COMPLETE) & (best >= COMPLETE)).sum() > 64) == fatal
+        # Where a parcel can be lost, a choice often decides on that.
+        fewest, most = (function.reduceat(parcels, first) for function in (np.minimum, np.maximum))
+        assert ((fewest < most).sum() > 64) == fatal
