@@ -153,8 +153,8 @@ class TaskTrainer(BaseTrainer):
         self.validator = Validator(self.task, config.validation_maps)
         self.validation = Validation(math.nan, self.validator.optimum, math.nan)
         self.best_score = -1.0
-        self.steps = 0
-        self.updates = 0
+        self.steps: int = 0
+        self.updates: int = 0
 
     def keep_best(self, network: nn.Module, act: ActBatch) -> None:
         """Fly the validation maps with a network, and keep it if it is the best so far."""

@@ -170,7 +170,7 @@ class PpoTrainer(TaskTrainer):
         """The inputs of the network, entries and features, and the masks of its actions."""
         seen = self.look({"grid": grids, "telemetry": telemetry})
         arrays = seen["entries"], seen["features"], action_masks(seen["entries"])
-        return tuple(map(torch.from_numpy, arrays))
+        return tuple(torch.from_numpy(array) for array in arrays)
 
     @staticmethod
     def policy(network: ActorCritic, entries: Tensor, features: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
