@@ -90,9 +90,9 @@ class Sb3Agent(StatelessAgent):
         """The likeliest actions, int64[N]."""
         masks: dict[str, Any] = {}
         if self._masked:
-            from drone_env.planning.nearby import action_masks  # Imported lazily: compiling takes seconds.
+            from drone_env.planning.nearby import action_masks, entries_of  # Imported lazily: compiling takes seconds.
 
-            masks["action_masks"] = action_masks(self._task, grids, telemetry)
+            masks["action_masks"] = action_masks(entries_of(self._task, grids, telemetry))
         observations = self._to_form({"grid": grids, "telemetry": telemetry})
         return np.asarray(self._policy.predict(observations, deterministic=True, **masks)[0], np.int64)
 

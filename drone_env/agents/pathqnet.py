@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.agents.weights_file import PATHQNET, WEIGHTS, Array, Weights, in_one_thread, read_weights, rejecting
+from drone_env.agents.weights_file import PATHQNET, WEIGHTS, Array, NumpyNetwork, in_one_thread, read_weights, rejecting
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import CheckpointError, UnsupportedTaskError
+from drone_env.errors import UnsupportedTaskError
 
 POOLED = 4
 EPSILON = 1e-5
@@ -19,7 +19,7 @@ EPSILON = 1e-5
 MAP_FEATURES = 64
 
 
-class Network:
+class Network(NumpyNetwork):
     """The values of the five actions: float32[B, 5] from grids uint8[B, H, W] and telemetry float32[B, telemetry_size].
 
     A single map takes some hundred microseconds.
@@ -27,9 +27,6 @@ class Network:
     Args:
         weights: The content of an exported file; its metadata contain `telemetry_size`.
     """
-
-    def __init__(self, weights: Weights) -> None:
-        self.parameters, self.metadata, self.digest = weights
 
     @in_one_thread
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
@@ -119,11 +116,7 @@ class PathQNetAgent(StatelessAgent):
                 f"or train one first (drone-env train --task {task.short_name})"
             )
         self._network = load_network(path)
-        takes = self._network.metadata["telemetry_size"]
-        if takes != task.telemetry_size:
-            raise CheckpointError(
-                f"{path} takes {takes} values of telemetry, and {task.id!r} has {task.telemetry_size}"
-            )
+        self._network.check_telemetry(path, task)
         self.config: Mapping[str, object] = {"agent": "pathqnet", "version": 1, "network": self._network.digest}
 
     def q_values(self, observation: Observation) -> npt.NDArray[np.float32]:

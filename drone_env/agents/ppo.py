@@ -7,20 +7,16 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.agents.weights_file import PPO, Array, Weights, in_one_thread, read_weights, rejecting
+from drone_env.agents.weights_file import PPO, Array, NumpyNetwork, in_one_thread, read_weights, rejecting
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import CheckpointError
 
 
-class ActorNetwork:
+class ActorNetwork(NumpyNetwork):
     """The logits of the five actions, float32[N, 5]: the same as `rl.model.ActorCritic` without the values.
 
     Args:
         weights: The content of an exported file; its metadata contain `telemetry_size`.
     """
-
-    def __init__(self, weights: Weights) -> None:
-        self.parameters, self.metadata, self.digest = weights
 
     @in_one_thread
     def __call__(self, entries: npt.NDArray[np.int32], features: Array) -> Array:
@@ -64,12 +60,8 @@ class PpoAgent(StatelessAgent):
         from drone_env.envs.forms import StopEntries
 
         self._network = load_actor(network)
-        takes = self._network.metadata["telemetry_size"]
-        if takes != task.telemetry_size:
-            raise CheckpointError(
-                f"{network} takes {takes} values of telemetry, and {task.id!r} has {task.telemetry_size}"
-            )
-        self._task, self._look = task, StopEntries(task)
+        self._network.check_telemetry(network, task)
+        self._look = StopEntries(task)
         self.config: Mapping[str, object] = {"agent": "ppo", "version": 1, "network": self._network.digest}
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
@@ -78,4 +70,4 @@ class PpoAgent(StatelessAgent):
 
         seen = self._look({"grid": grids, "telemetry": telemetry})
         logits = self._network(seen["entries"], seen["features"])
-        return np.where(action_masks(self._task, grids, telemetry), logits, -np.inf).argmax(axis=1)
+        return np.where(action_masks(seen["entries"]), logits, -np.inf).argmax(axis=1)

@@ -16,7 +16,6 @@ from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import units_left
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.planning.from_observation import read_observations
 from drone_env.planning.paths import NO_STOP, UNREACHED, PathSearch, find_paths, make_search
 from drone_env.planning.states import require_memory
 
@@ -126,11 +125,6 @@ class TourState(NamedTuple):
     """Battery units left."""
     left: int
     """Steps left."""
-
-
-def make_distances(stops: int) -> Distances:
-    """Allocate the distances between this many stops."""
-    return Distances(*np.zeros((3, stops, stops), np.int32))
 
 
 def make_features(states: int, stops: int, options: int) -> Features:
@@ -428,6 +422,7 @@ class FeatureEncoder:
         task: The task.
 
     Attributes:
+        task: The task.
         most: Maximum number of observations per call.
         tokens: Number of tokens of a state.
 
@@ -436,7 +431,7 @@ class FeatureEncoder:
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        self._task = task
+        self.task = task
         self._pads = 0 if task.uniform or not task.charge_rate else task.pads
         n = task.deliveries + self._pads
         self.tokens = n + 1
@@ -450,21 +445,8 @@ class FeatureEncoder:
         self._place_of: dict[bytes, int] = {}
         self._features = make_features(self.most, n, self.most * options)
 
-    def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
-        """The features of M observations, at most `most`; the next call overwrites them.
-
-        Args:
-            grids: uint8[M, height, width]
-            telemetry: float32[M, telemetry_size]
-
-        Raises:
-            InvalidValueError: if they are no observations of the task: one shows more parcels, pads or battery than the
-                task has, or a drone beside its grid.
-        """
-        return self.encode(*read_observations(self._task, grids, telemetry))
-
     def encode(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> Features:
-        """The features of M states.
+        """The features of M states, at most `most`; the next call overwrites them.
 
         Args:
             grounds: uint8[M, cells], without the drones.
@@ -483,5 +465,5 @@ class FeatureEncoder:
             missing[i] = places[i] == new
         if encode_kernel(grounds, drones, self._pads, places, missing, *self._working_memory, self._features) < m:
             self._place_of.clear()  # it contains maps whose distances are missing
-            raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
+            raise InvalidValueError(f"an observation shows more parcels or pads than {self.task.id!r} has")
         return first_states(self._features, m)

@@ -8,13 +8,13 @@ import numpy.typing as npt
 
 from drone_env.agents.pathqnet import EPSILON
 from drone_env.agents.tour_features import Features, make_features
-from drone_env.agents.weights_file import TOURNET, Array, Weights, in_one_thread, read_weights, rejecting
+from drone_env.agents.weights_file import TOURNET, Array, NumpyNetwork, Weights, in_one_thread, read_weights, rejecting
 
 WIDTH, HEADS, LAYERS, EDGE, EDGE_HIDDEN, HIDDEN = 64, 4, 4, 16, 32, 64
 HEAD = WIDTH // HEADS
 
 
-class TourNetwork:
+class TourNetwork(NumpyNetwork):
     """The logits of the options of M states, and of whether the mission can be completed after each.
 
     Args:
@@ -22,7 +22,7 @@ class TourNetwork:
     """
 
     def __init__(self, weights: Weights) -> None:
-        self.parameters, self.metadata, self.digest = weights
+        super().__init__(weights)
         self._layers = {
             name.removesuffix(".weight"): array.T for name, array in self.parameters.items() if array.ndim == 2
         }

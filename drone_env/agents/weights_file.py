@@ -16,6 +16,7 @@ import numpy.typing as npt
 from safetensors.numpy import load, save
 from threadpoolctl import ThreadpoolController
 
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, abbreviate
 from drone_env.files import read_file, replacing
 
@@ -39,6 +40,27 @@ class Weights(NamedTuple):
     metadata: dict[str, Any]
     digest: str
     """First 16 digits of the file's SHA-256."""
+
+
+class NumpyNetwork:
+    """A network in NumPy.
+
+    Args:
+        weights: The content of an exported file.
+    """
+
+    def __init__(self, weights: Weights) -> None:
+        self.parameters, self.metadata, self.digest = weights
+
+    def check_telemetry(self, path: Path, task: TaskConfig) -> None:
+        """Check that a task has the telemetry that the network from this file takes.
+
+        Raises:
+            CheckpointError: if it has other telemetry.
+        """
+        takes, size = self.metadata["telemetry_size"], task.telemetry_size
+        if takes != size:
+            raise CheckpointError(f"{path} takes {takes} values of telemetry, and {task.id!r} has {size}")
 
 
 def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping[str, Any]) -> None:

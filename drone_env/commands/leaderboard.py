@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import tyro
 
-from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
 from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
 from drone_env.results.statistics import DIFFERENCES, PairedComparison, ci95, mean_of
@@ -18,38 +17,29 @@ EVALUATION, RUN = "evaluation.json", "run.json"
 """Copies of constants: `results.folder` loads Pydantic, `llm.run_folder` needs an extra."""
 
 
-def leaderboard(folders: Folders, json: bool = False) -> int:
+def leaderboard(folders: Folders) -> int:
     """Rank agents and language models over the same maps: folders of `drone-env evaluate --out` and of `infer`.
 
     The answers of a language model are flown again first. A run that does not match its flights is refused, and so are
-    invalid and incomplete folders. Evaluations store no actions: their scores are checked against the optima of the
-    maps. "- first" is the mean score minus that of the first row, map by map. Exit status: 0, or 1 if a folder is
-    damaged.
+    invalid and incomplete folders. Evaluations store no actions, so their scores are believed. "- first" is the mean
+    score minus that of the first row, map by map. Exit status: 0, or 1 if a folder is damaged.
 
     Example: drone-env leaderboard data/llm/* data/evaluations/*
 
     Args:
         folders: The folders.
-        json: Print JSON instead of tables.
     """
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or evaluation, or more")
     entries = [entry for folder in folders for entry in _entries(folder)]
     boards = group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
     refused = [entry for entry in entries if isinstance(entry, NotRanked)]
-    if json:
-        rows = [
-            board._asdict() | {"rows": [{"path": str(entry.path), **entry.report} for entry in board.rows]}
-            for board in boards
-        ]
-        print_json({"boards": rows, "refused": [{"path": str(run.path), "reason": run.reason} for run in refused]})
-    else:
-        for board in boards:
-            marked = [i for i, entry in enumerate(board.rows) if entry.report.get("unusable", {}).get("marked")]
-            caption = "! more than 5 % of the answers were unusable; the drone waited instead" if marked else None
-            print_table(_table(board), names=3, caption=caption, alarming=marked)
-        for run in refused:
-            print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
+    for board in boards:
+        marked = [i for i, entry in enumerate(board.rows) if entry.report.get("unusable", {}).get("marked")]
+        caption = "! more than 5 % of the answers were unusable; the drone waited instead" if marked else None
+        print_table(_table(board), names=3, caption=caption, alarming=marked)
+    for run in refused:
+        print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
     return int(any(run.damaged for run in refused))
 
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 from drone_env.errors import StoreError
 
 BUSY_SECONDS = 30.0
+"""Maximum time to wait for other writers."""
 RETRY_SECONDS = 0.002
 VERSION = 1
 SCHEMA = f"""
@@ -93,18 +94,16 @@ class Database:
 
     Args:
         path: The file.
-        busy_seconds: Maximum time to wait for other writers.
 
     Raises:
         OSError: if the file cannot be created.
         StoreError: if it is not a store of this version, or cannot be opened.
     """
 
-    def __init__(self, path: Path, busy_seconds: float = BUSY_SECONDS) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.failed = False
         """Whether the last write has failed."""
-        self._busy_seconds = busy_seconds
         self._waits = True
         """Whether the thread that writes waits for other processes."""
         # Session ids are secrets; SQLite gives its other files the same permissions.
@@ -199,7 +198,7 @@ class Database:
 
     def _begin(self) -> None:
         # After a failure nobody waits, so that all who wait for it fail together.
-        until = monotonic() + (0 if self.failed else self._busy_seconds)
+        until = monotonic() + (0 if self.failed else BUSY_SECONDS)
         while True:
             try:
                 self._writer.execute("BEGIN IMMEDIATE")
@@ -214,9 +213,7 @@ class Database:
             sleep(RETRY_SECONDS)
 
     def _connect(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(
-            self.path, timeout=self._busy_seconds, isolation_level=None, check_same_thread=False
-        )
+        connection = sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         connection.row_factory = sqlite3.Row
         try:
             connection.execute("PRAGMA journal_mode = WAL")

@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, StoreError, UnknownNameError
 from drone_env.files import write_text
-from drone_env.flights.database import BUSY_SECONDS, Database
+from drone_env.flights.database import Database
 from drone_env.flights.episodes import (
     SELECT_BEST,
     SELECT_BY_MAP,
@@ -56,7 +56,6 @@ class Store:
 
     Args:
         folder: Created if it is missing.
-        busy_seconds: Maximum time to wait for other writers.
         submit: Starts to solve the maps of a list in another process; None for a thread of the store.
 
     Raises:
@@ -65,15 +64,10 @@ class Store:
             under the name of a registered one.
     """
 
-    def __init__(
-        self,
-        folder: str | Path,
-        busy_seconds: float = BUSY_SECONDS,
-        submit: Submit | None = None,
-    ) -> None:
+    def __init__(self, folder: str | Path, submit: Submit | None = None) -> None:
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.database = Database(self.folder / FILE_NAME, busy_seconds)
+        self.database = Database(self.folder / FILE_NAME)
         try:
             with self.database.reading() as connection:
                 for task in list(TASKS.values()):

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.cells import DELIVERY_CELL, N_CELL_KINDS, PAD_CELL, ROAD_CELL
 from drone_env.core.compiled import jitable, kernel
-from drone_env.core.rules import NONE, collision, open_actions
-from drone_env.core.tables import CELL, N_MOVES, Tables, tabulate
+from drone_env.core.rules import NONE, collision
+from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.from_observation import drone_positions
 from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs
@@ -67,9 +67,9 @@ def entries_kernel(tables: Tables, grounds: Any, drones: Any, kind_costs: Any, w
             elif ground[cell] == DELIVERY_CELL:
                 waiting += 1
         from_drone[drone] = 0
-        find_costs(tables, ground, kind_costs, from_drone, first)
+        find_costs(tables, ground, kind_costs, True, from_drone, first)
         if pads > 0 and waiting > 1:
-            find_costs(tables, ground, kind_costs, to_pad, unused)
+            find_costs(tables, ground, kind_costs, True, to_pad, unused)
         entries[i, 0] = UNITS + bucket(units)
         n = 1
         for action in range(N_MOVES):
@@ -94,20 +94,13 @@ def entries_kernel(tables: Tables, grounds: Any, drones: Any, kind_costs: Any, w
             n += 2
 
 
-@kernel
-def mask_kernel(tables: Tables, grids: Any, drones: Any, state: Any, masks: Any) -> None:
-    """Write the open actions of N drones, as `rules.open_actions`, int64[N]."""
-    for i in range(len(grids)):
-        state[CELL] = drones[i]
-        masks[i] = open_actions(tables, grids[i], state)
-
-
 def entries_of(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int32]:
     """The entries of N observations, int32[N, 5 + 2 * (parcels + pads)]; 0 for those that are missing."""
     tables, n = tabulate(task), len(grids)
-    cells = _drone_cells(task, grids, telemetry)
+    x, y = drone_positions(task, grids, telemetry).T
+    cells = y * task.width + x
     grounds = grids.reshape(n, -1).copy()
     shown: Any = np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)] if task.pads else ROAD_CELL
     grounds[np.arange(n), cells] = shown
@@ -123,18 +116,10 @@ def entry_count(task: TaskConfig) -> int:
     return 1 + N_MOVES + 2 * (task.deliveries + task.pads)
 
 
-def action_masks(
-    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
-) -> npt.NDArray[np.bool_]:
-    """The actions that do not bump, bool[N, 5], of N observations: as `info["action_mask"]`."""
-    masks = np.zeros(len(grids), np.dtype("<i8"))
-    cells, state = _drone_cells(task, grids, telemetry), np.zeros(CELL + 1, np.uint16)
-    mask_kernel(tabulate(task), grids.reshape(len(grids), -1), cells, state, masks)
-    return masks.view(np.bool_).reshape(-1, 8)[:, :N_ACTIONS]
-
-
-def _drone_cells(
-    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
-) -> npt.NDArray[np.int64]:
-    x, y = drone_positions(task, grids, telemetry).T
-    return y * task.width + x
+def action_masks(entries: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """The actions that do not bump, bool[N, 5], of the drones with these entries: as `info["action_mask"]`."""
+    masks = np.zeros((len(entries), N_ACTIONS), np.bool_)
+    masks[:, WAIT] = True
+    drones, places = np.nonzero(entries >= NEIGHBOURS)
+    masks[drones, (entries[drones, places] - NEIGHBOURS) // N_CELL_KINDS] = True
+    return masks

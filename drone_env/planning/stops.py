@@ -4,6 +4,7 @@ The rule is nearest neighbour with recharging, a construction heuristic of elect
 parcel from which a pad is in range; else fill up at the pad on the cheapest chain of pads to such a parcel.
 """
 
+import math
 from string import ascii_uppercase
 from typing import Any, NamedTuple
 
@@ -16,7 +17,6 @@ from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rules import score_of
 from drone_env.core.tables import N_MOVES, Tables, tabulate
-from drone_env.core.tasks import TaskConfig
 from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, least_units, move_costs
 from drone_env.planning.states import require_memory, state_arrays
 
@@ -123,20 +123,28 @@ def find_chains(stops: StopMap) -> None:
                             chains[pad, parcel], changed = units + chains[other, parcel], True
 
 
+@jitable
+def measure(stops: StopMap, place: int, first: Any) -> None:
+    """Measure the distances from a place to each stop; `first` is working memory, int64[cells]."""
+    costs = stops.costs[place]
+    costs[:] = NO_PATH
+    first[:] = NO_ACTION
+    costs[stops.cells[place]] = 0
+    find_costs(stops.tables, stops.ground, stops.kind_costs, stops.through, costs, first)
+    for stop in range(len(stops.cells) - 1):
+        cost = costs[stops.cells[stop]]
+        stops.units[place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
+        stops.steps[place, stop] = cost % UNIT_COST if cost < NO_PATH else FAR
+
+
 @kernel
 def measure_kernel(stops: StopMap, first: Any) -> None:
     """Measure the distances between all places; `first` is working memory, int64[cells]."""
-    tables, cells, n = stops.tables, stops.cells, stops.parcels
+    cells, n = stops.cells, stops.parcels
     for place in range(len(cells)):
-        costs = stops.costs[place]
-        costs[:] = NO_PATH
-        first[:] = NO_ACTION
-        costs[cells[place]] = 0
-        find_costs(tables, stops.ground, stops.kind_costs, stops.through, costs, first)
+        measure(stops, place, first)
         for stop in range(len(cells) - 1):
-            cost, passed = costs[cells[stop]], 1 << stop if stop < n else 0
-            stops.units[place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
-            stops.steps[place, stop] = cost % UNIT_COST if cost < NO_PATH else FAR
+            cost, passed = stops.costs[place, cells[stop]], 1 << stop if stop < n else 0
             cell = cells[stop]
             while cost < NO_PATH and cell != cells[place]:
                 if stops.ground[cell] == DELIVERY_CELL:
@@ -298,46 +306,29 @@ def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, 
 
 
 @kernel
-def stop_value_kernel(stops: StopMap, units: Any, steps: Any, work: Any, values: Any) -> None:
+def stop_value_kernel(stops: StopMap, units: Any, steps: Any, first: Any, values: Any) -> None:
     """Compute the highest score by stops from each state, if no path leads on beyond a waiting parcel.
 
     Args:
-        stops: The map; its ground is modified.
+        stops: The map; its ground and its distances between stops are modified.
         units: int64[sets delivered, stops, stops], receives the battery units of the cheapest paths.
         steps: The same shape, receives their steps.
-        work: int64[2, cells], working memory.
+        first: int64[cells], working memory.
         values: float64[sets delivered, stops, units + 1, steps left + 1], receives the scores.
     """
     n, n_stops, everything, capacity = stops.parcels, len(units[0]), len(units) - 1, stops.tables.capacity
-    costs, first, cells = work[0], work[1], stops.cells
     for delivered in range(everything):
         for parcel in range(n):
-            stops.ground[cells[parcel]] = DELIVERED_CELL if delivered >> parcel & 1 else DELIVERY_CELL
+            stops.ground[stops.cells[parcel]] = DELIVERED_CELL if delivered >> parcel & 1 else DELIVERY_CELL
         for place in range(n_stops):
-            costs[:] = NO_PATH
-            first[:] = NO_ACTION
-            costs[cells[place]] = 0
-            find_costs(stops.tables, stops.ground, stops.kind_costs, stops.through, costs, first)
-            for stop in range(n_stops):
-                cost = costs[cells[stop]]
-                units[delivered, place, stop] = cost // UNIT_COST if cost < NO_PATH else FAR
-                steps[delivered, place, stop] = cost % UNIT_COST if cost < NO_PATH else FAR
+            measure(stops, place, first)
+            copy(stops.units[place], units[delivered, place], n_stops)
+            copy(stops.steps[place], steps[delivered, place], n_stops)
     for left in range(values.shape[3]):  # each stop takes a step at least
         for delivered in range(everything + 1):
-            ways = StopMap(
-                stops.tables,
-                stops.ground,
-                stops.kind_costs,
-                stops.cells,
-                stops.parcels,
-                stops.through,
-                stops.costs,
-                units[delivered],
-                steps[delivered],
-                stops.passed,
-                stops.reserves,
-                stops.chains,
-            )
+            for place in range(n_stops):
+                copy(units[delivered, place], stops.units[place], n_stops)
+                copy(steps[delivered, place], stops.steps[place], n_stops)
             for place in range(n_stops):
                 if place < n and not delivered >> place & 1:
                     continue
@@ -347,7 +338,7 @@ def stop_value_kernel(stops: StopMap, units: Any, steps: Any, work: Any, values:
                     for stop in range(n_stops):
                         if charge == 0 or (stop < n and delivered >> stop & 1):
                             continue
-                        after = fly_to(ways, flight, stop)
+                        after = fly_to(stops, flight, stop)
                         if after.left < left:
                             best = max(best, values[after.delivered, after.place, after.units, after.left])
                     values[delivered, place, charge, left] = best
@@ -371,21 +362,20 @@ def route_kernel(stops: StopMap, flight: Flight, order: Any, actions: Any) -> in
     return n
 
 
-def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int, through: bool = True) -> StopMap:
-    """Measure a map.
+def measure_stops(episode: Episode, through: bool) -> tuple[StopMap, Flight]:
+    """The map of an episode, and its flight so far.
 
     Args:
-        task: The task.
-        ground: uint8[cells], without the drone.
-        drone: The cell of the drone.
+        episode: The episode; it is not changed.
         through: Whether paths lead on beyond waiting parcels.
 
     Raises:
         TooLargeError: if the map would take more memory than `states.MAX_BYTES`.
     """
+    task, (ground, _, _) = episode.task, state_arrays(episode)
     tables, parcels = tabulate(task), np.flatnonzero(ground == DELIVERY_CELL)
     pads = np.flatnonzero(ground == PAD_CELL) if task.charge_rate and not task.uniform else parcels[:0]
-    places, n = np.concatenate([parcels, pads, [drone]]), len(parcels)
+    places, n = np.concatenate([parcels, pads, [episode.cell]]), len(parcels)
     p = len(places)
     require_memory("the distances", task, 8 * p * (tables.cells + 3 * p + 2 * n))
     costs, (units, steps, passed) = np.zeros((p, tables.cells), np.int64), np.zeros((3, p, p - 1), np.int64)
@@ -394,7 +384,7 @@ def measure_stops(task: TaskConfig, ground: npt.NDArray[np.uint8], drone: int, t
         tables, ground, move_costs(tables), places, n, through, costs, units, steps, passed, reserves, chains
     )
     measure_kernel(stops, np.zeros(tables.cells, np.int64))
-    return stops
+    return stops, Flight(0, p - 1, episode.battery_units, task.max_steps - episode.steps)
 
 
 def planned_actions(episode: Episode, width: int) -> npt.NDArray[np.int64]:
@@ -407,14 +397,12 @@ def planned_actions(episode: Episode, width: int) -> npt.NDArray[np.int64]:
     Returns:
         The actions, int64[steps]. If the episode has not ended after them, only waiting remains.
     """
-    ground, _, _ = state_arrays(episode)
-    stops, left = measure_stops(episode.task, ground, episode.cell), episode.task.max_steps - episode.steps
-    best, order = np.zeros((2, 2 * left + 2), np.int64)
+    stops, start = measure_stops(episode, through=True)
+    best, order = np.zeros((2, 2 * start.left + 2), np.int64)
     most = 2 * stops.parcels + 4 if width else 0
     beams, scores = np.zeros((2, max(width, 1), 4 + most), np.int64), np.zeros(width)
-    start = Flight(0, len(stops.cells) - 1, episode.battery_units, left)
     n = beam_kernel(stops, np.array(start), beams, scores, best, order)
-    actions = np.zeros(left, np.int64)
+    actions = np.zeros(start.left, np.int64)
     return actions[: route_kernel(stops, start, best[:n], actions)]
 
 
@@ -427,19 +415,16 @@ def next_stops(episode: Episode) -> list[NextStop]:
     Raises:
         TooLargeError: as `measure_stops`.
     """
-    task, left = episode.task, episode.task.max_steps - episode.steps
     if episode.ended:
         return []
-    ground, _, _ = state_arrays(episode)
-    stops = measure_stops(task, ground, episode.cell, through=False)
-    start = Flight(0, len(stops.cells) - 1, episode.battery_units, left)
-    cells = [y * task.width + x for x, y, _ in episode.parcels] + stops.cells[stops.parcels : -1].tolist()
+    stops, start = measure_stops(episode, through=False)
+    cells = [y * episode.task.width + x for x, y, _ in episode.parcels] + stops.cells[stops.parcels : -1].tolist()
     left_full, found, repeated = _left_full(episode), list[NextStop](), list[NextStop]()
     for stop in sorted(range(start.place), key=lambda stop: (stop >= stops.parcels, stops.units[start.place, stop])):
         after = fly_to(stops, start, stop)
-        if after.left == left:
+        if after.left == start.left:
             continue
-        cell, actions = int(stops.cells[stop]), np.zeros(left, np.int64)
+        cell, actions = int(stops.cells[stop]), np.zeros(start.left, np.int64)
         n = route_kernel(stops, start, np.array([stop]), actions)
         way = list(map(Action, actions[:n].tolist()))
         facts = (int(stops.units[start.place, stop]), *_outlook(stops, after))
@@ -454,17 +439,16 @@ def stop_values(episode: Episode) -> dict[str, float]:
     Raises:
         TooLargeError: as `measure_stops`, or if the values of all states take too much memory.
     """
-    task, found, left = episode.task, next_stops(episode), episode.task.max_steps - episode.steps
+    found = next_stops(episode)
     if not found:
         return {}
-    ground, _, _ = state_arrays(episode)
-    stops = measure_stops(task, ground, episode.cell, through=False)
-    n, sets = len(stops.cells) - 1, 1 << stops.parcels
-    require_memory("the values of stops", task, 8 * sets * n * (2 * n + (task.battery_capacity + 1) * (left + 1)))
+    stops, start = measure_stops(episode, through=False)
+    n, sets, places = start.place, 1 << stops.parcels, stops.cells.tolist()
+    shape = sets, n, stops.tables.capacity + 1, start.left + 1
+    require_memory("the values of stops", episode.task, 8 * (math.prod(shape) + 2 * sets * n * n))
     units, steps = np.zeros((2, sets, n, n), np.int64)
-    values = np.zeros((sets, n, task.battery_capacity + 1, left + 1))
-    stop_value_kernel(stops, units, steps, np.zeros((2, task.width * task.height), np.int64), values)
-    start, places = Flight(0, n, episode.battery_units, left), stops.cells.tolist()
+    values = np.zeros(shape)
+    stop_value_kernel(stops, units, steps, np.zeros(stops.tables.cells, np.int64), values)
     ends = {stop.label: fly_to(stops, start, places.index(stop.cell)) for stop in found}
     return {label: float(values[at.delivered, at.place, at.units, at.left]) for label, at in ends.items()}
 
@@ -494,9 +478,6 @@ def _outlook(stops: StopMap, after: Flight) -> tuple[int, int | None]:
 
 
 def _label(number: int) -> str:
-    """`A` to `Z`, then `AA`, `AB` and so on."""
-    label = ""
-    while number >= 0:
-        number, letter = divmod(number, len(ascii_uppercase))
-        label, number = ascii_uppercase[letter] + label, number - 1
-    return label
+    """`A` to `Z`, then `AA`, `BB` and so on."""
+    rounds, letter = divmod(number, len(ascii_uppercase))
+    return ascii_uppercase[letter] * (rounds + 1)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError, UnknownNameError
+from drone_env.errors import DroneEnvError, TooLargeError, UnknownNameError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.result import Results, repeated
 from drone_env.results.statistics import normalised
@@ -51,8 +51,6 @@ def evaluation_entries(
 ) -> list[LeaderboardEntry | NotRanked]:
     """Return the entries of an evaluation's folder, or why it is not ranked.
 
-    Evaluations store no actions, so scores are only checked against the optima of their maps.
-
     Args:
         path: The folder.
         task: Read only this task; None for all.
@@ -73,11 +71,6 @@ def _entry(path: Path, agent: str, repeats: tuple[Results, ...]) -> LeaderboardE
     key = repeats[0].key
     by_chance = episodes_key(key.task, "random", range(*key.seeds), key.split)
     random = shipped_results(by_chance) or run_episodes(by_chance)
-    best = random.optimal_scores  # NaN if unknown
-    for results in repeats:
-        known = np.array_equal(results.optimal_scores, best, equal_nan=True)
-        if not known or (results.scores > best).any():
-            raise InvalidValueError(f"{agent} on {key.task}: these scores are impossible on these maps")
     figures, results = summarise(*repeats), repeated(repeats)
     report = {
         "format": "drone_env/agent-report",

@@ -15,8 +15,10 @@ import torch
 from torch import nn
 
 from drone_env.agents.base import ActBatch, rollout_batch
+from drone_env.core.batch import Batch
+from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import CheckpointError
 from drone_env.files import differences
 from drone_env.planning.optimal import best_of
@@ -138,6 +140,58 @@ class BaseTrainer:
         for name in ("best", *self.variables):
             setattr(self, name, deepcopy(state[name]))
         self.history = [self.progress(**line) for line in state["history"]]
+
+
+class TaskTrainer(BaseTrainer):
+    """What the trainers of one task share: environments that step together, and the best network by validation."""
+
+    def __init__(self, config: Any) -> None:
+        super().__init__(config)
+        self.task = get_task(config.task)
+        profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
+        self.batch = Batch(self.task, config.num_envs, profile, same_step=True)
+        self.validator = Validator(self.task, config.validation_maps)
+        self.validation = Validation(math.nan, self.validator.optimum, math.nan)
+        self.best_score = -1.0
+        self.steps: int = 0
+        self.updates: int = 0
+
+    def keep_best(self, network: nn.Module, act: ActBatch) -> None:
+        """Fly the validation maps with a network, and keep it if it is the best so far."""
+        self.validation = self.validator.validate(act)
+        if self.validation.score >= self.best_score:
+            self.best, self.best_score = clone_state(network), self.validation.score
+
+    def get_state(self) -> dict[str, Any]:
+        """The state of the training as tensors and plain values."""
+        return super().get_state() | {
+            "batch": {name: torch.from_numpy(array) for name, array in self.batch.get_state().items()},
+            "validation": list(self.validation),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue from a state of `get_state`, as `BaseTrainer.set_state`."""
+        super().set_state(state)
+        self.batch.set_state({name: tensor.numpy() for name, tensor in state["batch"].items()})
+        self.validation = Validation(*state["validation"])
+
+    @property
+    def result(self) -> str:
+        """The score of the best network beside the optimum, for people."""
+        return f"{self.best_score:.4f} of {figure(self.validator.optimum, 4)}"
+
+    def metadata(self) -> dict[str, Any]:
+        """The metadata of the exported network."""
+        return {
+            "task": self.task.id,
+            "task_version": self.task.version,
+            "telemetry_size": self.task.telemetry_size,
+            "config": self.config.identity(),
+            "steps": self.steps,
+            "updates": self.updates,
+            "validation_score": self.best_score,
+            "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
+        }
 
 
 def keep_freed_memory() -> None:

@@ -4,7 +4,6 @@ A new hyperparameter is one more field.
 """
 
 import math
-from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, get_origin, get_type_hints
@@ -48,36 +47,69 @@ def check_values(settings: object) -> None:
 
 
 @dataclass(frozen=True)
-class TrainConfig:
-    """The settings of one DQN training; `preset` makes one to start from.
+class OneTaskConfig:
+    """The settings that trainings on one task share.
 
     Raises:
         UnknownNameError: if there is no such task or reward profile.
         InvalidValueError: if a value is out of range.
     """
 
-    unit: ClassVar[str] = "episodes"
-    """The field that sets the length of a training."""
-    unsaved: ClassVar[tuple[str, ...]] = ("episodes", "checkpoint_episodes", "checkpoint_seconds")
+    prefix: ClassVar[str] = ""
+    """What the names of the training's files begin with."""
+    unsaved: ClassVar[tuple[str, ...]]
     """Fields that may change when a training resumes."""
 
     task: str = "easy"
     """The task, by its short name, id or grader."""
+    reward_profile: str = DEFAULT_PROFILE
+    """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
+    num_threads: PositiveInt = 1
+    """Number of PyTorch threads. It changes the last bits of a run. Two take ten times the CPU time of one if other
+    programs use the processor."""
+    gamma: Share = 0.99
+    """Discount factor."""
+    checkpoint_seconds: NonNegativeFloat = 10.0
+    """Minimum time between two checkpoints in seconds."""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        get_task(self.task)
+        get_reward_profile(self.reward_profile)
+
+    @property
+    def name(self) -> str:
+        """The name of the training's files."""
+        return self.prefix + get_task(self.task).short_name
+
+    def identity(self) -> dict[str, Any]:
+        """The settings that a resumed run shares with its checkpoint, task and reward profile in full."""
+        task, own = get_task(self.task), own_profile(self.reward_profile)
+        rewards = {} if own is None else {f"reward {own.id}": own.digest}
+        return {name: value for name, value in asdict(self).items() if name not in self.unsaved} | {
+            "task": task.id,
+            "task_version": task.version,
+            **custom_task_rules(task),
+            **rewards,
+        }
+
+
+@dataclass(frozen=True)
+class TrainConfig(OneTaskConfig):
+    """The settings of one DQN training; `preset` makes one to start from."""
+
+    unit: ClassVar[str] = "episodes"
+    """The field that sets the length of a training."""
+    unsaved = ("episodes", "checkpoint_episodes", "checkpoint_seconds")
+
     episodes: PositiveInt = 3_000
     """Number of episodes, those before a resume included."""
     seed: NonNegativeInt = 0
     """Seed of the weights, maps, exploration and replay: equal seeds give equal runs on a CPU."""
-    reward_profile: str = DEFAULT_PROFILE
-    """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
     gpu: bool = False
     """Train on a CUDA device."""
-    num_threads: PositiveInt = 1
-    """Number of PyTorch threads. It changes the last bits of a run. Two take ten times the CPU time of one if other
-    programs use the processor."""
     num_envs: PositiveInt = 512
     """Number of parallel environments."""
-    gamma: Share = 0.99
-    """Discount factor."""
     reward_scale: PositiveFloat = 10.0
     """Factor on the rewards that the network learns. Q-values differ by some hundredths of a score between actions;
     the factor lifts these differences above the noise of the output at this learning rate."""
@@ -124,36 +156,11 @@ class TrainConfig:
     """Episodes per line of the log."""
     checkpoint_episodes: NonNegativeInt = 50
     """Minimum number of episodes before the first checkpoint and between two."""
-    checkpoint_seconds: NonNegativeFloat = 10.0
-    """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:
-        check_values(self)
-        get_task(self.task)
-        get_reward_profile(self.reward_profile)
+        super().__post_init__()
         if self.replay_size < self.num_envs * 3:
             raise InvalidValueError(f"replay_size {self.replay_size} does not hold 3 steps of {self.num_envs} episodes")
-
-    @property
-    def name(self) -> str:
-        """The name of the training's files."""
-        return get_task(self.task).short_name
-
-    def identity(self) -> dict[str, Any]:
-        """The settings that a resumed run shares with its checkpoint, task and reward profile in full."""
-        return one_task_identity(self, self.unsaved)
-
-
-def one_task_identity(config: Any, unsaved: Collection[str]) -> dict[str, Any]:
-    """The settings of a training on one task, except those that may change; task and reward profile in full."""
-    task, own = get_task(config.task), own_profile(config.reward_profile)
-    rewards = {} if own is None else {f"reward {own.id}": own.digest}
-    return {name: value for name, value in asdict(config).items() if name not in unsaved} | {
-        "task": task.id,
-        "task_version": task.version,
-        **custom_task_rules(task),
-        **rewards,
-    }
 
 
 ORIGINAL = TrainConfig(
@@ -223,24 +230,20 @@ def preset(name: Literal["fast", "original"], task: str, episodes: int | None = 
 
 
 @dataclass(frozen=True)
-class PpoConfig:
+class PpoConfig(OneTaskConfig):
     """The settings of one PPO training; `ppo_preset` makes one to start from."""
 
     unit: ClassVar[str] = "steps"
     """The field that sets the length of a training."""
+    prefix = "ppo_"
+    unsaved = ("steps", "checkpoint_seconds")
     checkpoint_episodes: ClassVar[int] = 1
     """Minimum number of steps between two checkpoints."""
 
-    task: str = "easy"
-    """The task, by its short name, id or grader."""
     steps: PositiveInt = 500_000
     """Number of environment steps. Learning rate and entropy bonus fall to 0 over them."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of the weights, maps, actions and batches: equal seeds give equal runs on a CPU."""
-    reward_profile: str = DEFAULT_PROFILE
-    """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
-    num_threads: PositiveInt = 1
-    """Number of PyTorch threads. It changes the last bits of a run."""
     num_envs: PositiveInt = 256
     """Number of parallel environments."""
     num_steps: PositiveInt = 32
@@ -251,8 +254,6 @@ class PpoConfig:
     """Steps per update."""
     hidden: PositiveInt = 128
     """Units of each hidden layer."""
-    gamma: Share = 0.99
-    """Discount factor."""
     gae_lambda: Share = 0.95
     """Decay of generalised advantage estimation."""
     clip: PositiveFloat = 0.2
@@ -275,22 +276,6 @@ class PpoConfig:
     """Number of validation maps."""
     log_every: PositiveInt = 50_000
     """Steps per line of the log."""
-    checkpoint_seconds: NonNegativeFloat = 10.0
-    """Minimum time between two checkpoints in seconds."""
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        get_task(self.task)
-        get_reward_profile(self.reward_profile)
-
-    @property
-    def name(self) -> str:
-        """The name of the training's files."""
-        return f"ppo_{get_task(self.task).short_name}"
-
-    def identity(self) -> dict[str, Any]:
-        """The settings that a resumed run shares with its checkpoint, task and reward profile in full."""
-        return one_task_identity(self, ("steps", "checkpoint_seconds"))
 
 
 PPO_STEPS = {

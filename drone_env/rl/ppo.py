@@ -22,13 +22,10 @@ import torch
 from torch import Tensor, nn
 
 from drone_env.agents.weights_file import PPO
-from drone_env.core.batch import Batch
-from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS
-from drone_env.core.tasks import get_task
 from drone_env.envs.forms import StopEntries
 from drone_env.planning.nearby import action_masks
-from drone_env.rl.common import BaseTrainer, Validation, Validator, clone_state, figure, update_average
+from drone_env.rl.common import TaskTrainer, figure, update_average
 from drone_env.rl.config import PpoConfig
 from drone_env.rl.model import ActorCritic
 
@@ -73,7 +70,7 @@ class PpoProgress:
         return f"{validation}  sampled {figure(self.validation_sampled, 4)}  entropy {figure(self.entropy, 3)}"
 
 
-class PpoTrainer(BaseTrainer):
+class PpoTrainer(TaskTrainer):
     """One PPO training, from its first step or from a checkpoint.
 
     Args:
@@ -87,22 +84,15 @@ class PpoTrainer(BaseTrainer):
 
     def __init__(self, config: PpoConfig) -> None:
         super().__init__(config)
-        self.task = task = get_task(config.task)
         self.rng = torch.Generator().manual_seed(config.seed)
-        profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
-        self.batch = Batch(task, config.num_envs, profile, same_step=True)
         train = SPLITS["train"]
         self.batch.reset(torch.randint(train.start, train.stop, (config.num_envs,), generator=self.rng).numpy())
-        self.look = StopEntries(task)
-        self.online = ActorCritic(self.look.table_size, task.telemetry_size + 6, config.hidden)
+        self.look = StopEntries(self.task)
+        self.online = ActorCritic(self.look.table_size, self.task.telemetry_size + 6, config.hidden)
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate, eps=1e-5)
-        self.validator = Validator(task, config.validation_maps)
-        self.validation = Validation(math.nan, self.validator.optimum, math.nan)
         self.sampled = math.nan
         """The score with sampled actions at the last validation."""
-        self.best_score = -1.0
-        self.steps = self.updates = 0
         self.scores: list[float] = []
         """Of the episodes that ended since the last line of the log."""
         self.losses: list[tuple[float, float]] = []
@@ -130,7 +120,7 @@ class PpoTrainer(BaseTrainer):
         rows: list[tuple[Tensor, ...]] = []
         values, rewards, alive = list[Tensor](), list[Tensor](), list[Tensor]()
         for _ in range(config.num_steps):
-            seen = self.observe(batch.grids, batch.telemetry, batch.action_masks.astype(np.bool_))
+            seen = self.observe(batch.grids, batch.telemetry)
             log_probs, value = self.policy(self.online, *seen)
             actions = sample(log_probs, self.rng)
             batch.step(actions.numpy())
@@ -139,7 +129,7 @@ class PpoTrainer(BaseTrainer):
             rewards.append(torch.from_numpy(batch.rewards * config.reward_scale).float())
             alive.append(torch.from_numpy(~batch.terminated).float())
             self.scores.extend(batch.finals()["score"].tolist())
-        seen = self.observe(batch.grids, batch.telemetry, batch.action_masks.astype(np.bool_))
+        seen = self.observe(batch.grids, batch.telemetry)
         values.append(self.policy(self.online, *seen)[1])
         advantage, advantages = torch.zeros(config.num_envs), list[Tensor]()
         for t in reversed(range(config.num_steps)):
@@ -176,12 +166,11 @@ class PpoTrainer(BaseTrainer):
                 update_average(self.average, self.online, 1 - min(config.average, 1 - 1 / (self.updates / 10 + 1)))
                 self.losses.append((loss.item(), entropy.item()))
 
-    def observe(
-        self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32], masks: npt.NDArray[np.bool_]
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """The inputs of the network: entries, features and masks."""
+    def observe(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> tuple[Tensor, ...]:
+        """The inputs of the network, entries and features, and the masks of its actions."""
         seen = self.look({"grid": grids, "telemetry": telemetry})
-        return torch.from_numpy(seen["entries"]), torch.from_numpy(seen["features"]), torch.from_numpy(masks)
+        arrays = seen["entries"], seen["features"], action_masks(seen["entries"])
+        return tuple(torch.from_numpy(array) for array in arrays)
 
     @staticmethod
     def policy(network: ActorCritic, entries: Tensor, features: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
@@ -197,17 +186,15 @@ class PpoTrainer(BaseTrainer):
         rng: torch.Generator | None = None,
     ) -> npt.NDArray[np.int64]:
         """The actions of the averaged network, int64[N]: the likeliest, or samples."""
-        seen = self.observe(grids, telemetry, action_masks(self.task, grids, telemetry))
+        seen = self.observe(grids, telemetry)
         log_probs, _ = self.policy(self.average, *seen)
         return (log_probs.argmax(1) if rng is None else sample(log_probs, rng)).numpy()
 
     def validate(self) -> None:
         """Fly the validation maps with the averaged network, and keep it if it is the best so far."""
-        self.validation = self.validator.validate(self.act)
+        self.keep_best(self.average, self.act)
         sampling = torch.Generator().manual_seed(self.config.seed)  # of its own: validations do not change the training
         self.sampled = self.validator.validate(partial(self.act, rng=sampling)).score
-        if self.validation.score >= self.best_score:
-            self.best, self.best_score = clone_state(self.average), self.validation.score
 
     def log(self) -> list[PpoProgress]:
         """Validate and log if it is due; the new line of the log, if there is one."""
@@ -250,37 +237,16 @@ class PpoTrainer(BaseTrainer):
 
     def get_state(self) -> dict[str, Any]:
         """The state of the training as tensors and plain values."""
-        return super().get_state() | {
-            "batch": {name: torch.from_numpy(array) for name, array in self.batch.get_state().items()},
-            "rng": self.rng.get_state(),
-            "validation": list(self.validation),
-        }
+        return super().get_state() | {"rng": self.rng.get_state()}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a state of `get_state`."""
         super().set_state(state)
-        self.batch.set_state({name: tensor.numpy() for name, tensor in state["batch"].items()})
         self.rng.set_state(state["rng"])
-        self.validation = Validation(*state["validation"])
-
-    @property
-    def result(self) -> str:
-        """The score of the best network beside the optimum, for people."""
-        return f"{self.best_score:.4f} of {figure(self.validator.optimum, 4)}"
 
     def metadata(self) -> dict[str, Any]:
         """The metadata of the exported network."""
-        return {
-            "network": PPO,
-            "task": self.task.id,
-            "task_version": self.task.version,
-            "telemetry_size": self.task.telemetry_size,
-            "config": self.config.identity(),
-            "steps": self.steps,
-            "updates": self.updates,
-            "validation_score": self.best_score,
-            "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
-        }
+        return super().metadata() | {"network": PPO}
 
 
 def sample(log_probs: Tensor, rng: torch.Generator) -> Tensor:

@@ -17,7 +17,6 @@ from drone_env.agents.tour_features import (
     TourState,
     find_distances,
     first_states,
-    make_distances,
     make_features,
     write_features,
 )
@@ -281,7 +280,7 @@ class SampleGenerator:
         task, tables, (grid, state, parcels) = self.task, tabulate(self.task), state_arrays(episode)
         legs = make_legs(task, grid, state[parcels].tolist(), 0, tables.capacity, tables.max_steps)
         rewards, (scores, _), delivered = tabulate_rewards(task, UNPAID), ranked_scores(task), delivered_parcels(task)
-        distances = make_distances(len(legs.stops))
+        distances = Distances(*np.zeros((3, len(legs.stops), len(legs.stops)), np.int32))
         return Workspace(tables, rewards, grid, state, parcels, legs, scores, delivered, distances)
 
     def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:

@@ -19,12 +19,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
-from drone_env.core.batch import Batch
-from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS
-from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.rl.common import BaseTrainer, Validation, Validator, clone_state, figure, update_average
+from drone_env.rl.common import TaskTrainer, figure, update_average
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.model import PathQNet
 from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
@@ -138,7 +135,7 @@ class ReplayBuffer:
             column[: self.stored] = state[name]
 
 
-class Trainer(BaseTrainer):
+class Trainer(TaskTrainer):
     """One DQN training, from its first step or from a checkpoint.
 
     Args:
@@ -158,21 +155,16 @@ class Trainer(BaseTrainer):
         if config.gpu and not torch.cuda.is_available():
             raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
         super().__init__(config)
-        self.task = task = get_task(config.task)
+        task = self.task
         self.device = torch.device("cuda" if config.gpu else "cpu")
         self.rng = np.random.default_rng(config.seed)
-        profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
-        self.batch = Batch(task, config.num_envs, profile, same_step=True)
         self.batch.reset(self.rng.integers(SPLITS["train"].start, SPLITS["train"].stop, config.num_envs))
         self.online = PathQNet(task.telemetry_size).to(self.device)
         self.target = PathQNet(task.telemetry_size).to(self.device)
         self.target.load_state_dict(self.online.state_dict())
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
         self.replay = ReplayBuffer(config.replay_size, config.num_envs, task.height, task.width, task.telemetry_size)
-        self.validator = Validator(task, config.validation_maps)
-        self.validation = Validation(math.nan, self.validator.optimum, math.nan)
-        self.best_score = -1.0
-        self.steps = self.updates = self.episodes = 0
+        self.episodes = 0
         self.updates_due = 0.0
         self.validated_updates = -1
         self.returns = np.zeros(config.num_envs)
@@ -261,10 +253,8 @@ class Trainer(BaseTrainer):
 
     def validate(self) -> None:
         """Fly the validation maps with the network alone, and keep it if it is the best so far."""
-        self.validation = self.validator.validate(self.act)
+        self.keep_best(self.eval_network, self.act)
         self.validated_updates = self.updates
-        if self.validation.score >= self.best_score:
-            self.best, self.best_score = clone_state(self.eval_network), self.validation.score
 
     @property
     def eval_network(self) -> PathQNet:
@@ -335,9 +325,7 @@ class Trainer(BaseTrainer):
             "returns": self.returns.tolist(),
             "numbers": self.numbers.tolist(),
             "replay": {name: torch.from_numpy(array) for name, array in self.replay.get_state().items()},
-            "batch": {name: torch.from_numpy(array) for name, array in self.batch.get_state().items()},
             "rng": self.rng.bit_generator.state,
-            "validation": list(self.validation),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -345,25 +333,8 @@ class Trainer(BaseTrainer):
         super().set_state(state)
         self.returns, self.numbers = np.array(state["returns"]), np.array(state["numbers"])
         self.replay.set_state({name: tensor.numpy() for name, tensor in state["replay"].items()})
-        self.batch.set_state({name: tensor.numpy() for name, tensor in state["batch"].items()})
         self.rng.bit_generator.state = state["rng"]
-        self.validation = Validation(*state["validation"])
-
-    @property
-    def result(self) -> str:
-        """The score of the best network beside the optimum, for people."""
-        return f"{self.best_score:.4f} of {figure(self.validator.optimum, 4)}"
 
     def metadata(self) -> dict[str, Any]:
         """The metadata of the exported network."""
-        return {
-            "task": self.task.id,
-            "task_version": self.task.version,
-            "telemetry_size": self.task.telemetry_size,
-            "config": self.config.identity(),
-            "episodes": self.episodes,
-            "steps": self.steps,
-            "updates": self.updates,
-            "validation_score": self.best_score,
-            "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
-        }
+        return super().metadata() | {"episodes": self.episodes}

@@ -69,7 +69,6 @@ def outputs(data: Path) -> dict[str, list[str]]:
         "evaluate --out": printed("evaluate", "--task", "easy", "--agents", "random", "--seeds", "0:3", "--out", kept),
         "evaluation.json": (data / "kept" / "evaluation.json").read_text(),
         "pieces": "\n".join(sorted(path.name for path in (data / "kept" / "pieces").iterdir())),
-        "leaderboard --json": printed(*board, "--json"),
         "leaderboard": printed(*board),
     }
     run = verified_run(model)

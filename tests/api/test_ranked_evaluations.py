@@ -81,8 +81,6 @@ PIECES: dict[str, Callable[[Path], object]] = {
     **ANYWHERE,
     "objects": column(scores=np.array([None] * 4)),
     "a table": column(scores=np.full((4, 1), 0.5)),
-    "forged scores": column(scores=np.full(4, 0.99)),
-    "other optima": column(optimal_scores=np.full(4, 0.9)),
     "other maps": column(seeds=np.arange(4)),
 }
 RUNS = ("run.json", "calls.jsonl", "episodes.jsonl")

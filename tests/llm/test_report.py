@@ -14,10 +14,11 @@ from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Options
 from drone_env.llm.config import Sampling
-from drone_env.llm.report import report, write_report
+from drone_env.llm.report import report, run_entry, write_report
 from drone_env.llm.runner import summary_lines, verdict_of
 from drone_env.llm.sender import TryFailedError
 from drone_env.llm.verify import verified_run
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
 
 from .scripted_server import reply
 from .stored_run import Scripted, fly, put_run
@@ -119,13 +120,6 @@ def test_tokens_that_no_answer_reports_are_unknown_not_0(
     assert tuple(report(verified_run(tmp_path)).report["tokens"].values()) == tokens
 
 
-def boards(capsys: pytest.CaptureFixture[str], *folders: Path) -> Any:
-    """What `drone-env leaderboard --json` prints."""
-    capsys.readouterr()
-    assert main(["leaderboard", *map(str, folders), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -136,12 +130,13 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     waiting, again = (put_run(tmp_path, name, "WAIT", range(14, 18)) for name in ("waiting", "again"))
     short = tmp_path / "llm" / "short"
     fly(Scripted(), short, Options(concurrency=1, max_calls=5), seeds=(14, 18))
-    found = boards(capsys, *sorted((tmp_path / "llm").iterdir()), agents, elsewhere)
-    assert [board["maps"] for board in found["boards"]] == ["maps 14 to 17 (custom)", "maps 14 to 18 (custom)"]
-    greedy, *_, waits = rows = found["boards"][0]["rows"]
-    assert [row["path"] for row in rows] == [*map(str, (agents, agents, again, waiting))]
-    assert waits["normalised"] < 0 < greedy["normalised"]
-    assert [run["path"] for run in found["refused"]] == [str(short)]
+    entries = [run_entry(path) for path in sorted((tmp_path / "llm").iterdir())]
+    entries += [entry for path in (agents, elsewhere) for entry in evaluation_entries(path)]
+    board, other = group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
+    assert [board.maps, other.maps] == ["maps 14 to 17 (custom)", "maps 14 to 18 (custom)"]
+    assert [row.path for row in board.rows] == [agents, agents, again, waiting]
+    assert board.rows[-1].report["normalised"] < 0 < board.rows[0].report["normalised"]
+    assert [entry.path for entry in entries if isinstance(entry, NotRanked)] == [short]
     # Rows that would look alike show their folders.
     assert main(["leaderboard", str(waiting), str(again)]) == 0
     table = capsys.readouterr().out

@@ -62,7 +62,7 @@ def test_advantages_and_returns_are_those_of_the_paper() -> None:
     entries, features, _, actions, _, advantages, returns = trainer.fly()
     with torch.no_grad():
         values = trainer.online(entries, features)[1].view(60, 8)
-        last = trainer.observe(trainer.batch.grids, trainer.batch.telemetry, np.ones((8, N_ACTIONS), np.bool_))
+        last = trainer.observe(trainer.batch.grids, trainer.batch.telemetry)
         following = trainer.policy(trainer.online, *last)[1]
     rewards, ends = [], []
     for chosen in actions.view(60, 8).numpy():

@@ -130,7 +130,8 @@ def test_many_may_open_a_new_folder_at_once(tmp_path: Path) -> None:
 def test_a_store_that_stays_busy_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     waited: list[float] = []
     monkeypatch.setattr("drone_env.flights.database.sleep", waited.append)
-    with Store(tmp_path, busy_seconds=0.1) as store:
+    monkeypatch.setattr("drone_env.flights.database.BUSY_SECONDS", 0.1)
+    with Store(tmp_path) as store:
         sessions = sessions_of(store)
         session_id = opened(sessions)
         other = sqlite3.connect(tmp_path / FILE_NAME, isolation_level=None)

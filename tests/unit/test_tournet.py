@@ -17,7 +17,7 @@ from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.planning.legs import LegSolver
 from drone_env.rl.model import TourNet
 from tests.toy import toy_episode
-from tests.unit.tour_features import EVERY_TASK, HARD, features_of, observations
+from tests.unit.tour_features import EVERY_TASK, HARD, encoded, features_of, observations
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def model(network: Path) -> TourNet:
 
 @pytest.mark.parametrize("name", ["medium_delivery", "skyline_hard", "16 parcels, 20 pads"])
 def test_the_network_without_torch_is_the_same(name: str, model: TourNet, network: Path) -> None:
-    features = FeatureEncoder(EVERY_TASK[name])(*observations(EVERY_TASK[name], 6, 30))
+    features = encoded(FeatureEncoder(EVERY_TASK[name]), *observations(EVERY_TASK[name], 6, 30))
     choices, completions = load_tour_network(network)(features)
     owner = torch.from_numpy(np.repeat(np.arange(len(features.tokens)), np.diff(features.begins)))
     arrays = (torch.from_numpy(array) for array in (features.tokens, features.present, features.edges))
@@ -105,12 +105,12 @@ def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
     grids, telemetry = observations(HARD, 2, 1)
     for kind in (Cell.PAD, Cell.DELIVERY):
         with pytest.raises(InvalidValueError, match="more parcels or pads than"):
-            FeatureEncoder(HARD)(np.full_like(grids, kind), telemetry)
+            encoded(FeatureEncoder(HARD), np.full_like(grids, kind), telemetry)
     for place, amount, why in ((0, 1.5, "outside the grid"), (2, 1.5, "battery or steps")):
         wrong = telemetry.copy()
         wrong[1, place] = amount
         with pytest.raises(InvalidValueError, match=why):
-            FeatureEncoder(HARD)(grids, wrong)
+            encoded(FeatureEncoder(HARD), grids, wrong)
 
 
 # The agent

@@ -10,6 +10,7 @@ from drone_env.agents.tour_features import FeatureEncoder, Features
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.planning.from_observation import read_observations
 from tests.which_tasks import SMALL
 
 HARD = get_task("skyline_hard")
@@ -39,5 +40,9 @@ def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[n
     return np.concatenate(grids), np.concatenate(telemetry)
 
 
+def encoded(encoder: FeatureEncoder, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
+    return encoder.encode(*read_observations(encoder.task, grids, telemetry))
+
+
 def features_of(encoder: FeatureEncoder, observation: Observation) -> Features:
-    return encoder(observation["grid"][None], observation["telemetry"][None])
+    return encoded(encoder, observation["grid"][None], observation["telemetry"][None])
