@@ -104,7 +104,7 @@ def test_the_maps_of_a_command() -> None:
         (["dataset", "--out", "set", "--agents", "greedy", "greedy"], "each once"),
         (["dataset", "--out", "set", "--prompt", "poem"], "unknown prompt 'poem'"),
         (["train", "--task", "all"], "add --algorithm tournet"),
-        (["serve", "--port", "99999"], "--port: must be less than or equal to 65535"),
+        (["serve", "--port", "99999"], "--port: Input should be less than or equal to 65535"),
         ([], "name a command, such as fly"),
     ],
 )
