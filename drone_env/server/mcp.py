@@ -14,7 +14,7 @@ from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError, No
 from drone_env.flights.sessions import ANONYMOUS
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt, stops_text
 from drone_env.models import StrictModel
-from drone_env.server.exceptions import error_responses
+from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.json_routes import JsonRoute
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
@@ -178,6 +178,12 @@ async def end_mcp(request: Request, app_state: AppStateDep) -> Response:
         return _refused({}, error)
     await asyncio.to_thread(app_state.sessions.end, named)
     return Response(status_code=204)
+
+
+@router.api_route("/mcp", methods=["GET", "HEAD", "OPTIONS", "PATCH", "PUT", "TRACE"], include_in_schema=False)
+async def no_stream() -> None:
+    """Clients of MCP ask for a stream of events; 405 means that there is none."""
+    raise RequestError(405, "http", "Method Not Allowed", {"Allow": "DELETE, POST"})
 
 
 async def _named_session(app_state: AppState, headers: Headers) -> str | None:

@@ -24,9 +24,9 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env.datasets": ("data",),
     "drone_env.llm": ("llm",),
     "drone_env.llm.inspect_task": ("inspect",),
+    "drone_env.llm.local": ("trl",),
     "drone_env.llm.trl_environment": ("trl",),
     "drone_env.openenv_client": ("server",),
-    "drone_env.results.pages": ("llm",),
     "drone_env.rl": ("train",),
     "drone_env.server": ("server",),
 }

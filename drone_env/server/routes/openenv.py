@@ -61,7 +61,7 @@ def num_tasks(split: Split) -> dict[str, int]:
 
 
 @named.post("/task", responses=BODY_ERRORS)
-def split_task(split: Split, index: Annotated[int, Body()]) -> dict[str, TaskSpec]:
+def split_task(split: Split, index: Annotated[int, Body(strict=True)]) -> dict[str, TaskSpec]:
     """One map of a split as `task`."""
     try:
         return {"task": api.get_task(split, index)}
@@ -71,7 +71,9 @@ def split_task(split: Split, index: Annotated[int, Body()]) -> dict[str, TaskSpe
 
 @named.post("/task_range", responses=BODY_ERRORS)
 def task_range(
-    split: Split, start: Annotated[int | None, Body()] = None, stop: Annotated[int | None, Body()] = None
+    split: Split,
+    start: Annotated[int | None, Body(strict=True)] = None,
+    stop: Annotated[int | None, Body(strict=True)] = None,
 ) -> dict[str, list[TaskSpec]]:
     """Maps start to stop (exclusive) of a split as `tasks`, at most 1,000; by default the first."""
     return {"tasks": api.get_task_range(split, start, stop)}
