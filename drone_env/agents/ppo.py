@@ -34,11 +34,13 @@ def load_actor(path: Path) -> ActorNetwork:
         OSError: if the file cannot be read.
         CheckpointError: if it is not an exported network.
     """
-    from drone_env.planning.nearby import ENTRIES  # Imported lazily: compiling takes seconds.
+    # Imported lazily: Gymnasium takes a while, and so does compiling.
+    from drone_env.envs.forms import DIRECTION_FEATURES
+    from drone_env.planning.nearby import ENTRIES
 
     network = ActorNetwork(read_weights(path, PPO))
     with rejecting(path):  # one call shows whether the parameters fit
-        features = np.zeros((1, network.metadata["telemetry_size"] + 6), np.float32)
+        features = np.zeros((1, network.metadata["telemetry_size"] + DIRECTION_FEATURES), np.float32)
         network(np.array([[ENTRIES - 1]], np.int32), features)
     return network
 

@@ -15,7 +15,7 @@ HEAD = WIDTH // HEADS
 
 
 class TourNetwork(NumpyNetwork):
-    """The logits of the options of M states, and of whether the mission can be completed after each.
+    """The logits of the options of M states, and of whether each loses no parcel.
 
     Args:
         weights: The content of an exported file.

@@ -56,6 +56,10 @@ def vector_space(space: Any) -> spaces.Box:
     return cast(spaces.Box, spaces.flatten_space(planes_space(space)))
 
 
+DIRECTION_FEATURES = 6
+"""Of the target: its distance along x and y, the signs, and the absolute values."""
+
+
 class StopEntries:
     """The stops, waiting parcels and pads, as the drone sees them: `{"entries": int32[L], "features": float32[n + 6]}`.
 
@@ -77,7 +81,7 @@ class StopEntries:
         self.space = spaces.Dict(
             {
                 "entries": spaces.Box(0, ENTRIES - 1, (entry_count(task),), np.int32),
-                "features": spaces.Box(-1.0, 1.0, (task.telemetry_size + 6,), np.float32),
+                "features": spaces.Box(-1.0, 1.0, (task.telemetry_size + DIRECTION_FEATURES,), np.float32),
             }
         )
 

@@ -106,7 +106,7 @@ class Block(nn.Module):
 
 
 class TourNet(nn.Module):
-    """From features to two logits for each option: its choice, and whether the mission can be completed after it."""
+    """From features to two logits for each option: its choice, and whether it loses no parcel."""
 
     def __init__(self) -> None:
         super().__init__()

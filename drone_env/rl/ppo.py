@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from drone_env.agents.weights_file import PPO
 from drone_env.core.seeds import SPLITS
-from drone_env.envs.forms import StopEntries
+from drone_env.envs.forms import DIRECTION_FEATURES, StopEntries
 from drone_env.planning.nearby import action_masks
 from drone_env.rl.common import TaskTrainer, figure, update_average
 from drone_env.rl.config import PpoConfig
@@ -88,7 +88,7 @@ class PpoTrainer(TaskTrainer):
         train = SPLITS["train"]
         self.batch.reset(torch.randint(train.start, train.stop, (config.num_envs,), generator=self.rng).numpy())
         self.look = StopEntries(self.task)
-        self.online = ActorCritic(self.look.table_size, self.task.telemetry_size + 6, config.hidden)
+        self.online = ActorCritic(self.look.table_size, self.task.telemetry_size + DIRECTION_FEATURES, config.hidden)
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate, eps=1e-5)
         self.sampled = math.nan
