@@ -74,7 +74,7 @@ class Options:
     lora: int = 0  # rank of LoRA adapters, which are merged at the end; 0: none
     answers: int | None = None  # number of answers to learn from; default: all
     epochs: float = 1.0  # passes over the answers
-    minutes: float | None = None  # train for this many CPU-minutes instead (minutes on a GPU); 0 saves the model as it is
+    minutes: float | None = None  # train for CPU-minutes instead (minutes on a GPU); 0 saves the model as it is
     temperature: float = 0.002  # an answer that loses this much score is 1/e times as likely as a best one
     batch: int = 16  # answers per gradient step
     lr: float | None = None  # learning rate; default: 0.001 for a million parameters, less for more
