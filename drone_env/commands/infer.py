@@ -46,7 +46,7 @@ class RunOptions:
         out: The run folder. Default: a new folder in llm/ of the data folder (DRONE_ENV_DATA, else data), whose store
             also gets the flights, so that a server shows them. With --server, that server stores them.
         resume: Continue the run in --out, under the same configuration.
-        report: Verify the whole run and write report.json into its folder.
+        report: Write report.json into the folder of the run.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and repeat every flight on its server, as with --server.
     """
 
@@ -147,15 +147,16 @@ def infer(
             sender = LocalModel(run.local, config.base_url.split(":")[1])
         progress = Progress(config, Budget(options), path, store)
         try:
-            result = asyncio.run(runner.run_flights(config, path, sender, progress))
-            if run.report and result.verdict != "stopped":
-                reports.write_report(reports.report(reports.verified_run(path)))
+            flown = asyncio.run(runner.run_flights(config, path, sender, progress))
+            verdict, _ = flown.verdict
+            if run.report and verdict != "stopped":
+                reports.write_report(reports.report(flown))
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
-        resume = [] if result.verdict == "valid" else [f"to continue, {to_resume}"]
-        print(*runner.summary_lines(result), f"run: {path}", *resume, sep="\n", file=sys.stderr)
-        return runner.EXIT_STATUS[result.verdict]
+        resume = [] if verdict == "valid" else [f"to continue, {to_resume}"]
+        print(*runner.summary_lines(flown), f"run: {path}", *resume, sep="\n", file=sys.stderr)
+        return runner.EXIT_STATUS[verdict]
 
 
 def _local_settings(run: RunOptions, folder: Path, settings: "InferenceSettings") -> "InferenceSettings":

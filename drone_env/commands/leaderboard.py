@@ -20,7 +20,7 @@ EVALUATION, RUN = "evaluation.json", "run.json"
 def leaderboard(folders: Folders) -> int:
     """Rank agents and language models over the same maps: folders of `drone-env evaluate --out` and of `infer`.
 
-    The answers of a language model are flown again first. A run that does not match its flights is refused, and so are
+    The answers of a language model are flown again. A run whose answers do not fit it is refused, and so are
     invalid and incomplete folders. Evaluations store no actions, so their scores are believed. "- first" is the mean
     score minus that of the first row, map by map. Exit status: 0, or 1 if a folder is damaged.
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -53,24 +54,33 @@ class LimitReachedError(DroneEnvError):
     """The budget of a run is spent."""
 
 
-@dataclass
+def now() -> float:
+    """The seconds of the running event loop, which only grow."""
+    return asyncio.get_running_loop().time()
+
+
 class Budget:
-    """Counts the requests and tokens of a run.
+    """Counts the requests and tokens of a run, and decides when it sends a request: the longest waiting one is first.
+
+    Args:
+        options: The limits.
 
     Attributes:
-        options: The limits.
         requests: Number of requests sent.
         answers: Number of answers.
         unmetered: Number of answers without a count of their tokens.
         prompt_tokens, completion_tokens: Number of tokens that the answers report; None if none of them does.
+        models: Number of answers by the model that the endpoint names; "" if it names none.
     """
 
-    options: Options
-    requests: int = 0
-    answers: int = 0
-    unmetered: int = 0
-    prompt_tokens: int | None = None
-    completion_tokens: int | None = None
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        self.requests = self.answers = self.unmetered = 0
+        self.prompt_tokens: int | None = None
+        self.completion_tokens: int | None = None
+        self.models: Counter[str] = Counter()
+        self._next_request = self._paused_until = 0.0
+        self._first = asyncio.Lock()
 
     @property
     def tokens(self) -> int | None:
@@ -90,9 +100,24 @@ class Budget:
             self.unmetered += answer.prompt_tokens is None or answer.completion_tokens is None
             self.prompt_tokens = _added(self.prompt_tokens, answer.prompt_tokens)
             self.completion_tokens = _added(self.completion_tokens, answer.completion_tokens)
+            self.models[answer.model or ""] += 1
 
-    def check(self) -> None:
-        """Raise `LimitReachedError` if no further request is within the limits."""
+    async def turn(self) -> None:
+        """Wait until a request may be sent, and count it.
+
+        Raises:
+            LimitReachedError: if no further request is within the limits.
+        """
+        async with self._first:
+            while (wait := max(self._paused_until, self._next_request) - now()) > 0:
+                await asyncio.sleep(wait)
+            self._check()
+            # After an idle time, one request may follow without a gap.
+            gap = 60 / (self.options.requests_per_minute or math.inf)
+            self._next_request = max(self._next_request, now() - gap) + gap
+            self.requests += 1
+
+    def _check(self) -> None:
         most_calls, most_tokens = self.options.max_calls, self.options.max_tokens
         if most_calls is not None and self.requests >= most_calls:
             raise LimitReachedError(f"{self.requests} of {most_calls} calls have been used")
@@ -100,39 +125,6 @@ class Budget:
             raise LimitReachedError("the endpoint does not report its tokens, so they cannot be limited")
         if most_tokens is not None and (self.tokens or 0) >= most_tokens:
             raise LimitReachedError(f"{self.tokens} of {most_tokens} tokens have been used")
-
-
-def now() -> float:
-    """The seconds of the running event loop, which only grow."""
-    return asyncio.get_running_loop().time()
-
-
-class RateLimiter:
-    """Decides when a run sends a request; the request that has waited longest is first.
-
-    Args:
-        budget: The requests and tokens so far, and the options.
-    """
-
-    def __init__(self, budget: Budget) -> None:
-        self.budget, self.options = budget, budget.options
-        self._next_request = self._paused_until = 0.0
-        self._first = asyncio.Lock()
-
-    async def turn(self) -> None:
-        """Wait until a request may be sent, and count it.
-
-        Raises:
-            LimitReachedError: if the budget is spent.
-        """
-        async with self._first:
-            while (wait := max(self._paused_until, self._next_request) - now()) > 0:
-                await asyncio.sleep(wait)
-            self.budget.check()
-            # After an idle time, one request may follow without a gap.
-            gap = 60 / (self.options.requests_per_minute or math.inf)
-            self._next_request = max(self._next_request, now() - gap) + gap
-            self.budget.requests += 1
 
     def pause(self, seconds: float) -> None:
         """Send nothing for these seconds."""

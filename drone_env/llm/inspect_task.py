@@ -18,8 +18,7 @@ from drone_env.flights.record import record_of
 from drone_env.llm.answers import Answer, ChatMessage, Unusable
 from drone_env.llm.progress import last_line, log_lines
 from drone_env.llm.prompt import get_prompt
-from drone_env.llm.run_folder import FlightResult
-from drone_env.llm.runner import MAX_ERRORED
+from drone_env.llm.run_folder import MAX_ERRORED, turns_of
 from drone_env.llm.text_episode import EpisodeRun, TextEpisode
 
 with needs("inspect"):
@@ -130,15 +129,11 @@ def graded() -> Scorer:
 
     async def score(state: TaskState, target: Target) -> Score:
         stored: dict[str, Any] = state.store.get("flight")
-        result = FlightResult.model_validate(stored["result"])
-        regret = math.nan if stored["regret"] is None else stored["regret"]
-        share = Unusable.among(result.turns).share
-        unusable = math.nan if share is None else share
         return Score(
-            value={"score": result.score, "unusable": unusable, "success": float(result.success), "regret": regret},
+            value={name: math.nan if value is None else float(value) for name, value in stored["value"].items()},
             answer=" ".join(stored["actions"]),
             explanation=stored["log"],
-            metadata={"result": stored["result"], "record": stored["record"]},
+            metadata={name: stored[name] for name in ("status", "turns", "record")},
         )
 
     return score
@@ -146,9 +141,13 @@ def graded() -> Scorer:
 
 def _stored(flight: EpisodeRun, agent: str) -> dict[str, Any]:
     """A flight as JSON values, which a sample can store."""
+    turns = turns_of([flight])
+    unusable = Unusable.among(turns).share
+    value = {"score": flight.score, "unusable": unusable, "success": flight.success, "regret": flight.regret}
     return {
-        "regret": flight.regret,
-        "result": FlightResult.of(flight).model_dump(mode="json"),
+        "value": value,
+        "status": flight.status,
+        "turns": turns,
         "record": record_of(flight.episode, agent).to_json(),
         "actions": [step.action.name for step in flight.episode.path],
         "log": "\n".join([*log_lines(flight, agent), last_line(flight)]),

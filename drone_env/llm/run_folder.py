@@ -1,83 +1,117 @@
-"""The folder of a run: configuration, transcript, records and results. One process at a time writes to it."""
+"""The folder of a run: configuration, transcript and records. One process at a time writes to it."""
 
 import hashlib
-from collections.abc import Generator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from pydantic import Field
-from typing_extensions import Self
-
-from drone_env.errors import InvalidValueError
+from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.files import differences, is_begun, locked, read_file, read_lines, write_text
 from drone_env.flights.record import record_of
 from drone_env.llm.answers import TURN_KINDS, TurnKind
+from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig
-from drone_env.llm.text_episode import EpisodeRun, Status
-from drone_env.llm.transcript import LONGEST_CALL
-from drone_env.models import Count, Score, StrictModel
+from drone_env.llm.text_episode import EpisodeRun
+from drone_env.llm.transcript import LONGEST_CALL, answered_calls, read_calls
 from drone_env.results.result import EpisodesKey, Results
 
-CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
-MAX_CONFIG, MAX_RESULT = 1 << 20, 1 << 16
-"""Bytes of a configuration, and of the result of a flight."""
+CONFIG, TRANSCRIPT, EPISODES = "run.json", "calls.jsonl", "episodes.jsonl"
+MAX_CONFIG = 1 << 20
+"""Bytes of a configuration."""
+MAX_ERRORED = 0.05
+Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 
 
-class FlightResult(StrictModel):
-    """The result of a flight; its `EpisodeRecord` is the line of the same number in `episodes.jsonl`."""
+@dataclass(frozen=True)
+class Run:
+    """A run and its flights, flown by the model's own answers.
 
-    flight: Count
-    seed: Count
-    repeat: Count
-    status: Status
-    error: str | None
-    steps: Count
-    ended: bool = Field(description="Whether the episode was flown to its end.")
-    success: bool
-    score: Score = Field(description="The score; of an unfinished flight, the score of waiting to the end.")
-    turns: dict[TurnKind, Count] = Field(description="Number of requests for actions by outcome.")
-    waits: Count = Field(description="Steps that are a WAIT because the answer was unusable.")
+    Attributes:
+        path: Its folder.
+        config: Its configuration.
+        flights: All flights that began and were not abandoned, in order.
+        budget: The requests and tokens that they took.
+        fatal: Why the endpoint refused every call, if it did.
+    """
 
-    @classmethod
-    def of(cls, run: EpisodeRun) -> Self:
-        """The result of a flight."""
-        return cls(
-            flight=run.index,
-            seed=run.seed,
-            repeat=run.repeat,
-            status=run.status,
-            error=run.error,
-            steps=len(run.flown),
-            ended=run.episode.ended,
-            success=run.success,
-            score=run.score,
-            turns={name: run.turns.count(name) for name in TURN_KINDS},
-            waits=sum(error is not None for error in run.step_errors),
+    path: Path
+    config: RunConfig
+    flights: list[EpisodeRun]
+    budget: Budget
+    fatal: str | None = None
+
+    @property
+    def counted(self) -> list[EpisodeRun]:
+        """The flights that count: all that did not error."""
+        return [run for run in self.flights if run.status != "errored"]
+
+    @property
+    def verdict(self) -> tuple[Verdict, str]:
+        """The verdict on the run, and why it is not valid.
+
+        `stopped` if the endpoint refuses every call; `invalid` if too many flights errored; `incomplete` if some were
+        cut short or not begun.
+        """
+        flown, errored = len(self.flights), len(self.flights) - len(self.counted)
+        if self.fatal is not None:
+            return "stopped", self.fatal
+        if errored > MAX_ERRORED * flown:
+            return "invalid", f"{errored} of {flown} flights errored, more than {MAX_ERRORED:.0%}"
+        cut, left = sum(run.status == "budget_stop" for run in self.flights), self.config.flights - flown
+        return ("incomplete", f"flights cut short: {cut}; not begun: {left}") if cut or left else ("valid", "")
+
+    def results(self, optima: Mapping[int, float | None] | None = None) -> Results:
+        """The results of the flights that count.
+
+        Args:
+            optima: The optimum of each map, if it is known.
+        """
+        config, counted, best, ids = self.config, self.counted, optima or {}, EpisodeIds(self.path)
+        return Results.of_rows(
+            EpisodesKey(config.task, config.task_version, config.split, config.seeds, config.model),
+            ids=[ids.of(run.index) for run in counted],
+            seeds=[run.seed for run in counted],
+            scores=[run.score for run in counted],
+            steps=[run.episode.steps for run in counted],
+            success=[run.success for run in counted],
+            optimal_scores=[best.get(run.seed) for run in counted],
         )
 
 
-def results_of(config: RunConfig, flights: Sequence[FlightResult], optima: Mapping[int, float | None]) -> Results:
-    """The results of the flights that count: all that did not error.
-
-    Args:
-        config: The run.
-        flights: The results of its flights.
-        optima: The optimum of each map, if it is known.
-    """
-    counted = [result for result in flights if result.status != "errored"]
-    return Results.of_rows(
-        EpisodesKey(config.task, config.task_version, config.split, config.seeds, config.model),
-        seeds=[result.seed for result in counted],
-        scores=[result.score for result in counted],
-        steps=[result.steps for result in counted],
-        success=[result.success for result in counted],
-        optimal_scores=[optima.get(result.seed) for result in counted],
-    )
-
-
-def turns_of(flights: Sequence[FlightResult]) -> dict[TurnKind, int]:
+def turns_of(flights: Iterable[EpisodeRun]) -> dict[TurnKind, int]:
     """The number of requests for actions by outcome."""
-    return {name: sum(flight.turns.get(name, 0) for flight in flights) for name in TURN_KINDS}
+    counts = Counter(turn for run in flights for turn in run.turns)
+    return {name: counts[name] for name in TURN_KINDS}
+
+
+def read_run(path: Path) -> Run:
+    """Fly the flights of a run again, from the answers in its transcript.
+
+    Raises:
+        OSError: if a file cannot be read.
+        InvalidValueError: if a file is damaged, or an answer does not belong to the run.
+    """
+    config, calls, budget = load_config(path), read_calls(path / TRANSCRIPT), Budget(Options())
+    budget.resume(calls)
+    prompt, answered, flights = config.load_prompt(), answered_calls(calls), list[EpisodeRun]()
+    failed = {call.key: call.outcome for call in calls if call.answer is None}
+    for number in sorted({call.flight for call in calls}):
+        run, answers = config.episode_run(number, prompt), answered.get(number, {})
+        try:
+            if run.replay(answers) < len(answers) or number >= config.flights:
+                raise InvalidValueError("it has an answer too many")
+        except DroneEnvError as error:
+            raise InvalidValueError(f"{path}: flight {number}: {error}") from None
+        if run.messages:
+            run.stop(
+                "errored" if failed.get(run.next_key) == "api_error" else "budget_stop", "its next call has no answer"
+            )
+        if run.begun:
+            flights.append(run)
+    return Run(path, config, flights, budget)
 
 
 class EpisodeIds:
@@ -114,12 +148,10 @@ def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, N
         yield
 
 
-def write_flights(path: Path, config: RunConfig, flights: Sequence[EpisodeRun]) -> None:
-    """Write the records and the results of ordered flights; each file is written whole or not at all."""
-    records = [record_of(run.episode, config.model).to_json() for run in flights]
-    results = [FlightResult.of(run).model_dump_json() for run in flights]
-    for name, lines in ((EPISODES, records), (RESULTS, results)):
-        write_text(path / name, "".join(f"{line}\n" for line in lines))
+def write_records(run: Run) -> None:
+    """Write the records of the flights; the file is written whole or not at all."""
+    lines = (f"{record_of(flight.episode, run.config.model).to_json()}\n" for flight in run.flights)
+    write_text(run.path / EPISODES, "".join(lines))
 
 
 def load_config(path: Path) -> RunConfig:
@@ -134,10 +166,3 @@ def load_config(path: Path) -> RunConfig:
     except (FileNotFoundError, NotADirectoryError):
         raise InvalidValueError(f"{path} is not the folder of a run: it has no {CONFIG}") from None
     return RunConfig.read(text, f"{path / CONFIG} is not the configuration of a run")
-
-
-def load_results(path: Path) -> list[FlightResult]:
-    """The results of a run, in order."""
-    lines = enumerate(read_lines(path / RESULTS, MAX_RESULT), 1)
-    wrong = f"of {path / RESULTS} is not the result of a flight"
-    return [FlightResult.read(line, f"line {number} {wrong}") for number, line in lines]

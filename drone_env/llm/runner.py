@@ -6,67 +6,27 @@ import random
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 from urllib.parse import urlsplit
 
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import Answer, Reading, Unusable, in_common
-from drone_env.llm.budget import LimitReachedError, RateLimiter
+from drone_env.llm.budget import Budget, LimitReachedError
 from drone_env.llm.config import RunConfig
 from drone_env.llm.on_server import repeat_on_server
 from drone_env.llm.progress import Progress
 from drone_env.llm.rejections import Changes, described
-from drone_env.llm.run_folder import TRANSCRIPT, FlightResult, results_of, turns_of, write_flights
+from drone_env.llm.run_folder import TRANSCRIPT, Run, Verdict, turns_of, write_records
 from drone_env.llm.sender import Sender, TryFailedError
 from drone_env.llm.text_episode import EpisodeRun
 from drone_env.llm.transcript import Call, Failure, Transcript, answered_calls, digest
 from drone_env.results.statistics import Summary
 from drone_env.results.tables import plural
 
-Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
-MAX_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
 OVERLOADED = {429, 503, 529}
 MAX_BACKOFF = 30.0
 MAX_WAIT = 120.0
 """A call fails if the endpoint requests a longer wait in seconds (`Retry-After`)."""
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """The result of a run.
-
-    Attributes:
-        config: The run.
-        verdict: `valid`; `stopped` if the endpoint refuses every call; `invalid` if too many flights errored;
-            `incomplete` if a limit was reached.
-        reason: Why it is not valid.
-        flights: All flights that began and were not abandoned, in order.
-    """
-
-    config: RunConfig
-    verdict: Verdict
-    reason: str
-    flights: list[EpisodeRun]
-
-
-def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> tuple[Verdict, str]:
-    """The verdict on a run, and its reason.
-
-    Args:
-        flights: The planned number of flights.
-        statuses: The status of each flight.
-        fatal: Why the endpoint refused every call, if it did.
-    """
-    errored = statuses.count("errored")
-    if fatal is not None:
-        return "stopped", fatal
-    if statuses and errored / len(statuses) > MAX_ERRORED:
-        return "invalid", f"{errored} of {len(statuses)} flights errored, more than {MAX_ERRORED:.0%}"
-    if "budget_stop" in statuses or len(statuses) < flights:
-        left = flights - len(statuses)
-        return "incomplete", f"flights cut short: {statuses.count('budget_stop')}; not begun: {left}"
-    return "valid", ""
 
 
 @dataclass
@@ -77,7 +37,7 @@ class Calls:
         config: The run.
         sender: Sends the requests.
         transcript: Gets every call.
-        limiter: Decides when a request is sent.
+        budget: Decides when a request is sent.
         progress: Shows the progress.
         fatal: Why every further request would fail; None if there is no such reason.
         changes: What requests change because the endpoint rejected it.
@@ -86,7 +46,7 @@ class Calls:
     config: RunConfig
     sender: Sender
     transcript: Transcript
-    limiter: RateLimiter
+    budget: Budget
     progress: Progress
     fatal: str | None = None
     changes: Changes = field(init=False)
@@ -106,7 +66,7 @@ class Calls:
                 return
         except TryFailedError as failed:
             # If the very first call fails, such as for a rejected parameter or by a redirect, all others would.
-            if failed.fatal or not self.limiter.budget.answers:
+            if failed.fatal or not self.budget.answers:
                 verb = "returned" if failed.status else "gives"
                 self.fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
             run.stop("errored", str(failed))
@@ -123,16 +83,16 @@ class Calls:
             at=time.time(),
         )
         self.transcript.append(call)
-        self.limiter.budget.count(call)
+        self.budget.count(call)
         if reading is not None:
             run.take(reading)
             self.progress.on_steps(run)
 
     async def _send(self, run: EpisodeRun, failures: list[Failure]) -> tuple[Answer, Reading, float]:
         """The answer, and its seconds without any wait for a turn; appends each failed try to `failures`."""
-        options = self.limiter.options
+        options = self.budget.options
         while True:
-            await self.limiter.turn()
+            await self.budget.turn()
             sent = time.monotonic()
             try:
                 answer = await self.sender.send(run.request(self.changes), str(run.key))
@@ -154,14 +114,14 @@ class Calls:
             if not again:
                 raise failed
             if failed.status in OVERLOADED:
-                self.limiter.pause(wait)
+                self.budget.pause(wait)
             attempt = f"map {run.seed}, turn {run.key.turn}: attempt {len(failures)} of {options.tries} failed"
             self.progress.on_wait(f"{attempt}: {failed}; next attempt in {wait:.1f} s")
             await asyncio.sleep(wait)
 
 
-async def run_flights(config: RunConfig, folder: Path, sender: Sender, progress: Progress) -> RunResult:
-    """Fly all flights of a run, continuing its transcript. The folder then contains records and results.
+async def run_flights(config: RunConfig, folder: Path, sender: Sender, progress: Progress) -> Run:
+    """Fly all flights of a run, continuing its transcript. The folder then contains records.
 
     Args:
         config: The run.
@@ -174,7 +134,7 @@ async def run_flights(config: RunConfig, folder: Path, sender: Sender, progress:
     with contextlib.closing(Transcript(folder / TRANSCRIPT)) as transcript:
         budget.resume(transcript.calls)
         answered = answered_calls(transcript.calls)
-        calls = Calls(config, sender, transcript, RateLimiter(budget), progress)
+        calls = Calls(config, sender, transcript, budget, progress)
 
         async def worker() -> None:
             for number in numbers:
@@ -202,24 +162,22 @@ async def run_flights(config: RunConfig, folder: Path, sender: Sender, progress:
             await asyncio.gather(*workers, return_exceptions=True)
             await sender.close()
             # Also after an interruption.
-            flights.sort(key=lambda run: run.index)
-            write_flights(folder, config, flights)
-    return RunResult(config, *verdict_of(config.flights, [run.status for run in flights], fatal), flights)
+            run = Run(folder, config, sorted(flights, key=lambda run: run.index), budget, fatal)
+            write_records(run)
+    return run
 
 
-def summary_lines(result: RunResult) -> list[str]:
+def summary_lines(run: Run) -> list[str]:
     """The result of a run as text: the score of the flights that count, and the verdict."""
-    results = list(map(FlightResult.of, result.flights))
-    unusable, lines = Unusable.among(turns_of(results)), list[str]()
-    mean = Summary.of(results_of(result.config, results, {})).score
+    unusable, lines, (verdict, reason) = Unusable.among(turns_of(run.flights)), list[str](), run.verdict
+    mean = Summary.of(run.results()).score
     if mean is not None:
-        counted = [one for one in results if one.status != "errored"]
+        counted = run.counted
         flights = f"{plural(len(counted), 'flight')}, {sum(one.success for one in counted)} delivered everything"
-        decisions, steps = Unusable.among(turns_of(counted)).of, sum(one.steps for one in counted)
+        decisions, steps = Unusable.among(turns_of(counted)).of, sum(one.episode.steps for one in counted)
         flights += f" by {plural(decisions, 'decision')} in {plural(steps, 'step')}"
         lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
-    verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
-    verdict = ": ".join(filter(None, (verdict, result.reason)))
     if unusable.marked:
-        lines.append(in_common([fault for run in result.flights for fault in run.faults]))
-    return [*lines, "; ".join(filter(None, (f"verdict: {verdict}", unusable.mark)))]
+        lines.append(in_common([fault for flight in run.flights for fault in flight.faults]))
+    told = ": ".join(filter(None, (verdict.upper() if verdict == "invalid" else verdict, reason)))
+    return [*lines, "; ".join(filter(None, (f"verdict: {told}", unusable.mark)))]

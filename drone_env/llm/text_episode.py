@@ -41,7 +41,8 @@ class TextEpisode:
         turns: The outcome of each request for actions, in order.
         attempt: 1, or 2 if `messages` ask for a repaired answer.
         faults: The answers that stayed unusable after their repair.
-        flown: The action of each step, its reward, whether it ended the episode, and its entry in `step_errors`.
+        flown: The action of each step, its reward, whether it ended the episode, and why it is a WAIT that the model
+            did not choose; None if the model chose it.
 
     Raises:
         UnknownNameError: if the task, prompt or profile does not exist.
@@ -156,9 +157,9 @@ class TextEpisode:
         return f"{' '.join(told)} {status_text(episode)}"
 
     @property
-    def step_errors(self) -> list[str | None]:
-        """For each step, why it is a WAIT that the model did not choose; None if the model chose it."""
-        return [error for _, _, _, error in self.flown]
+    def waits(self) -> int:
+        """The number of steps that are a WAIT because the answer was unusable."""
+        return sum(error is not None for *_, error in self.flown)
 
     @property
     def score(self) -> float:

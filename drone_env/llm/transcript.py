@@ -93,7 +93,7 @@ class Transcript:
 
 
 def read_calls(path: Path) -> list[Call]:
-    """The calls of a transcript, without a cut last line."""
+    """The calls of a transcript, without a cut last line; none if there is no file."""
     calls = [Call.read(line, f"line {number} of {path} is no call") for number, line in _whole_lines(path)]
     seen: set[CallKey] = set()
     for number, call in enumerate(calls, 1):
@@ -113,5 +113,5 @@ def answered_calls(calls: Iterable[Call]) -> dict[int, dict[CallKey, Call]]:
 
 
 def _whole_lines(path: Path) -> list[tuple[int, bytes]]:
-    lines = enumerate(list(read_lines(path, LONGEST_CALL)), 1)
+    lines = enumerate(list(read_lines(path, LONGEST_CALL)) if path.exists() else [], 1)
     return [(number, line) for number, line in lines if line.endswith(b"\n")]

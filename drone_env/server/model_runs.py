@@ -72,12 +72,8 @@ def _shown(entry: LeaderboardEntry | NotRanked) -> LeaderboardEntry | NotRanked:
     if file is not None and file.is_absolute():
         agent = rebase_agent_path(agent, Path(file.name))
     if not is_agent(entry):
-        from drone_env.llm.run_folder import EpisodeIds, load_results
-
-        ids = EpisodeIds(entry.path)
-        flown = [result for result in load_results(entry.path) if result.status != "errored"]
-        newest = {result.seed: ids.of(result.flight) for result in flown}
-        results = replace(results, ids=[newest.get(seed) for seed in results.seeds.tolist()])
+        newest = dict(zip(entry.results.seeds.tolist(), entry.results.ids, strict=True))
+        results = replace(results, ids=[newest[seed] for seed in results.seeds.tolist()])
     report = {name: value for name, value in entry.report.items() if name != "maps"}  # the server caches the entries
     return LeaderboardEntry(entry.path, report, replace(results, key=results.key._replace(agent=agent)))
 

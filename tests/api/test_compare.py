@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 
 from drone_env.flights.provenance import Provenance
 from drone_env.flights.store import Store
-from drone_env.llm.run_folder import EPISODES
+from drone_env.llm.run_folder import TRANSCRIPT
 from drone_env.llm.transcript import read_calls
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import evaluate
@@ -47,8 +47,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     put_run(folder, "good", "greedy", range(14, 16), repeats=2)
     put_run(folder, "bad", "WAIT", range(14, 16), model="scripted/waits")
     put_run(folder, "elsewhere", "greedy", range(3, 4), task="medium")
-    forged = put_run(folder, "forged", "WAIT", range(14, 15), model="scripted/lies") / EPISODES
-    forged.write_text(forged.read_text().replace('"score":0.01', '"score":0.99'))
+    forged = put_run(folder, "forged", "WAIT", range(14, 15), model="scripted/lies") / TRANSCRIPT
+    forged.write_text(forged.read_text().replace('"text":"WAIT"', '"text":"LEFT"', 1))
     return folder
 
 
@@ -121,10 +121,10 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     ]
     (unranked,) = answer["unranked"]
     assert unranked["run"] == "forged"
-    assert "do not follow from the model's answers" in unranked["reason"]
+    assert "has another request than this run sends" in unranked["reason"]
     assert str(data) not in json.dumps(answer)
     # What has been checked is not checked again.
-    monkeypatch.setattr("drone_env.llm.report.verified_run", None)
+    monkeypatch.setattr("drone_env.llm.report.read_run", None)
     assert get(client, "/leaderboard/easy/runs") == answer
 
 

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from drone_env.cli import main
 from drone_env.flights.store import Store
 from drone_env.llm.report import report, write_report
-from drone_env.llm.verify import verified_run
+from drone_env.llm.run_folder import read_run
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown, put_evaluation
@@ -71,8 +71,7 @@ def outputs(data: Path) -> dict[str, list[str]]:
         "pieces": "\n".join(sorted(path.name for path in (data / "kept" / "pieces").iterdir())),
         "leaderboard": printed(*board),
     }
-    run = verified_run(model)
-    write_report(report(run))
+    write_report(report(read_run(model)))
     found["report.json"] = (model / "report.json").read_text()
     with TestClient(create_app(Settings(data=data))) as client:
         answers = {path: client.get(f"/{path}").json() for path in REQUESTS}

@@ -15,6 +15,8 @@ from typing import Any
 import pytest
 
 from drone_env.cli import main
+from drone_env.llm.run_folder import read_run
+from drone_env.llm.text_episode import EpisodeRun
 
 from .scripted_server import Handler, Server, script
 
@@ -54,8 +56,8 @@ class Infer:
     folder: Path
 
     @property
-    def flights(self) -> list[dict[str, Any]]:
-        return json_lines(self.folder / "flights.jsonl")
+    def flights(self) -> list[EpisodeRun]:
+        return read_run(self.folder).flights
 
     @property
     def calls(self) -> list[dict[str, Any]]:
@@ -64,10 +66,7 @@ class Infer:
     @property
     def turns(self) -> dict[str, int]:
         """How all turns came out, without the zeros."""
-        counts: Counter[str] = Counter()
-        for flight in self.flights:
-            counts.update(flight["turns"])
-        return dict(+counts)
+        return dict(Counter(turn for flight in self.flights for turn in flight.turns))
 
 
 @dataclass

@@ -16,8 +16,8 @@ from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
-from drone_env.llm.run_folder import locked_run
-from drone_env.llm.runner import RunResult, run_flights
+from drone_env.llm.run_folder import Run, locked_run
+from drone_env.llm.runner import run_flights
 from drone_env.llm.sender import TryFailedError
 from drone_env.llm.transcript import Call, read_calls
 from tests.llm.scripted_server import reply
@@ -116,7 +116,7 @@ def run_config(
 class Flown:
     """The result of a run, its calls, and its virtual seconds."""
 
-    result: RunResult
+    result: Run
     calls: list[Call]
     seconds: float
 

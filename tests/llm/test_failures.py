@@ -25,7 +25,7 @@ def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault
     scripted = endpoint(pilot="greedy", faults=[[0, ALWAYS, fault]])
     done = scripted.infer("--episodes", "9", "--concurrency", "1")
     assert (done.status, told in done.err, len(scripted.requests())) == (2, True, 1), done.err
-    assert [f["status"] for f in done.flights] == ["errored"]
+    assert [flight.status for flight in done.flights] == ["errored"]
     (lines,) = blocks(done.out)
     assert lines[-1] == "[END] success=false steps=0 score=null rewards="
     verified(done)
@@ -42,7 +42,7 @@ def test_a_run_without_credit_stops_at_once_and_goes_on_later(endpoint: Start) -
     assert "429: the account has no credit left: add credit, then continue the run (see your plan)" in stopped.err
     assert f"to continue, give the same options with --out {stopped.folder} --resume\n" in stopped.err
     done = scripted.infer(*run, "--resume", folder=stopped.folder)
-    assert (done.status, [flight["status"] for flight in done.flights]) == (0, ["finished"] * 3), done.err
+    assert (done.status, [flight.status for flight in done.flights]) == (0, ["finished"] * 3), done.err
     verified(done)
 
 
@@ -50,7 +50,7 @@ def test_a_run_without_credit_stops_at_once_and_goes_on_later(endpoint: Start) -
 def test_what_passes_is_told_and_tried_again(endpoint: Start, fault: object) -> None:
     scripted = endpoint(pilot="greedy", faults=[[1, 1, fault]])
     done = scripted.infer("--seeds", "14:15", "--timeout", "1" if fault == "hang" else "60")
-    assert (done.status, done.turns, done.flights[0]["score"]) == (0, {"ok": 3}, 0.99), done.err
+    assert (done.status, done.turns, done.flights[0].score) == (0, {"ok": 3}, 0.99), done.err
     assert [request["call"] for request in scripted.requests()] == ["0-1-1", "0-2-1", "0-2-1", "0-3-1"]
     assert "map 14, turn 2: attempt 1 of 8 failed: " in done.err
     assert [len(call["failures"]) for call in done.calls] == [0, 1, 0]
@@ -75,5 +75,5 @@ def test_a_server_that_goes_away_stops_the_run_and_a_failing_call_its_flight(
 ) -> None:
     failed = TryFailedError(status, "gone", retried=True, fatal=not status)
     flown = fly(Scripted(fails=lambda number: failed if number > 4 else None), tmp_path / "run", seeds=(14, 17))
-    assert flown.result.verdict == verdict
+    assert flown.result.verdict[0] == verdict
     assert [flight.status for flight in flown.result.flights] == ["finished", *["errored"] * (2 if status else 1)]

@@ -35,7 +35,7 @@ def test_log_lines_to_the_byte(endpoint: Start) -> None:
     assert {r["body"]["model"] for r in scripted.requests()} == {"Qwen/Qwen2.5-72B-Instruct"}
     waiting = endpoint(pilot="WAIT").infer("--seeds", "14:15", DRONE_TASK="easy")
     # What the model says itself is no WAIT in place of something else.
-    assert (waiting.status, waiting.turns, waiting.flights[0]["waits"]) == (0, {"ok": 60}, 0)
+    assert (waiting.status, waiting.turns, waiting.flights[0].waits) == (0, {"ok": 60}, 0)
     assert waiting.out.endswith("[END] success=false steps=60 score=0.010 rewards=" + ",".join(["0.10"] * 60) + "\n")
 
 
@@ -43,7 +43,7 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start) -> None:
     done = endpoint(pilot="plan").infer("--task", "hard", "--episodes", str(ROUTES), "--prompt", "plan")
     assert (done.status, done.turns, len(done.calls)) == (0, {"ok": ROUTES}, ROUTES), done.err
     seeds = range(SPLITS["test"].start, SPLITS["test"].start + ROUTES)
-    assert [f["score"] for f in done.flights] == [solve("hard", seed).score for seed in seeds]
+    assert [flight.score for flight in done.flights] == [solve("hard", seed).score for seed in seeds]
     assert len(blocks(done.out)) == ROUTES
     verified(done)
 
@@ -51,7 +51,7 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start) -> None:
 @pytest.mark.parametrize("form", ["json", "tool"])
 def test_structured_output_and_tool_calls(endpoint: Start, form: str) -> None:
     done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer("--seeds", "14:15", "--answers", form)
-    assert (done.turns, done.flights[0]["score"]) == ({"ok": 3}, 0.99), done.err
+    assert (done.turns, done.flights[0].score) == ({"ok": 3}, 0.99), done.err
     assert {call["answer"]["reasoning"] for call in done.calls} == {"UP"}
 
 
@@ -62,7 +62,7 @@ def test_flights_of_bad_answers_wait_and_their_run_is_marked(endpoint: Start) ->
     done = scripted.infer(*run)
     assert (done.status, done.turns, len(scripted.requests())) == (0, {"illegal": 10}, 20), done.err
     assert len({request["port"] for request in scripted.requests()}) == 1, "the connection is used again"
-    assert {(flight["waits"], flight["score"], flight["success"]) for flight in done.flights} == {(1, 0.01, False)}
+    assert {(flight.waits, flight.score, flight.success) for flight in done.flights} == {(1, 0.01, False)}
     for _, step, _ in blocks(done.out):
         assert (step.split()[2], step.split()[5]) == ("action=WAIT", "error=illegal")
     verified(done)

@@ -11,20 +11,20 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.budget import Budget, Options, RateLimiter, now
+from drone_env.llm.budget import Budget, Options, now
+from drone_env.llm.run_folder import read_run
 from drone_env.llm.runner import MAX_BACKOFF, MAX_WAIT
 from drone_env.llm.sender import TryFailedError
-from drone_env.llm.verify import verified_run
 
 from .conftest import blocks
 from .stored_run import BEGAN, Scripted, fly, in_virtual_time
 
 
-def with_limiter(work: Callable[[RateLimiter], Awaitable[Any]], **options: Any) -> tuple[Any, float]:
+def with_limiter(work: Callable[[Budget], Awaitable[Any]], **options: Any) -> tuple[Any, float]:
     """The result of a function that gets a limiter, and the virtual seconds that it took."""
 
     async def run() -> Any:
-        return await work(RateLimiter(Budget(Options(**options))))
+        return await work(Budget(Options(**options)))
 
     return in_virtual_time(run())
 
@@ -39,7 +39,7 @@ def with_limiter(work: Callable[[RateLimiter], Awaitable[Any]], **options: Any) 
     ],
 )
 def test_requests_per_minute(options: dict[str, float], idle: float, expected: list[float]) -> None:
-    async def work(limiter: RateLimiter) -> list[float]:
+    async def work(limiter: Budget) -> list[float]:
         sent = list[float]()
         for number in range(5):
             await asyncio.sleep(idle if number == 4 else 0)
@@ -51,7 +51,7 @@ def test_requests_per_minute(options: dict[str, float], idle: float, expected: l
 
 
 def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> None:
-    async def work(limiter: RateLimiter) -> None:
+    async def work(limiter: Budget) -> None:
         limiter.pause(7)
         limiter.pause(2)
         await limiter.turn()
@@ -60,7 +60,7 @@ def test_an_overloaded_endpoint_gets_the_longest_pause_that_it_asked_for() -> No
 
 
 def test_waiting_requests_go_in_order_and_a_cancelled_one_leaves_its_place() -> None:
-    async def work(limiter: RateLimiter) -> list[int]:
+    async def work(limiter: Budget) -> list[int]:
         order: list[int] = []
 
         async def one(number: int) -> None:
@@ -95,29 +95,27 @@ def test_the_limit_of_calls_holds_exactly_and_a_resumed_run_goes_on(tmp_path: Pa
     sender = Scripted(fails=lambda number: None if number else TryFailedError(500, "no", retried=True))
     limited, run = Options(concurrency=1, max_calls=6), {"seeds": (14, 16)}
     first = fly(sender, tmp_path / "run", limited, **run)
-    assert (first.result.verdict, sender.requests) == ("incomplete", 6)
+    assert (first.result.verdict[0], sender.requests) == ("incomplete", 6)
     assert [flight.status for flight in first.result.flights] == ["finished", "budget_stop"]
     assert first.turns == ["repaired", "ok", "ok", "ok", "budget_stop"]
-    assert len(verified_run(tmp_path / "run").results) == 2
+    assert len(read_run(tmp_path / "run").flights) == 2
     none_left = fly(sender, tmp_path / "run", limited, **run)
-    assert (none_left.result.verdict, sender.requests) == ("incomplete", 6)
+    assert (none_left.result.verdict[0], sender.requests) == ("incomplete", 6)
     done = fly(sender, tmp_path / "run", **run)
-    assert (done.result.verdict, sender.requests) == ("valid", len(done.calls) + 1)
+    assert (done.result.verdict[0], sender.requests) == ("valid", len(done.calls) + 1)
     assert len({call.key for call in done.calls}) == len(done.calls)
-    budget = Budget(Options())
-    budget.resume(verified_run(tmp_path / "run").calls)
-    assert budget.requests == sender.requests
+    assert read_run(tmp_path / "run").budget.requests == sender.requests
 
 
 def test_a_flight_that_the_limit_did_not_let_begin_is_none(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     # The first of two flights takes 4 calls.
     done = fly(Scripted(), tmp_path / "run", Options(concurrency=1, max_calls=4), seeds=(14, 16)).result
-    assert (done.verdict, done.reason) == ("incomplete", "flights cut short: 0; not begun: 1")
+    assert done.verdict == ("incomplete", "flights cut short: 0; not begun: 1")
     assert len(blocks(capfd.readouterr().out)) == 1
     # A bad answer has begun it: without this flight the run would be no whole one.
     done = fly(Scripted(), tmp_path / "begun", Options(concurrency=1, max_calls=1), seeds=(14, 16)).result
     assert [flight.status for flight in done.flights] == ["budget_stop"]
-    assert len(verified_run(tmp_path / "begun").results) == 1
+    assert len(read_run(tmp_path / "begun").flights) == 1
 
 
 @pytest.mark.parametrize(("most", "requests"), [(204, 2), (205, 3)])
@@ -149,7 +147,7 @@ def test_waits_are_random_below_a_bound_that_doubles(tmp_path: Path) -> None:
     random.seed(1)
     sender = Scripted(fails=lambda number: TryFailedError(500, "no", retried=True) if 0 < number <= 20 else None)
     flown = fly(sender, tmp_path / "run", Options(concurrency=1, tries=21, backoff=0.5))
-    assert flown.result.verdict == "valid"
+    assert flown.result.verdict == ("valid", "")
     shares = [wait / min(0.5 * 2**i, MAX_BACKOFF) for i, wait in enumerate(flown.waits)]
     # Spread over what they are drawn from, near none of its ends.
     assert len(shares) == 20
@@ -161,5 +159,5 @@ def test_waits_are_random_below_a_bound_that_doubles(tmp_path: Path) -> None:
 def test_when_a_failing_call_is_given_up(tmp_path: Path, asked: float, requests: int) -> None:
     sender = Scripted(fails=lambda _: TryFailedError(429, "no", retried=True, retry_after=asked))
     flown = fly(sender, tmp_path / "run", Options(concurrency=1, tries=3))
-    assert (sender.requests, flown.seconds, flown.result.verdict) == (requests, 0, "stopped")
+    assert (sender.requests, flown.seconds, flown.result.verdict[0]) == (requests, 0, "stopped")
     assert [failure.status for failure in flown.calls[0].failures] == [429] * requests

@@ -3,25 +3,24 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from drone_env.cli import main
-from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
-from drone_env.flights.record import EpisodeRecord, record_of
 from drone_env.llm.answers import Answer
-from drone_env.llm.budget import Options
+from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import Sampling
 from drone_env.llm.report import report, run_entry, write_report
-from drone_env.llm.runner import summary_lines, verdict_of
+from drone_env.llm.run_folder import Run, read_run
+from drone_env.llm.runner import summary_lines
 from drone_env.llm.sender import TryFailedError
-from drone_env.llm.verify import verified_run
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
 
 from .scripted_server import reply
-from .stored_run import Scripted, fly, put_run
+from .stored_run import Scripted, fly, put_run, run_config
 
 
 def test_repeats_are_other_draws_from_the_model(tmp_path: Path) -> None:
@@ -30,22 +29,26 @@ def test_repeats_are_other_draws_from_the_model(tmp_path: Path) -> None:
     flown = fly(sender, tmp_path / "run", repeats=4, sampling=Sampling(seed=5))
     assert [flight.success for flight in flown.result.flights] == [True, False, True, True]
     assert [flight.parameters["seed"] for flight in flown.result.flights] == [5, 6, 7, 8]
-    assert report(verified_run(tmp_path / "run")).report["success_rate"] == 0.75
+    assert report(read_run(tmp_path / "run")).report["success_rate"] == 0.75
 
 
 def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
-    assert verdict_of(20, ["errored"] + ["finished"] * 19) == ("valid", "")
-    assert verdict_of(19, ["errored"] + ["finished"] * 18)[0] == "invalid"
-    assert verdict_of(3, ["finished"] * 2)[0] == "incomplete"
-    assert verdict_of(2, ["finished", "budget_stop"])[0] == "incomplete"
-    assert verdict_of(2, ["finished"], "no such model") == ("stopped", "no such model")
+    def verdict_of(planned: int, *statuses: str, fatal: str | None = None) -> tuple[str, str]:
+        flights: Any = [SimpleNamespace(status=status) for status in statuses]
+        return Run(Path(), run_config(repeats=planned), flights, Budget(Options()), fatal).verdict
+
+    assert verdict_of(20, "errored", *["finished"] * 19) == ("valid", "")
+    assert verdict_of(19, "errored", *["finished"] * 18)[0] == "invalid"
+    assert verdict_of(3, "finished", "finished")[0] == "incomplete"
+    assert verdict_of(2, "finished", "budget_stop")[0] == "incomplete"
+    assert verdict_of(2, "finished", fatal="no such model") == ("stopped", "no such model")
 
 
 def test_a_map_counts_once_however_many_of_its_flights_errored(tmp_path: Path) -> None:
     once = fly(Scripted(), tmp_path / "once", seeds=(14, 16))
     sender = Scripted(fails=lambda number: TryFailedError(400, "no") if number == len(once.calls) else None)
     flown = fly(sender, tmp_path / "run", seeds=(14, 16), repeats=2)
-    figures = report(verified_run(tmp_path / "run")).report
+    figures = report(read_run(tmp_path / "run")).report
     assert figures["flights"]["errored"] == 1
     assert (len(figures["maps"]), figures["success_rate"]) == (2, 1)
     assert summary_lines(flown.result)[0].startswith(f"mean score {figures['score']:.4f} over 3 flights")
@@ -55,7 +58,7 @@ def test_errored_flights_are_kept_out_and_shown(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>|x![](http://h)"
     folder, fails = tmp_path / "run", TryFailedError(500, hostile, retried=True)
     fly(Scripted(fails=lambda number: fails if number > 3 else None), folder, seeds=(14, 16), model=hostile)
-    found = report(verified_run(folder))
+    found = report(read_run(folder))
     figures = found.report
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
@@ -64,39 +67,38 @@ def test_errored_flights_are_kept_out_and_shown(tmp_path: Path) -> None:
 
 def test_a_run_without_a_score_has_a_report(tmp_path: Path) -> None:
     fly(Scripted(fails=lambda _: TryFailedError(400, "no", retried=True)), tmp_path, seeds=(14, 16))
-    write_report(report(verified_run(tmp_path)))
+    write_report(report(read_run(tmp_path)))
     assert json.loads((tmp_path / "report.json").read_text())["score"] is None
 
 
 def test_a_run_that_does_not_follow_from_its_answers_is_refused(tmp_path: Path) -> None:
     folder = put_run(tmp_path, "run", "WAIT", range(14, 16))
-    names = ("run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl")
-    _, calls, records, results = texts = [(folder / name).read_text() for name in names]
-    first, second = records.splitlines(keepends=True)
-    start, last = calls[: calls.rindex("\n", 0, -1) + 1], calls.splitlines(keepends=True)[-1]
-    answer, left = '"text":"WAIT"', '"text":"LEFT"'
-    better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()
-    forged = record_of(Episode("easy", seed=14).fly((2, 0, 0)), "scripted").to_json()
-    # A bad flight cannot be taken out of the mean by calling it errored.
-    errored = '"status":"errored","error":"500"'.join(results.rsplit('"status":"finished","error":null', 1))
-    waits = results.replace('"waits":0', '"waits":1', 1)
+    config, calls = ((folder / name).read_text() for name in ("run.json", "calls.jsonl"))
+    last = calls.splitlines(keepends=True)[-1]
     for files, told in (
-        ({"calls": calls.replace(answer, left, 1)}, "has another request than this run sends"),
-        ({"calls": start + last.replace(answer, left)}, "flight 1: its record and result do not follow"),
-        ({"calls": start}, "call 1-60-1 has no answer, but the status of the flight is finished"),
-        ({"calls": start, "flights": errored}, "call 1-60-1 has neither an answer nor a failure"),
-        ({"calls": calls + last.replace('"turn":60', '"turn":61')}, "1 answers belong to no flight"),
-        ({"flights": waits}, "flight 0: its record and result do not follow"),
-        ({"episodes": f"{first}{better}\n"}, "flight 1: its record and result do not follow"),
-        ({"episodes": f"{forged}\n{second}"}, "flight 0: its record and result do not follow"),
-        ({"episodes": first}, "it contains 1 records for 2 flights"),
-        ({"episodes": first, "flights": results.splitlines()[0]}, "flight 1 was begun but is not among the results"),
-        ({"run": texts[0].replace('"scripted"', '"better"')}, "call 0-1-1 has another request"),
+        (
+            {"calls.jsonl": calls.replace('"text":"WAIT"', '"text":"LEFT"', 1)},
+            "has another request than this run sends",
+        ),
+        ({"calls.jsonl": calls + last.replace('"turn":60', '"turn":61')}, "flight 1: it has an answer too many"),
+        ({"calls.jsonl": calls + last.replace('"flight":1', '"flight":2')}, "flight 2: it has an answer too many"),
+        ({"run.json": config.replace('"scripted"', '"better"')}, "call 0-1-1 has another request"),
     ):
-        for name, text in zip(names, texts, strict=True):
-            (folder / name).write_text(files.get(name.partition(".")[0], text))
+        for name, text in {"run.json": config, "calls.jsonl": calls, **files}.items():
+            (folder / name).write_text(text)
         with pytest.raises(InvalidValueError, match=told):
-            verified_run(folder)
+            read_run(folder)
+
+
+def test_a_bad_flight_cannot_be_left_out(tmp_path: Path) -> None:
+    folder = put_run(tmp_path, "run", "WAIT", range(14, 16))
+    calls = (folder / "calls.jsonl").read_text()
+    lines = calls.splitlines(keepends=True)
+    for left, reason in ((120, "cut short: 1; not begun: 0"), (61, "cut short: 0; not begun: 1"), (0, "not begun: 2")):
+        (folder / "calls.jsonl").write_text("".join(sorted(lines, key=lambda line: '"flight":1' in line)[:left]))
+        entry = run_entry(folder)
+        assert isinstance(entry, NotRanked)
+        assert entry.reason.endswith(reason)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +119,7 @@ def test_tokens_that_no_answer_reports_are_unknown_not_0(
             return Answer(text=text, prompt_tokens=prompt, completion_tokens=completion)
 
     fly(Metered(), tmp_path)
-    assert tuple(report(verified_run(tmp_path)).report["tokens"].values()) == tokens
+    assert tuple(report(read_run(tmp_path)).report["tokens"].values()) == tokens
 
 
 def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
@@ -146,11 +148,10 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
 
 def test_folders_that_cannot_be_ranked_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     killed = put_run(tmp_path, "killed", "WAIT", range(14, 17))
-    (killed / "episodes.jsonl").unlink()
-    (killed / "flights.jsonl").unlink()
+    (killed / "calls.jsonl").unlink()
     (tmp_path / "empty").mkdir()
     for folder, status, told in (
-        (killed, 0, f"not ranked: {killed}: no flights yet: it is running, or was killed"),
+        (killed, 0, f"not ranked: {killed}: incomplete: flights cut short: 0; not begun: 3"),
         (tmp_path / "nowhere", 1, ": no such folder; give a folder of evaluate --out or infer --out"),
         (tmp_path / "empty", 1, "no results in it; give a folder of evaluate --out or infer --out"),
     ):

@@ -11,8 +11,8 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.report import report
+from drone_env.llm.run_folder import read_run
 from drone_env.llm.transcript import Transcript
-from drone_env.llm.verify import verified_run
 from tests.tools import PATIENCE, eventually
 
 from .conftest import ROOT, TOKEN, Endpoint, Start, environment, json_lines, verified
@@ -111,7 +111,7 @@ def test_a_killed_run_goes_on_within_its_budget(endpoint: Start) -> None:
     assert len(json_lines(folder / "calls.jsonl")) == 2
     resumed = scripted.infer(*arguments, "--resume", folder=folder)
     assert (resumed.status, len(scripted.requests())) == (3, 5)
-    assert [flight["status"] for flight in resumed.flights] == ["finished", "budget_stop"]
+    assert [flight.status for flight in resumed.flights] == ["finished", "budget_stop"]
     verified(resumed)
-    figures = report(verified_run(folder)).report
+    figures = report(read_run(folder)).report
     assert figures["calls"] == {"answered": 4, "requests": 4, "without_usage": 0}

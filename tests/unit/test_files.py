@@ -15,7 +15,7 @@ from drone_env.errors import DroneEnvError
 from drone_env.files import append_line, write_text
 from drone_env.flights.record import load_record, read_records
 from drone_env.llm.prompt import read_prompt
-from drone_env.llm.run_folder import load_config, load_results
+from drone_env.llm.run_folder import load_config
 from drone_env.llm.transcript import read_calls
 from drone_env.results.folder import stored_results
 from drone_env.reward_file import load_reward_profile
@@ -35,7 +35,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "flights of records.jsonl": lambda path: list(read_records(path)),
     "calls.jsonl": lambda path: list(read_calls(path)),
     "run.json": lambda path: load_config(path.parent),
-    "flights.jsonl": lambda path: load_results(path.parent),
     "evaluation.json": lambda path: stored_results(path.parent),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
