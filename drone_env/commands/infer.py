@@ -116,7 +116,6 @@ def infer(
         from drone_env.llm.config import load_settings
         from drone_env.llm.endpoint import Endpoint
         from drone_env.llm.on_server import repeat_on_server, running_image
-        from drone_env.llm.progress import Progress
 
     settings = load_settings(run.base_url)
     if run.local is not None:
@@ -145,9 +144,8 @@ def infer(
             from drone_env.llm.local import LocalModel
 
             sender = LocalModel(run.local, config.base_url.split(":")[1])
-        progress = Progress(config, Budget(options), path, store)
         try:
-            flown = asyncio.run(runner.run_flights(config, path, sender, progress))
+            flown = asyncio.run(runner.Runner(config, path, sender, Budget(options), store).fly())
             verdict, _ = flown.verdict
             if run.report and verdict != "stopped":
                 reports.write_report(reports.report(flown))

@@ -14,8 +14,7 @@ import httpx
 from drone_env import __version__
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer, finish_kind
-from drone_env.llm.rejections import NO_CHANGES, changes_for
-from drone_env.llm.sender import TryFailedError
+from drone_env.llm.sender import NO_CHANGES, TryFailedError, changes_for
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300

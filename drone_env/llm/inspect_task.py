@@ -16,7 +16,6 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
 from drone_env.flights.record import record_of
 from drone_env.llm.answers import Answer, ChatMessage, Unusable
-from drone_env.llm.progress import last_line, log_lines
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import MAX_ERRORED, turns_of
 from drone_env.llm.text_episode import EpisodeRun, TextEpisode
@@ -150,7 +149,7 @@ def _stored(flight: EpisodeRun, agent: str) -> dict[str, Any]:
         "turns": turns,
         "record": record_of(flight.episode, agent).to_json(),
         "actions": [step.action.name for step in flight.episode.path],
-        "log": "\n".join([*log_lines(flight, agent), last_line(flight)]),
+        "log": "\n".join([*flight.log_lines(agent), flight.last_line]),
     }
 
 

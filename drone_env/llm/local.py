@@ -14,8 +14,7 @@ from typing import Any
 
 from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer
-from drone_env.llm.rejections import changes_for
-from drone_env.llm.sender import TryFailedError
+from drone_env.llm.sender import TryFailedError, changes_for
 
 with needs("trl"):
     import torch

@@ -7,10 +7,11 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig
+from drone_env.envs.ansi import end_line, start_line, step_line
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.llm.answers import Answer, ChatMessage, Reading, TurnKind, actions_named, read_answer, way_to
 from drone_env.llm.prompt import Prompt, below_text, get_prompt, stops_text, ways_of
-from drone_env.llm.rejections import NO_CHANGES, Changes, changed
+from drone_env.llm.sender import NO_CHANGES, Changes, changed
 
 if TYPE_CHECKING:
     from drone_env.llm.transcript import Call
@@ -255,6 +256,22 @@ class EpisodeRun(TextEpisode):
         for call, request in zip(calls.values(), sent, strict=False):
             call.check(request)
         return len(sent)
+
+    def log_lines(self, model: str, printed: int = 0) -> list[str]:
+        """The log lines of the flight so far, without the first `printed` ones.
+
+        A step with an unusable answer shows the outcome of that answer as its error.
+        """
+        start, first = [] if printed else [start_line(self.episode.task, model)], max(printed - 1, 0)
+        return start + [step_line(number, *step) for number, step in enumerate(self.flown[first:], first + 1)]
+
+    @property
+    def last_line(self) -> str:
+        """The line of the end of the flight.
+
+        The score of a flight that a limit stopped is that of waiting to the end; an errored flight has no score.
+        """
+        return end_line(self.success, None if self.status == "errored" else self.score, self.episode.rewards)
 
     @property
     def begun(self) -> bool:

@@ -16,7 +16,7 @@ from pydantic import Field
 from drone_env.errors import InvalidValueError
 from drone_env.files import append_line, read_lines
 from drone_env.llm.answers import Answer, ChatMessage
-from drone_env.llm.rejections import Part
+from drone_env.llm.sender import Part
 from drone_env.llm.text_episode import CallKey
 from drone_env.models import Count, StrictModel
 

@@ -14,10 +14,9 @@ from drone_env.flights.store import Store
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Budget, Options
 from drone_env.llm.config import RunConfig, Sampling
-from drone_env.llm.progress import Progress
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import Run, locked_run
-from drone_env.llm.runner import run_flights
+from drone_env.llm.runner import Runner
 from drone_env.llm.sender import TryFailedError
 from drone_env.llm.transcript import Call, read_calls
 from tests.llm.scripted_server import reply
@@ -135,8 +134,7 @@ def fly(sender: Any, folder: Path, options: Options | None = None, store: Store 
     """Fly a run, by default one request at a time; a run in the folder goes on."""
     config, budget = run_config(**change), Budget(options or Options(concurrency=1))
     with locked_run(folder, config, resume=folder.exists()):
-        progress = Progress(config, budget, folder, store)
-        result, seconds = in_virtual_time(run_flights(config, folder, sender, progress))
+        result, seconds = in_virtual_time(Runner(config, folder, sender, budget, store).fly())
     return Flown(result, list(read_calls(folder / "calls.jsonl")), seconds)
 
 

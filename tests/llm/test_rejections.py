@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from drone_env.llm.rejections import changed, changes_for
+from drone_env.llm.sender import changed, changes_for
 
 from .conftest import ENDPOINTS, Start, verified
 

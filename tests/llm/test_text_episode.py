@@ -22,7 +22,7 @@ def test_a_flight_by_text() -> None:
     assert (flight.score, flight.success) == (0.01, False)  # as if it waited to the end
     flight.answer("UP")
     assert flight.answer("UP") == flight.messages == []
-    assert (flight.turns, flight.step_errors) == (["repaired", "ok", "ok"], [None, None, None])
+    assert (flight.turns, [error for *_, error in flight.flown]) == (["repaired", "ok", "ok"], [None, None, None])
     assert (flight.score, flight.success, flight.episode.rewards) == (0.99, True, [0.15, 0.15, 0.99])
     assert flight.regret == solve("easy", 14).score - 0.99
     with pytest.raises(EpisodeError, match="the flight is over"):
@@ -33,7 +33,11 @@ def test_unusable_answers_are_waits_and_thoughts_and_routes_are_read() -> None:
     flight = TextEpisode("easy", 14)
     for text in ("Hm." * 1000, "NORTH"):
         flight.answer(text)
-    assert (flight.turns, flight.step_errors, flight.episode.actions) == (["illegal"], ["illegal"], [4])
+    assert (flight.turns, [error for *_, error in flight.flown], flight.episode.actions) == (
+        ["illegal"],
+        ["illegal"],
+        [4],
+    )
     # The model sees the beginning of a long answer.
     (_, _, quoted, _) = TextEpisode("easy", 14).answer(Answer(text="Hm." * 1000, finish_reason="length"))
     assert quoted["content"] == ("Hm." * 1000)[:2000]
