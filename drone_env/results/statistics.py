@@ -82,29 +82,6 @@ def proportion(values: Values) -> Bounds:
     return list(_cut(p, (p + added / 2 - half) / (1 + added), (p + added / 2 + half) / (1 + added), SHARES)[1:])
 
 
-def crossed(scores: Floats, within: Range) -> Interval | None:
-    """Return the mean of float64[seeds, maps] with its interval; None for one map. All seeds fly the same maps.
-
-    `interval` over maps and Student's interval over seeds are combined. With one seed it covers the maps alone.
-    """
-    seeds, maps = scores.shape
-    if maps < 2:
-        return None
-    over_maps = interval(scores.mean(axis=0), within)
-    if seeds < 2:
-        return over_maps
-    mean = over_maps.mean
-    half = student(seeds - 1) * float(scores.mean(axis=1).std(ddof=1)) / math.sqrt(seeds)
-    return _combined(over_maps, Interval(mean, mean - half, mean + half), within)
-
-
-def _combined(first: Interval, second: Interval, within: Range) -> Interval:
-    """Return the first mean with the errors of both, which are independent (MOVER, Zou and Donner 2008)."""
-    below = math.hypot(first.mean - first.low, second.mean - second.low)
-    above = math.hypot(first.high - first.mean, second.high - second.mean)
-    return _cut(first.mean, first.mean - below, first.mean + above, within)
-
-
 def _cut(mean: float, low: float, high: float, within: Range) -> Interval:
     """Return an interval that ends where the range does; the mean may be rounded beyond."""
     return Interval(mean, min(mean, max(low, within[0])), max(mean, min(high, within[1])))

@@ -7,9 +7,7 @@ from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import (
     DIFFERENCES,
     SCORES,
-    SHARES,
     PairedComparison,
-    crossed,
     interval,
     proportion,
     ranked,
@@ -86,17 +84,3 @@ def test_the_lowest_regret_ranks_first_whatever_the_maps_were_worth() -> None:
     }
     agents = {agent: results(np.array(scores), np.array(optima)) for agent, (scores, optima) in maps.items()}
     assert [agent for agent, _ in ranked(agents)] == ["best of two", "best of one", "rich", "unknown"]
-
-
-def test_an_interval_over_seeds_and_maps() -> None:
-    rng = np.random.default_rng(0)
-    covered, scores = 0, np.zeros((12, 40))
-    for _ in range(50):
-        scores = 0.5 + 0.1 * rng.standard_normal((12, 1)) + 0.1 * rng.standard_normal(40)
-        found = crossed(scores, SHARES)
-        assert found is not None
-        assert found.low < found.mean < found.high
-        covered += found.low <= 0.5 <= found.high
-    assert 42 <= covered <= 50
-    # One seed is as certain as its maps are.
-    assert crossed(scores[:1], SHARES) == pytest.approx(interval(scores[0], SHARES))
