@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
-from drone_env.server.json_routes import TRY_LATER, parse_json, received
+from drone_env.server.json_bodies import TRY_LATER, parse_json, received
 from drone_env.server.mcp import step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction

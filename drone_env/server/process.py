@@ -15,7 +15,7 @@ from pathlib import Path
 from drone_env import __version__
 from drone_env.errors import InvalidValueError
 from drone_env.flights.store import Store
-from drone_env.server.json_routes import LARGEST_BODY
+from drone_env.server.json_bodies import LARGEST_BODY
 from drone_env.server.settings import load_settings
 
 if sys.platform != "win32":

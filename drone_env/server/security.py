@@ -10,6 +10,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.server.exceptions import RequestError, answer_to
+from drone_env.server.json_bodies import JsonRequest
 from drone_env.server.logs import RequestLog
 from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
@@ -36,7 +37,7 @@ HEADERS = [
 
 
 class Security:
-    """Middleware that checks origin and token of a request, adds security and cache headers, and logs it.
+    """Middleware that checks origin, token and body of a request, adds security and cache headers, and logs it.
 
     Browsers send the origin of a page in the `Origin` header; other programs send none.
 
@@ -44,7 +45,7 @@ class Security:
         app: The wrapped application.
         settings: The token, and whether hints are withheld.
         log: The request log.
-        first: Answers some requests without the application; returns None for the others.
+        first: Answers some requests with bodies without the application; returns None for the others.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Security:
         app: ASGIApp,
         settings: Settings,
         log: RequestLog,
-        first: Callable[[Scope, Receive], Awaitable[Response | None]],
+        first: Callable[[JsonRequest], Awaitable[Response | None]],
     ) -> None:
         self.app = app
         self.first = first
@@ -82,16 +83,19 @@ class Security:
                 message["headers"] = headers
             await send(message)
 
+        answer: Response | None = None
         try:
             try:
                 self._check(scope, Headers(scope=scope))
+                if is_http and scope["method"] == "POST":
+                    request = JsonRequest(scope, receive)
+                    await request.read()
+                    answer, receive = await self.first(request), request.again
             except RequestError as error:
                 if not is_http:
                     await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
                     return
                 answer = answer_to(error, scope)
-            else:
-                answer = await self.first(scope, receive) if is_http else None
             await (answer or self.app)(scope, receive, send_with_headers)
         finally:
             self.log.add(scope["method"] if is_http else "WEBSOCKET", path, status, time.perf_counter() - started)

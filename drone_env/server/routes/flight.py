@@ -8,7 +8,6 @@ from fastapi import APIRouter, Body, Depends, Header, Request, Response
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
-from starlette.types import Receive, Scope
 from typing_extensions import Self
 
 from drone_env.agents.pathqnet import PathQNetAgent
@@ -31,12 +30,12 @@ from drone_env.models import (
 )
 from drone_env.server.addresses import shared_address
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
-from drone_env.server.json_routes import READ, JsonRequest, JsonRoute
+from drone_env.server.json_bodies import JsonRequest
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
 
-router = APIRouter(tags=["flight"], route_class=JsonRoute)
+router = APIRouter(tags=["flight"])
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
 NEW = "new"
@@ -218,16 +217,14 @@ def predict(app_state: AppStateDep, session: SessionDep) -> Prediction:
     )
 
 
-async def answer_step(app_state: AppState, scope: Scope, receive: Receive) -> Response | None:
+async def answer_step(app_state: AppState, request: JsonRequest) -> Response | None:
     """Answer a step without FastAPI, whose overhead exceeds the cost of the step.
 
     Returns None for other requests, and for invalid steps, whose errors FastAPI explains.
     """
-    if scope["path"] != "/step" or scope["method"] != "POST":
+    if request.scope["path"] != "/step":
         return None
-    request = scope[READ] = JsonRequest(scope, receive)
     try:
-        await request.read()
         caller, count = Caller.of(request), request.headers.get(STEP_HEADER)
         if len(caller.named or "") > LONGEST_ID:
             return None
@@ -236,7 +233,7 @@ async def answer_step(app_state: AppState, scope: Scope, receive: Receive) -> Re
     except ValidationError:
         return None
     except DroneEnvError as error:
-        return answer_to(error, scope)
+        return answer_to(error, request.scope)
 
 
 async def _fly(app_state: AppState, caller: Caller, body: DroneAction, after: int | None) -> Response:

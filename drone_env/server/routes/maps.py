@@ -19,11 +19,10 @@ from drone_env.models import MAX_SEED, Count, StrictModel
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import BestFlight, best_flight
-from drone_env.server.json_routes import JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.state import AppStateDep
 
-router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
+router = APIRouter(prefix="/maps", tags=["maps"])
 REFUSALS = error_responses(400, 413, 415, 422, 503)
 DrawnNumber = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
