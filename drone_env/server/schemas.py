@@ -106,11 +106,6 @@ class RouteAction(StrictModel):
     )
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _from_text(cls, data: Any) -> Any:
-        return {"direction": data} if isinstance(data, str) else data
-
 
 def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:
     """Fly actions until the episode ends; those after the end are not flown.

@@ -49,9 +49,8 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
         ({"type": "step", "data": {"direction": "UP " * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"route": "UP"}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": 0}, "VALIDATION_ERROR"),
-        ('{"type": "step", "data": %s}' % ("9" * 4000), "VALIDATION_ERROR"),
-        ({"type": "step", "data": "<think>" * 900}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": "UP"}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": "<think>" * 900}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"prompt": "../prompts/minimal-2.toml"}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
         ({"data": {}}, "UNKNOWN_TYPE"),
@@ -160,13 +159,13 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path) -> N
     assert turns >= 200
 
 
-@pytest.mark.parametrize("action", ["UP up WAIT", "[UP, UP, WAIT]", "UP", {"direction": "UP UP WAIT"}])
-def test_an_action_is_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
+@pytest.mark.parametrize("route", ["UP", "UP up WAIT", "[UP, UP, WAIT]"])
+def test_an_action_is_a_word_or_a_route(shared_client: TestClient, route: str) -> None:
     episode = Episode("easy", "tiered", 7)
-    rewards = [episode.step(one) for one in ([0] if action == "UP" else [0, 0, 4])]
+    rewards = [episode.step(one) for one in ([0] if route == "UP" else [0, 0, 4])]
     with shared_client.websocket_connect("/ws") as socket:
         ask(socket, {"type": "reset", "data": {"seed": 7, "reward_profile": "tiered"}})
-        answer = ask(socket, {"type": "step", "data": action})
+        answer = ask(socket, {"type": "step", "data": {"direction": route}})
     expected = socket_result(observation_fields(episode), sum(rewards), len(rewards), "tiered")
     assert answer["data"] == json.loads(to_json(expected))
 

@@ -40,7 +40,7 @@ def test_no_route_shows_a_hint(tmp_path: Path) -> None:
             socket.send_json({"type": "reset", "data": {"task_name": "hard", "seed": 7, "prompt": "minimal"}})
             answers = [socket.receive_json()["data"]]
             for action in best.actions:
-                socket.send_json({"type": "step", "data": action.name})
+                socket.send_json({"type": "step", "data": {"direction": action.name}})
                 answers.append(socket.receive_json()["data"])
             assert not [answer for answer in answers[:-1] if str(best.score) in str(answer)]
             assert answers[-1]["reward"] == best.score
