@@ -5,14 +5,13 @@ cd "$(dirname "$0")/.."
 VENV=${VENV:-.venv} TORCH=${TORCH:-torch==2.13.0} OTHER_PYTHON=${OTHER_PYTHON:-python3.13}
 python=$VENV/bin/python
 
-# The same properties over many more cases, kills by the hundred, hostile callers.
+# The same properties over many more cases, kills by the hundred.
 campaigns() {
   DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $python -m pytest -m '' -n auto --timeout 36000 \
     tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_training_run.py \
     tests/unit/test_network.py
   $python -m pytest -m campaign --timeout 36000
   DRONE_ENV_SCHEMA_EXAMPLES=200 $python -m pytest -m '' --timeout 36000 tests/api
-  $python tests/api/hostile_callers.py
   DRONE_ENV_LLM_ROUTES=100 DRONE_ENV_PROMPT_MAPS=100 $python -m pytest -m '' --timeout 36000 tests/llm
 }
 

@@ -1,9 +1,7 @@
 """A city: the terrain of a place, its file and its task.
 
     format = 1
-    attribution = "© OpenStreetMap contributors"
-    licence = "ODbL-1.0"
-    source = "helsinki.osm.pbf"                       # name of the extract
+    attribution = "© OpenStreetMap contributors, ODbL-1.0"
     cell = 16.0                                       # side of a cell in metres
     bbox = [24.9386, 60.1656, 24.9462, 60.1677]       # west, south, east, north in degrees (WGS 84)
     start = [0, 1]                                    # [x, y]; x grows rightwards from 0, y downwards
@@ -53,7 +51,6 @@ MAX_TEXT = 200
 CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
 SYMBOL = re.compile("|".join(CELL_OF))
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
-TEXTS = ("attribution", "licence", "source")
 TaskNumber = Literal["width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads"]
 """The numbers of a task that a city can set; `task_of` sets the others."""
 DELIVERIES, PADS, CHARGE_RATE = 5, 4, 5
@@ -67,9 +64,7 @@ class City:
 
     Attributes:
         grid: uint8[height, width], cell ids out of `PLACED`; `grid[y, x]`.
-        attribution: Owner of the data.
-        licence: Licence of the data.
-        source: Name of the file that the city was made from.
+        attribution: Owner and licence of the data.
         cell: Side of a cell in metres.
         bbox: West, south, east, north in degrees (WGS 84).
         start: (x, y) of the start, a road.
@@ -83,8 +78,6 @@ class City:
 
     grid: npt.NDArray[np.uint8]
     attribution: str = ""
-    licence: str = ""
-    source: str = ""
     cell: float | None = None
     bbox: BBox | None = None
     start: XY | None = None
@@ -97,7 +90,7 @@ class City:
         sides = f"a city is {MIN_SIDE} to {MAX_SIDE} cells wide and high"
         _require(MIN_SIDE <= min(width, height) and max(width, height) <= MAX_SIDE, f"{sides}, got {width} x {height}")
         _require(len(self.names) <= MAX_NAMES, f"at most {MAX_NAMES} names, got {len(self.names)}")
-        texts = [(name, getattr(self, name)) for name in TEXTS] + [("a name", name.text) for name in self.names]
+        texts = [("attribution", self.attribution), *(("a name", name.text) for name in self.names)]
         for name, text in texts:
             fits = text.isprintable() and len(text) <= MAX_TEXT
             _require(
@@ -134,8 +127,6 @@ class CityFile(BaseModel):
 
     format: Literal[1]
     attribution: str = ""
-    licence: str = ""
-    source: str = ""
     cell: FiniteFloat | None = None
     bbox: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None, Field(strict=False)] = None
     start: Annotated[XY | None, Field(strict=False)] = None
@@ -156,7 +147,7 @@ def check_bbox(bbox: Iterable[float]) -> None:
 def city_text(city: City) -> str:
     """Return the text of the file of a city; equal cities give equal texts."""
     lines = ["format = 1"]
-    lines += [f"{name} = {json.dumps(text, ensure_ascii=False)}" for name in TEXTS if (text := getattr(city, name))]
+    lines += [f"attribution = {json.dumps(city.attribution, ensure_ascii=False)}"] * bool(city.attribution)
     lines += [f"cell = {city.cell!r}"] * (city.cell is not None)
     lines += [f"bbox = {list(city.bbox or ())!r}"] * (city.bbox is not None)
     lines += [f"start = {list(city.start or ())!r}"] * (city.start is not None)

@@ -26,8 +26,7 @@ from drone_env.toml_text import parse_toml
 
 log = logging.getLogger(__name__)
 
-ATTRIBUTION = "© OpenStreetMap contributors"
-LICENCE = "ODbL-1.0"
+ATTRIBUTION = "© OpenStreetMap contributors, ODbL-1.0"
 MAX_FILE = 128 << 20
 """Bytes of an extract: all its nodes are held in memory."""
 MAX_CUT = 0.1
@@ -172,7 +171,7 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
     for layer in reversed(layers()):
         grid[_claimed(layer, found)] = layer.kind
-    return City(grid, ATTRIBUTION, LICENCE, path.name, cell, projection.bbox, names=found.names())
+    return City(grid, ATTRIBUTION, cell, projection.bbox, names=found.names())
 
 
 @lru_cache(maxsize=1)

@@ -48,4 +48,4 @@ def city(file: Source, out: Path, bbox: Box = None, cell: float = 16.0, size: Si
     counts = np.bincount(imported.grid.ravel()).tolist()
     kinds = [(Cell(kind).name.lower(), f"{n}", percent(n / (width * height))) for kind, n in enumerate(counts) if n]
     print_table(Table("", ("cell", "cells", "share"), kinds), names=1)
-    print(f"{imported.attribution}, {imported.licence}")
+    print(imported.attribution)

@@ -1,7 +1,6 @@
 """The provenance of a flight: who flew it, with what help, and which flight it continues."""
 
 import re
-from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationError, WithJsonSchema, model_validator
@@ -67,13 +66,10 @@ class Provenance(StrictModel):
     @property
     def label(self) -> str:
         """The provenance in words, as `agent` in documented JSON: `human (Ada) with undo from step 20 of pathqnet`."""
-        return self.written(lambda one: one.pilot if one.person is None else f"{one.pilot} ({one.person})")
-
-    def written(self, name: "Callable[[Provenance], str]") -> str:
-        """Return the label, with the names that a function gives to each pilot."""
+        name = self.pilot if self.person is None else f"{self.pilot} ({self.person})"
         help_used = [words for words, used in (("values", self.values_used), ("undo", self.undo_used)) if used]
-        text = f"{name(self)} with {' and '.join(help_used)}" if help_used else name(self)
-        return text if self.parent is None else f"{text} from step {self.parent.step} of {self.parent.written(name)}"
+        text = f"{name} with {' and '.join(help_used)}" if help_used else name
+        return text if self.parent is None else f"{text} from step {self.parent.step} of {self.parent.label}"
 
     @property
     def is_plain(self) -> bool:

@@ -186,7 +186,7 @@ class Sessions:
             self._make_room_in_memory()
             self._in_memory[session_id] = Session(flight_id, episode.copy(), provenance)
         if episode.ended:
-            self._store.on_finished(flight_id, episode, provenance)
+            self._store.show()
         return session_id
 
     def reset(
@@ -238,7 +238,7 @@ class Sessions:
             NoSessionError: if there is no such session, or somebody has named that of the address.
             StoreError: if the store stays busy for 30 s or cannot be written, or the function uses another session.
         """
-        finished = None
+        has_ended = False
         with self._database.lock:
             with self._database.writing() as connection:
                 row, session = _row(connection, session_id), self._in_memory.pop(session_id, None)
@@ -254,11 +254,11 @@ class Sessions:
                     connection.execute("DELETE FROM flights WHERE id = ? AND number IS NULL", (row["id"],))
                     insert_flight(connection, session.flight_id, session.episode, session.provenance)
                 elif session.unstored or session.provenance is not by:
-                    finished = _change(connection, session, by)
+                    has_ended = _change(connection, session, by)
             # Only after the commit: a session that could not be stored is flown again from its row.
             self._in_memory[session_id] = session
-        if finished is not None:
-            self._store.on_finished(*finished)
+        if has_ended:
+            self._store.show()
         return result
 
     def step(
@@ -389,10 +389,8 @@ def _session(row: sqlite3.Row) -> Session:
     return Session(flown.id, flown.fly(), flown.provenance, revision)
 
 
-def _change(
-    connection: sqlite3.Connection, session: Session, before: Provenance
-) -> tuple[str, Episode, Provenance] | None:
-    """Store what a session has flown, and its provenance if it differs. Return the flight if this finished it."""
+def _change(connection: sqlite3.Connection, session: Session, before: Provenance) -> bool:
+    """Store what a session has flown, and its provenance if it differs. Return whether this finished the flight."""
     has_ended, by = session.has_ended, session.provenance
     kept = session.episode.steps - len(session.unstored)
     connection.execute(FLY, (kept, session.unstored, session.flight_id))
@@ -400,10 +398,9 @@ def _change(
         connection.execute(USE_HELP, (by.values_used, by.undo_used, by.label, session.flight_id))
     session.revision += 1
     session.unstored = ""
-    if not has_ended:
-        return None
-    finish_flight(connection, session.flight_id, session.episode)
-    return session.flight_id, session.episode, by
+    if has_ended:
+        finish_flight(connection, session.flight_id, session.episode)
+    return has_ended
 
 
 def in_share(own: int, taken: int, capacity: int) -> bool:

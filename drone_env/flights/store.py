@@ -78,14 +78,12 @@ class Store:
         self._optima = Optima(self.database, submit)
         self._lines: dict[str, str] = {}
         """JSON of the episodes in `memory.json` by id; empty for one that cannot be flown again."""
-        self._flown: dict[str, tuple[Episode, Provenance]] = {}
-        """Episodes that this process has stored since, by id."""
-        self._shown: dict[str, float] | None = None
-        """Ids of these episodes, and when they finished; None if the file is not written."""
+        self._shown: list[str] | None = None
+        """Ids of these episodes; None if the file is not written."""
         self._view_due, self._closing = threading.Event(), threading.Event()
         self._view_thread = ThreadPoolExecutor(1, "drone_env-memory-view")
         self._view_thread.submit(self._read_view)
-        self._show()
+        self.show()
 
     def close(self) -> None:
         """Close the file; a second call does nothing. Waits for `memory.json`."""
@@ -129,7 +127,7 @@ class Store:
         with self.database.writing() as connection:
             is_new = insert_flight(connection, flight_id, episode, provenance)
         if is_new:
-            self.on_finished(flight_id, episode, provenance)
+            self.show()
         return flight_id
 
     def episode(self, episode_id: str) -> StoredEpisode:
@@ -249,12 +247,8 @@ class Store:
         ((total,),) = self._read(f"SELECT count(*) FROM flights {where}", values)
         return analyse(get_task(task), total, rows)
 
-    def on_finished(self, flight_id: str, episode: Episode, by: Provenance) -> None:
-        """Show a flight that has just been stored in `memory.json`, soon."""
-        self._flown[flight_id] = episode.copy(), by
-        self._show()
-
-    def _show(self) -> None:
+    def show(self) -> None:
+        """Show the flights that have just been stored in `memory.json`, soon."""
         if not (self._view_due.is_set() or self._closing.is_set()):
             self._view_due.set()
             self._view_thread.submit(self._write_view)
@@ -270,14 +264,11 @@ class Store:
         """Replace `memory.json`: in its own thread, since that may wait for the disk."""
         self._closing.wait(VIEW_SECONDS)
         self._view_due.clear()
-        query = f"SELECT id, finished_at AS at FROM flights WHERE number IS NOT NULL {NEWEST}"
+        query = f"SELECT id FROM flights WHERE number IS NOT NULL {NEWEST}"
         try:
             # Each process reads again after it writes, so no older view stays over a newer one.
-            while (newest := {row["id"]: row["at"] for row in self._read(query, (VIEW_LENGTH,))[::-1]}) != self._shown:
-                flown, self._flown = self._flown, {}
-                self._lines = {
-                    id_: self._lines.get(id_) or self._json(id_, at, flown.get(id_)) for id_, at in newest.items()
-                }
+            while (newest := [row["id"] for row in self._read(query, (VIEW_LENGTH,))[::-1]]) != self._shown:
+                self._lines = {id_: self._lines.get(id_) or self._json(id_) for id_ in newest}
                 lines = NEXT_LINE.join(filter(None, self._lines.values()))
                 write_text(self.folder / VIEW_NAME, f"{VIEW_HEAD}{lines}{VIEW_FOOT}")
                 self._shown = newest
@@ -286,10 +277,9 @@ class Store:
             self._shown = None
             log.warning("%s could not be written: %s", self.folder / VIEW_NAME, error)
 
-    def _json(self, episode_id: str, finished_at: float, flown: tuple[Episode, Provenance] | None) -> str:
+    def _json(self, episode_id: str) -> str:
         try:
-            stored = self.episode(episode_id) if flown is None else StoredEpisode.of(episode_id, finished_at, *flown)
-            return stored.model_dump_json(exclude_none=True)
+            return self.episode(episode_id).model_dump_json(exclude_none=True)
         except (InvalidValueError, UnknownNameError) as error:
             log.warning("%s leaves out flight %s: %s", VIEW_NAME, episode_id, error)
             return ""

@@ -15,7 +15,6 @@ from drone_env.flights.sessions import ANONYMOUS
 from drone_env.llm.prompt import FOLDER, Prompt, read_prompt, stops_text
 from drone_env.models import StrictModel
 from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.json_routes import JsonRoute
 from drone_env.server.openenv_session import OpenEnvSession, flown_text, full_text
 from drone_env.server.schemas import ENV_NAME, MAX_ROUTE, Route, SessionReset
 from drone_env.server.state import AppState, AppStateDep, caller_address
@@ -31,7 +30,7 @@ REFUSED: dict[int | str, dict[str, Any]] = {
     400: {"model": dict[str, Any], "description": "Not JSON, an unknown version of MCP, or no session."},
     404: {"model": dict[str, Any], "description": "The session has ended."},
 }
-router = APIRouter(tags=["openenv"], route_class=JsonRoute)
+router = APIRouter(tags=["openenv"])
 
 
 class FlyArguments(StrictModel):

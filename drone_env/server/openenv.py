@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
-from drone_env.server.json_routes import TRY_LATER, parse_json, received
+from drone_env.server.json_bodies import TRY_LATER, parse_json, received
 from drone_env.server.mcp import step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
@@ -114,13 +114,12 @@ class OpenEnvSocket:
             raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
         frame = cast(dict[str, Any], frame)
         kind, data = frame.get("type"), frame.get("data", {})
-        # An action may be a word or a number instead of an object.
-        if frame.keys() - {"type", "data"} or not (kind == "step" or isinstance(data, dict)):
+        if frame.keys() - {"type", "data"} or not isinstance(data, dict):
             raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
-        fields = cast(dict[str, Any], data) if isinstance(data, dict) else {}
+        data = cast(dict[str, Any], data)
         try:
-            if kind == "step" and fields.get("type") in ("list_tools", "call_tool"):
-                return _frame("observation", to_json(await step_as_tool(session, fields)).decode())
+            if kind == "step" and data.get("type") in ("list_tools", "call_tool"):
+                return _frame("observation", to_json(await step_as_tool(session, data)).decode())
             if kind == "step":
                 episode, reward, flown = await session.fly(RouteAction.model_validate(data).direction)
                 return _frame("observation", await session.observation(episode, reward, flown=flown))

@@ -56,7 +56,6 @@ class OpenEnvSession:
         self._stored = stored
         self._session: Session | None = None
         self._prompt: Prompt | None = None
-        self._last: tuple[float, int] = 0.0, 0
         self.episode_id = str(uuid.uuid4())
         """The id from the last reset."""
 
@@ -91,13 +90,13 @@ class OpenEnvSession:
         Raises:
             EpisodeError: before the first reset.
         """
+        flown = 0.0, 0
 
         def fly(session: Session) -> None:
-            # If storing the ended episode failed, the client repeats the last step, and gets the same response.
-            if not session.has_ended:
-                self._last = fly_route(route, session.episode, session.fly)
+            nonlocal flown
+            flown = fly_route(route, session.episode, session.fly)
 
-        return await self._use(fly), *self._last
+        return await self._use(fly), *flown
 
     async def goto(self, stop: str) -> tuple[Episode, float, int]:
         """Fly to a stop; returns and raises as `fly`.

@@ -15,18 +15,12 @@ from pathlib import Path
 from drone_env import __version__
 from drone_env.errors import InvalidValueError
 from drone_env.flights.store import Store
-from drone_env.server.json_routes import LARGEST_BODY
+from drone_env.server.json_bodies import LARGEST_BODY
 from drone_env.server.settings import load_settings
 
 if sys.platform != "win32":
     import resource
 
-RECEIVED, SENT = 16_384, 131_072
-"""Kernel buffers of a connection in bytes (Linux doubles them). The event loop reads a full buffer at once, and a
-client that does not read would otherwise hold megabytes.
-"""
-UNREAD_SECONDS = 75
-"""Linux closes a connection if the other side has acknowledged no data for this time."""
 CONNECTIONS = 1000
 """Connections of a process, in addition to one per session."""
 OTHER_FILES = 128
@@ -140,16 +134,10 @@ def listen(host: str, port: int) -> socket.socket:
         InvalidValueError: if the address is not available.
     """
     try:
-        sock = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
         message = f"cannot listen on {host}: {error.strerror}; --host and --port choose another address"
         raise InvalidValueError(message) from None
-    # On Linux, connections inherit these options.
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT)
-    if sys.platform == "linux":
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNREAD_SECONDS * 1000)
-    return sock
 
 
 def most_connections(target: int) -> int:

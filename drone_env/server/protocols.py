@@ -13,23 +13,18 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
-from websockets.frames import Frame
 
 log = logging.getLogger(__name__)
 
 REQUEST_SECONDS = 30.0
 """Time for a whole request to arrive."""
-HEAD_BYTES, HEADERS = 16_384, 100
-"""Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that. What
-arrives in one piece with the end of a request is not counted.
+HEAD_BYTES = 16_384
+"""Most bytes of a request outside its body; browsers and proxies send about a tenth of that. What arrives in one piece
+with the end of a request is not counted.
 """
-TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
 END_OF_HEAD = b"\r\n\r\n"
-FRAGMENTS = 100
-"""Most frames of a WebSocket message."""
 PIECE = 256
 """Bytes of a WebSocket that are parsed at once: up to 42 frames."""
-POLICY_VIOLATION = 1008
 
 
 class Http(HttpToolsProtocol):
@@ -42,9 +37,7 @@ class Http(HttpToolsProtocol):
         super().connection_made(transport)
         self._deadline: asyncio.TimerHandle | None = None
         self._unread = bytearray()
-        self._in_head = True
         self._head_bytes = 0
-        self._refusal = 400, "this is not a valid HTTP request"
         self.address = "" if self.client is None else self.client[0]
         """The address of the other side."""
         self._used_at = time.monotonic()
@@ -70,23 +63,6 @@ class Http(HttpToolsProtocol):
         self._unread += data
         self._read()
 
-    def on_header(self, name: bytes, value: bytes) -> None:
-        """Add a header; trailers are ignored.
-
-        Raises:
-            ValueError: if there are too many.
-        """
-        if self._in_head:
-            if len(self.headers) >= HEADERS:
-                self._refusal = TOO_LARGE
-                raise ValueError  # stops the parser, which calls `send_400_response`
-            super().on_header(name, value)
-
-    def on_headers_complete(self) -> None:
-        """Start the response."""
-        self._in_head = False
-        super().on_headers_complete()
-
     def on_body(self, body: bytes) -> None:
         """Add a chunk of a body."""
         self._head_bytes -= len(body)
@@ -94,7 +70,6 @@ class Http(HttpToolsProtocol):
 
     def on_message_complete(self) -> None:
         """End the request."""
-        self._in_head = True
         self._head_bytes = 0
         super().on_message_complete()
 
@@ -105,7 +80,7 @@ class Http(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         """Refuse a request that the parser does not understand."""
-        self._end(*self._refusal)
+        self._end(400, "this is not a valid HTTP request")
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
@@ -125,7 +100,7 @@ class Http(HttpToolsProtocol):
             self._head_bytes += len(piece)
             super().data_received(piece)
             if self._head_bytes > HEAD_BYTES and not self.transport.is_closing():
-                self._end(*TOO_LARGE)
+                self._end(431, f"a request has at most {HEAD_BYTES} bytes outside its body")
         # Without `flow`: whenever the application receives, uvicorn resumes what that has paused.
         if not self.transport.is_closing():
             self.transport.pause_reading() if self._unread else self.transport.resume_reading()
@@ -186,13 +161,6 @@ class WebSockets(WebSocketsSansIOProtocol):
         if not self.handshake_initiated:  # a head with a body or a line over 8 KB gets no response from uvicorn
             self.transport.write(b"".join(self.conn.data_to_send()))
             self.transport.close()
-
-    def handle_cont(self, event: Frame) -> None:
-        """Add a fragment to a message."""
-        super().handle_cont(event)
-        if len(self.frames) > FRAGMENTS:
-            self.conn.fail(POLICY_VIOLATION, f"a message has at most {FRAGMENTS} fragments")
-            self.handle_parser_exception()
 
     async def receive(self) -> Any:
         """Return the next message for the application."""

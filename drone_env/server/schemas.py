@@ -11,9 +11,9 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.flights.provenance import AgentLabel
 from drone_env.llm.answers import Answer, read_answer
-from drone_env.models import MAX_SEED, DroneAction, DroneObservation, Seed, StrictModel
+from drone_env.models import MAX_SEED, DroneObservation, Seed, StrictModel
 
-RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
+RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}]
 ENV_NAME = "drone-env"
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
@@ -43,7 +43,6 @@ class ResetOptions(StrictModel):
         f"`{OPENENV_PROFILE}`.",
     )
     agent: AgentLabel | None = Field(default=None, description="Name of the agent in the records: one printable line.")
-    episode_id: str | None = Field(default=None, max_length=255, description="Id of the episode in OpenEnv's state.")
     split: str | None = Field(
         default=None,
         max_length=100,
@@ -65,6 +64,8 @@ class SessionReset(ResetOptions):
 
     default_profile: ClassVar[str] = OPENENV_PROFILE
 
+    episode_id: str | None = Field(default=None, max_length=255, description="Id of the episode in OpenEnv's state.")
+
 
 class OpenEnvReset(SessionReset):
     """Options of a reset over `/ws`."""
@@ -75,12 +76,6 @@ class OpenEnvReset(SessionReset):
         pattern=r"^[a-z0-9-]{1,40}$",
         description="A prompt of `drone-env infer`, such as `minimal`, whose text each observation contains.",
     )
-
-
-class WireAction(DroneAction):
-    """One action in OpenEnv's format."""
-
-    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
 
 
 def route_text(text: str) -> str:
@@ -110,11 +105,6 @@ class RouteAction(StrictModel):
         description=f"One of {', '.join(Action.__members__)}, or up to {MAX_ROUTE} of them, separated by spaces."
     )
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_text(cls, data: Any) -> Any:
-        return {"direction": data} if isinstance(data, str) else data
 
 
 def fly_route(route: str, episode: Episode, step: Callable[[Action], float]) -> tuple[float, int]:

@@ -1,7 +1,6 @@
 """The middleware around every request: its origin and token, its headers, its line in the log."""
 
 import hmac
-import re
 import time
 from collections.abc import Awaitable, Callable
 
@@ -10,17 +9,12 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.server.exceptions import RequestError, answer_to
+from drone_env.server.json_bodies import JsonRequest
 from drone_env.server.logs import RequestLog
-from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
 OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
-WITHOUT_HINTS = re.compile(
-    r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
-    rf"|(grade|tasks|{ENV_NAME})/?.*|ws)"
-)
-"""The paths of a server that withholds hints. All others, such as `/values`, may show a better flight."""
 POLICY_VIOLATION = 1008
 HEADERS = [
     (
@@ -36,15 +30,15 @@ HEADERS = [
 
 
 class Security:
-    """Middleware that checks origin and token of a request, adds security and cache headers, and logs it.
+    """Middleware that checks origin, token and body of a request, adds security and cache headers, and logs it.
 
     Browsers send the origin of a page in the `Origin` header; other programs send none.
 
     Args:
         app: The wrapped application.
-        settings: The token, and whether hints are withheld.
+        settings: The token.
         log: The request log.
-        first: Answers some requests without the application; returns None for the others.
+        first: Answers some requests with bodies without the application; returns None for the others.
     """
 
     def __init__(
@@ -52,12 +46,11 @@ class Security:
         app: ASGIApp,
         settings: Settings,
         log: RequestLog,
-        first: Callable[[Scope, Receive], Awaitable[Response | None]],
+        first: Callable[[JsonRequest], Awaitable[Response | None]],
     ) -> None:
         self.app = app
         self.first = first
         self.log = log
-        self.withholds = settings.withhold_hints
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -82,16 +75,19 @@ class Security:
                 message["headers"] = headers
             await send(message)
 
+        answer: Response | None = None
         try:
             try:
                 self._check(scope, Headers(scope=scope))
+                if is_http and scope["method"] == "POST":
+                    request = JsonRequest(scope, receive)
+                    await request.read()
+                    answer, receive = await self.first(request), request.again
             except RequestError as error:
                 if not is_http:
                     await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
                     return
                 answer = answer_to(error, scope)
-            else:
-                answer = await self.first(scope, receive) if is_http else None
             await (answer or self.app)(scope, receive, send_with_headers)
         finally:
             self.log.add(scope["method"] if is_http else "WEBSOCKET", path, status, time.perf_counter() - started)
@@ -101,8 +97,6 @@ class Security:
         # Behind a proxy that terminates TLS, the server sees http.
         if origin is not None and (not host or origin.lower() not in (f"http://{host}", f"https://{host}")):
             raise RequestError(403, "origin", f"origin {origin!r} is not allowed: pages of this server call it")
-        if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
-            raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
         if self.expected is None or scope["path"] in OPEN_PATHS or scope["path"].startswith("/static/"):
             return
         scheme, _, token = headers.get("authorization", "").partition(" ")  # the scheme in any case: RFC 9110, 11.1

@@ -10,7 +10,6 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from drone_env.server.process import listen
 from drone_env.server.protocols import Http, WebSockets
 from tests.tools import PATIENCE
 
@@ -32,7 +31,9 @@ def running(
     app: ASGIApp, connections: int = 100, http: type[Http] = Http, **more: Any
 ) -> Generator[Callable[[], socket.socket]]:
     """Run a server in a thread; yields a function that opens a connection to it."""
-    listening = listen("127.0.0.1", 0)
+    listening = socket.create_server(("127.0.0.1", 0))
+    for size in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+        listening.setsockopt(socket.SOL_SOCKET, size, 65_536)  # on Linux, connections inherit it
     config = uvicorn.Config(
         app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1, **more
     )

@@ -22,19 +22,12 @@ from drone_env.models import NAMES
 from drone_env.server.logs import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.catalogue import SCORE_WEIGHTS
 from drone_env.server.routes.flight import Prediction
-from drone_env.server.routes.history import LINES
-from drone_env.server.train_log import tail
 from tests.api.networks import put_network, put_tour, put_trained
 
 Header = dict[str, str]
 
 
 class TestLogs:
-    def test_the_end_of_a_huge_file_is_read_alone(self, tmp_path: Path) -> None:
-        path = tmp_path / "train.log"
-        path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
-        assert tail(tmp_path, LINES) == ["short"] * 3
-
     @pytest.mark.feature("H9")
     def test_requests_are_logged_without_what_they_carried(self, client: TestClient) -> None:
         session = client.post("/reset?secret=query", json={"agent": "secret body"}).json()["session_id"]

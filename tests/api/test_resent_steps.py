@@ -16,10 +16,8 @@ def step(client: TestClient, session: Header, direction: str, after: object) -> 
     return client.post("/step", json={"direction": direction}, headers={**session, "X-Step-Count": str(after)})
 
 
-@pytest.mark.parametrize("body", [{"direction": "UP"}, {"action": {"direction": "UP"}}], ids=["flat", "openenv"])
-def test_it_is_answered_alike_by_both_ways_through_the_server(
-    client: TestClient, session: Header, body: dict[str, Any]
-) -> None:
+def test_it_is_answered_alike_by_both_ways_through_the_server(client: TestClient, session: Header) -> None:
+    body = {"direction": "UP"}
     plain = client.post("/step", json=body, headers={**session, "X-Step-Count": "0"})
     unusual = client.post("/step", json=body, headers={**session, "X-Step-Count": "000"})
     assert plain.status_code == 200
@@ -30,17 +28,14 @@ def test_it_is_answered_alike_by_both_ways_through_the_server(
     assert client.post("/step", json=body, headers={**cookie, "X-Session-Id": "another"}).status_code == 410
 
 
-def test_so_is_the_last_step_of_an_episode_and_in_openenvs_form(client: TestClient) -> None:
+def test_so_is_the_last_step_of_an_episode(client: TestClient) -> None:
     session = {"X-Session-Id": client.post("/reset", json={"seed": 14}).json()["session_id"]}
-    actions = ("LEFT", "UP", "UP")
-    for count, direction in enumerate(actions):
-        body, headers = {"action": {"direction": direction}}, {**session, "X-Step-Count": str(count)}
-        answers = [client.post("/step", json=body, headers=headers).json() for _ in range(2)]
+    for count, direction in enumerate(("LEFT", "UP", "UP")):
+        answers = [step(client, session, direction, count).json() for _ in range(2)]
         assert answers[0] == answers[1]
     assert answers[0]["done"]
-    ended = {**session, "X-Step-Count": str(len(actions))}
-    assert client.post("/step", json=body, headers=ended).json()["reward"] == 0
-    assert client.post("/step", json=body, headers=headers).json() == answers[0], "a step after the end went before"
+    assert step(client, session, "UP", 3).json()["reward_last"] == 0
+    assert step(client, session, "UP", 2).json() == answers[0], "a step after the end went before"
     assert len(client.get("/memory_logs").json()["episodes"]) == 1
 
 

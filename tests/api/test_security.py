@@ -12,7 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 from drone_env.errors import InvalidValueError, wrong_parts
 from drone_env.server.app import create_app
 from drone_env.server.exceptions import RequestError
-from drone_env.server.json_routes import LARGEST_BODY, JsonRequest, parse_json
+from drone_env.server.json_bodies import LARGEST_BODY, JsonRequest, parse_json
 from drone_env.server.settings import Settings, load_settings
 
 JSON = {"Content-Type": "application/json"}

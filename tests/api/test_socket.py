@@ -16,11 +16,10 @@ from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.openenv import LARGEST_FRAME
-from drone_env.server.schemas import MAX_ROUTE, OPENENV_PROFILE
+from drone_env.server.schemas import MAX_ROUTE
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.tools import PATIENCE
-from tests.unit.stores import failing
 
 
 def socket_result(fields: dict[str, Any], reward: float | None, flown: int, profile: str) -> dict[str, Any]:
@@ -50,9 +49,8 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
         ({"type": "step", "data": {"direction": "UP " * (MAX_ROUTE + 1)}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"route": "UP"}}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": 0}, "VALIDATION_ERROR"),
-        ('{"type": "step", "data": %s}' % ("9" * 4000), "VALIDATION_ERROR"),
-        ({"type": "step", "data": "<think>" * 900}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": "UP"}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": "<think>" * 900}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"prompt": "../prompts/minimal-2.toml"}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
         ({"data": {}}, "UNKNOWN_TYPE"),
@@ -161,37 +159,13 @@ def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path) -> N
     assert turns >= 200
 
 
-def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_again(
-    client: TestClient, settings: dict[str, Any]
-) -> None:
-    episode = Episode("easy", OPENENV_PROFILE)
-    episode.reset(7)
-    *flight, last = [action.name for action in solve("easy", 7).actions]
-    with client.websocket_connect("/ws") as socket:
-        ask(socket, {"type": "reset", "data": {"seed": 7}})
-        for direction in flight:
-            ask(socket, {"type": "step", "data": {"direction": direction}})
-        with failing(settings["data"], "INSERT ON flights"):
-            for _ in range(2):
-                failed = ask(socket, {"type": "step", "data": {"direction": last}})
-                assert (failed["type"], failed["data"]["code"]) == ("error", "EXECUTION_ERROR")
-        answer = ask(socket, {"type": "step", "data": {"direction": last}})
-        rewards = [episode.step(action) for action in solve("easy", 7).actions]
-        assert answer["data"] == socket_result(observation_fields(episode), rewards[-1], 1, OPENENV_PROFILE)
-        (kept,) = client.get("/memory_logs").json()["episodes"]
-        assert kept["reward_total"] == episode.reward_total
-        # Kept, it is over: one more step is none.
-        assert ask(socket, {"type": "step", "data": {"direction": last}})["data"]["reward"] == 0
-    assert client.get("/analyse/easy").json()["episodes_total"] == 1
-
-
-@pytest.mark.parametrize("action", ["UP up WAIT", "[UP, UP, WAIT]", "UP", {"direction": "UP UP WAIT"}])
-def test_an_action_is_a_word_or_a_route(shared_client: TestClient, action: Any) -> None:
+@pytest.mark.parametrize("route", ["UP", "UP up WAIT", "[UP, UP, WAIT]"])
+def test_an_action_is_a_word_or_a_route(shared_client: TestClient, route: str) -> None:
     episode = Episode("easy", "tiered", 7)
-    rewards = [episode.step(one) for one in ([0] if action == "UP" else [0, 0, 4])]
+    rewards = [episode.step(one) for one in ([0] if route == "UP" else [0, 0, 4])]
     with shared_client.websocket_connect("/ws") as socket:
         ask(socket, {"type": "reset", "data": {"seed": 7, "reward_profile": "tiered"}})
-        answer = ask(socket, {"type": "step", "data": action})
+        answer = ask(socket, {"type": "step", "data": {"direction": route}})
     expected = socket_result(observation_fields(episode), sum(rewards), len(rewards), "tiered")
     assert answer["data"] == json.loads(to_json(expected))
 
@@ -209,3 +183,5 @@ def test_a_route_that_goes_on_after_the_end_is_flown_to_the_end(shared_client: T
         again = ask(socket, route)["data"]
         assert (again["done"], again["reward"], again["metadata"]["flown"]) == (True, 0, 0)
         assert "the episode has ended" in again["observation"]["message"]
+    kept = shared_client.get("/memory_logs").json()["episodes"][0]
+    assert (kept["seed"], kept["reward_total"], kept["outcome"]) == (7, best.score, "delivered")

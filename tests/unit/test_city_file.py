@@ -11,9 +11,7 @@ from drone_env.core.terrain import pieces
 from drone_env.errors import InvalidTaskError
 
 WHOLE = """format = 1
-attribution = "© OpenStreetMap contributors"
-licence = "ODbL-1.0"
-source = "a \\"town\\".osm"
+attribution = "© a \\"town\\", ODbL-1.0"
 cell = 16.5
 bbox = [24.9351762, 60.164155, 24.9534145, 60.179113]
 start = [1, 0]
@@ -51,7 +49,7 @@ def test_a_city_is_read_and_written_byte_for_byte(tmp_path: Path) -> None:
     ]
     assert (city.cell, city.start, city.parcels) == (16.5, (1, 0), ((2, 1), (3, 0)))
     assert city.bbox == (24.9351762, 60.164155, 24.9534145, 60.179113)
-    assert city.source == 'a "town".osm'
+    assert city.attribution == '© a "town", ODbL-1.0'
     assert city.names == (("Käpylä", 2.5, 1.0, None), ('a "street"', 0.0, 2.0, -35))
     write_city(city, tmp_path / "again.toml")
     assert (tmp_path / "again.toml").read_bytes() == WHOLE.encode()
@@ -87,7 +85,7 @@ ALL = f"format = 1\n{ROWS}"
         ('format = 1\n[terrain]\nrows = ["· · ", "· "]', "row 0 has 2 cells, row 1 has 1"),
         (f'format = 1\n[terrain]\nrows = ["{"🏢" * 513}", "{"🏢" * 513}"]', "wide and high, got 513 x 2"),
         (f"name = 1\n{ALL}", "name: Extra inputs are not permitted"),
-        (f'licence = "{"x" * 201}"\n{ALL}', "licence must be one printable line of at most 200 characters"),
+        (f'attribution = "{"x" * 201}"\n{ALL}', "attribution must be one printable line of at most 200 characters"),
         (f"bbox = [3, 2, 1, 4]\n{ALL}", "-180 <= west < east <= 180"),
         (f"start = [3, 0]\n{ALL}", "the start [3, 0] is outside the 3 x 3 cells"),
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),

@@ -20,7 +20,7 @@ def test_an_extract_becomes_a_file_and_is_summed_up(tmp_path: Path, capfd: pytes
     assert f"{tmp_path / 'a.toml'}: 63 x 64 cells of 16 metres\n--bbox 24.9" in printed
     assert "© OpenStreetMap contributors, ODbL-1.0" in printed
     assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
-    assert 'licence = "ODbL-1.0"' in first
+    assert 'attribution = "© OpenStreetMap contributors, ODbL-1.0"' in first
 
 
 WRONG: dict[str, tuple[str, bytes, str, str]] = {

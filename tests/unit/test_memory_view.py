@@ -53,16 +53,6 @@ def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:
         assert view(tmp_path) == whole
 
 
-def test_no_episode_is_flown_again_for_the_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("drone_env.flights.flight.Flight.fly")
-    for agent in ("ace", "queen"):
-        with Store(tmp_path) as store:
-            episode = flown()
-            store.add_episode(episode, agent)
-            episode.reset(8)
-    assert [(stored.record.agent, stored.record.seed) for stored in view(tmp_path)] == [("ace", 7), ("queen", 7)]
-
-
 def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

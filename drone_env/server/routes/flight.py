@@ -1,19 +1,16 @@
 """The routes that fly: reset, step, the state of the session's episode; and which session a request flies."""
 
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from fastapi import APIRouter, Body, Depends, Header, Request, Response
-from pydantic import ConfigDict, Field, JsonValue, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
-from starlette.types import Receive, Scope
 from typing_extensions import Self
 
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
 from drone_env.flights.sessions import Session, Sessions
@@ -22,6 +19,7 @@ from drone_env.models import (
     DIRECTIONS,
     Count,
     Direction,
+    DroneAction,
     DroneObservation,
     DroneState,
     PathPoint,
@@ -29,23 +27,21 @@ from drone_env.models import (
     Seed,
     StrictModel,
     flat_json,
-    openenv_json,
 )
 from drone_env.server.addresses import shared_address
 from drone_env.server.exceptions import WHAT_TO_DO, RequestError, answer_to, error_responses
-from drone_env.server.json_routes import READ, JsonRequest, JsonRoute
-from drone_env.server.schemas import ResetOptions, WireAction
+from drone_env.server.json_bodies import JsonRequest
+from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
 
-router = APIRouter(tags=["flight"], route_class=JsonRoute)
+router = APIRouter(tags=["flight"])
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
 NEW = "new"
 """As `X-Session-Id` of a reset, this opens a private session."""
 STEP_HEADER = "x-step-count"
 STEP_COUNT: TypeAdapter[int | None] = TypeAdapter(Annotated[int | None, Field(ge=0)])
-STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
 
 class Caller(NamedTuple):
@@ -96,49 +92,10 @@ async def get_caller(
 CallerDep = Annotated[Caller, Depends(get_caller)]
 
 
-class StepRequest(StrictModel):
-    """One action: either flat (`direction`) or in OpenEnv's format (`action`)."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": STEPS})
-
-    direction: Direction | None = Field(default=None, description="The action; returns a `DroneObservation`.")
-    action: WireAction | None = Field(default=None, description="The action in OpenEnv's format; returns `StepResult`.")
-    timeout_s: float | None = Field(default=None, gt=0, description="Ignored; OpenEnv's clients send it.")
-    request_id: str | None = Field(default=None, max_length=255, description="Ignored; OpenEnv's clients send it.")
-
-    @model_validator(mode="after")
-    def _check_format(self) -> Self:
-        if (self.direction is None) == (self.action is None):
-            raise ValueError('send either {"direction": ...} or {"action": {"direction": ...}}')
-        return self
-
-    @property
-    def chosen(self) -> Action:
-        """The action."""
-        return Action[str(self.direction)] if self.action is None else self.action.action
-
-
-class StepResult(StrictModel):
-    """An observation in OpenEnv's format, with reward and done outside."""
-
-    observation: dict[str, Any] = Field(description="The fields of `DroneObservation` without `done`, and `metadata`.")
-    reward: float | None = Field(description="Reward of the step; null after a reset.")
-    done: bool = Field(description="Whether the episode has ended.")
-
-
-SessionId = Annotated[str, Field(description="The session id. Send it as the header X-Session-Id with every request.")]
-
-
 class FlatReset(DroneObservation):
     """The first observation of an episode, and the session id."""
 
-    session_id: SessionId
-
-
-class ResetResult(StepResult):
-    """The first observation in OpenEnv's format, and the session id."""
-
-    session_id: SessionId
+    session_id: str = Field(description="The session id. Send it as the header X-Session-Id with every request.")
 
 
 class Grade(StrictModel):
@@ -182,11 +139,7 @@ def read_session(app_state: AppStateDep, caller: CallerDep, answer: Response) ->
 SessionDep = Annotated[Session, Depends(read_session)]
 
 
-@router.post(
-    "/reset",
-    response_model=FlatReset | ResetResult,
-    responses=error_responses(400, 413, 415, 422, 503),
-)
+@router.post("/reset", response_model=FlatReset, responses=error_responses(400, 413, 415, 422, 503))
 def reset(
     request: Request,
     app_state: AppStateDep,
@@ -197,16 +150,14 @@ def reset(
 
     Callers that name none share the session of their address, unless the server has a token or a proxy.
 
-    An empty body equals `{}`. The response is a `DroneObservation` with the `session_id`. If the body contains
-    `episode_id`, as from OpenEnv's clients, it is `{"observation", "reward", "done"}` with the `session_id`.
+    An empty body equals `{}`. The response is a `DroneObservation` with the `session_id`.
     """
     options = options or ResetOptions()
     start = partial(start_episode, options)
     owner = caller_address(request)
     session, episode = app_state.sessions.reset(caller.named, start, options.agent, caller.address, owner)
-    first = flat_json(episode) if options.episode_id is None else openenv_json(episode, None)
-    # Not validated again, for speed; tests compare it with the documented models.
-    named = b"%b,%b" % (first[:-1], to_json({"session_id": session})[1:])
+    # Not validated again, for speed; tests compare it with the documented model.
+    named = b"%b,%b" % (flat_json(episode)[:-1], to_json({"session_id": session})[1:])
     response = Response(named, media_type="application/json")
     response.headers[HEADER] = session
     secure = request.url.scheme == "https"
@@ -266,49 +217,40 @@ def predict(app_state: AppStateDep, session: SessionDep) -> Prediction:
     )
 
 
-async def answer_step(app_state: AppState, scope: Scope, receive: Receive) -> Response | None:
+async def answer_step(app_state: AppState, request: JsonRequest) -> Response | None:
     """Answer a step without FastAPI, whose overhead exceeds the cost of the step.
 
     Returns None for other requests, and for invalid steps, whose errors FastAPI explains.
     """
-    if scope["path"] != "/step" or scope["method"] != "POST":
+    if request.scope["path"] != "/step":
         return None
-    request = scope[READ] = JsonRequest(scope, receive)
     try:
-        await request.read()
         caller, count = Caller.of(request), request.headers.get(STEP_HEADER)
         if len(caller.named or "") > LONGEST_ID:
             return None
-        body, after = StepRequest.model_validate(request.value), STEP_COUNT.validate_python(count)
+        body, after = DroneAction.model_validate(request.value), STEP_COUNT.validate_python(count)
         return await _fly(app_state, caller, body, after)
     except ValidationError:
         return None
     except DroneEnvError as error:
-        return answer_to(error, scope)
+        return answer_to(error, request.scope)
 
 
-async def _fly(app_state: AppState, caller: Caller, body: StepRequest, after: int | None) -> Response:
+async def _fly(app_state: AppState, caller: Caller, body: DroneAction, after: int | None) -> Response:
     sessions = app_state.sessions
     session = caller.named or await run_in_threadpool(caller.session, sessions)
-    answer = flat_json if body.action is None else _step_result
-    stepped = await app_state.write(sessions.step, session, body.chosen, answer, after, caller.address)
+    stepped = await app_state.write(sessions.step, session, body.action, flat_json, after, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
     return response
 
 
-def _step_result(episode: Episode) -> bytes:
-    return openenv_json(episode, episode.reward_last)
-
-
-@router.post(
-    "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | error_responses(400, 413, 415)
-)
+@router.post("/step", response_model=DroneObservation, responses=SESSION_ERRORS | error_responses(400, 413, 415))
 async def step(
     app_state: AppStateDep,
     caller: CallerDep,
-    body: Annotated[StepRequest, Body()],
+    body: Annotated[DroneAction, Body(examples=[{"direction": "UP"}])],
     after: Annotated[
         int | None,
         Header(
@@ -318,10 +260,7 @@ async def step(
         ),
     ] = None,
 ) -> Response:
-    """Fly one action.
-
-    `{"direction": "UP"}` returns a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` returns
-    `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` explains it.
+    """Fly one action. After the end of the episode nothing changes, and `message` explains it.
 
     With `X-Step-Count` the server flies a repeated request once and returns the same response.
     """

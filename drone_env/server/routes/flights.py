@@ -24,14 +24,13 @@ from drone_env.flights.sessions import Session
 from drone_env.models import Count, Direction, Seed, StrictModel
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import EpisodeView, FlightHeader, Frame, fly_agent, frame_of, frames_of, network_beside
-from drone_env.server.json_routes import JsonRoute
 from drone_env.server.routes.flight import CallerDep
 from drone_env.server.routes.replay import FLIGHT_ERRORS
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import SESSION_ERRORS, AppState, AppStateDep, caller_address
 from drone_env.server.task_api import start_episode
 
-router = APIRouter(tags=["page"], route_class=JsonRoute)
+router = APIRouter(tags=["page"])
 MOST_FLIGHTS = 8
 MAPS = 10_000
 """A start that names no map gets one of this many: people say the numbers to each other."""

@@ -1,5 +1,6 @@
 """The routes for finished episodes, their statistics, and the logs."""
 
+from collections import deque
 from datetime import date, datetime, time, timezone
 from typing import Annotated
 
@@ -16,11 +17,10 @@ from drone_env.server import daily
 from drone_env.server.exceptions import error_responses
 from drone_env.server.logs import LoggedRequest, RequestLog
 from drone_env.server.state import AppStateDep
-from drone_env.server.train_log import FILE_NAME, tail
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
-LINES = 50
+TRAIN_LOG, LINES = "train.log", 50
 LISTED = 10
 
 
@@ -87,7 +87,11 @@ def episode(app_state: AppStateDep, episode_id: str) -> EpisodeRecord:
 @router.get("/logs", responses=error_responses(503))
 def logs(app_state: AppStateDep) -> dict[str, str | list[str]]:
     """The last 50 lines of the training log in the data folder as `lines`, oldest first, and its name as `file`."""
-    return {"file": FILE_NAME, "lines": tail(app_state.settings.data, LINES)}
+    file = app_state.settings.data / TRAIN_LOG
+    if not file.exists():
+        return {"file": TRAIN_LOG, "lines": []}
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        return {"file": TRAIN_LOG, "lines": [line.rstrip("\n") for line in deque(lines, LINES)]}
 
 
 @router.get(

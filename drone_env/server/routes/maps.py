@@ -19,11 +19,10 @@ from drone_env.models import MAX_SEED, Count, StrictModel
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.exceptions import error_responses
 from drone_env.server.frames import BestFlight, best_flight
-from drone_env.server.json_routes import JsonRoute
 from drone_env.server.routes.catalogue import OneTask, describe
 from drone_env.server.state import AppStateDep
 
-router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
+router = APIRouter(prefix="/maps", tags=["maps"])
 REFUSALS = error_responses(400, 413, 415, 422, 503)
 DrawnNumber = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
@@ -45,8 +44,7 @@ class DrawnMap(StrictModel):
         min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel; roads."
     )
     numbers: dict[DrawnNumber, int] = Field(default={}, description="Numbers other than the defaults.")
-    attribution: str = Field(default="", max_length=MAX_TEXT, description="Source of the terrain data.")
-    licence: str = Field(default="", max_length=MAX_TEXT, description="Licence of the terrain data.")
+    attribution: str = Field(default="", max_length=MAX_TEXT, description="Owner and licence of the terrain data.")
 
     @classmethod
     def of(cls, city: City) -> Self:
@@ -57,7 +55,7 @@ class DrawnMap(StrictModel):
         """
         drawn = cls.from_episode(Episode(drawn_task(city, "city"), seed=0))
         numbers = {name: number for name, number in city.numbers.items() if name in drawn.numbers}
-        return drawn.model_copy(update={"numbers": numbers, "licence": city.licence})
+        return drawn.model_copy(update={"numbers": numbers})
 
     @classmethod
     def from_episode(cls, episode: Episode) -> Self:
@@ -88,7 +86,6 @@ class DrawnMap(StrictModel):
         return City(
             np.array(self.cells, np.uint8),
             self.attribution,
-            self.licence,
             start=(self.start[0], self.start[1]),
             parcels=tuple((x, y) for x, y in self.parcels),
             numbers={str(name): number for name, number in self.numbers.items()},

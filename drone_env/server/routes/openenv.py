@@ -7,12 +7,11 @@ from fastapi import APIRouter, Body
 from drone_env import __version__
 from drone_env.models import DroneState
 from drone_env.server.exceptions import RequestError, error_responses
-from drone_env.server.json_routes import JsonRoute
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, RouteAction, WireObservation
 from drone_env.server.task_api import SplitInfo, TaskApi, TaskSpec
 
-router = APIRouter(tags=["openenv"], route_class=JsonRoute)
-named = APIRouter(prefix=f"/{ENV_NAME}", route_class=JsonRoute)
+router = APIRouter(tags=["openenv"])
+named = APIRouter(prefix=f"/{ENV_NAME}")
 BODY_ERRORS = error_responses(400, 413, 415, 422)
 api = TaskApi()
 

@@ -20,13 +20,12 @@ from drone_env.results.analysis import Label, analyse_actions, analyse_flight, f
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frames_of
 from drone_env.server.jobs import job_networks, solver_of_map
-from drone_env.server.json_routes import JsonRoute
 from drone_env.server.state import AppStateDep
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
 
-router = APIRouter(tags=["replay"], route_class=JsonRoute)
+router = APIRouter(tags=["replay"])
 FLIGHT_ERRORS = error_responses(400, 413, 415, 422, 503)
 RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]), "me")
 Record = Annotated[EpisodeRecord, Body(openapi_examples={"one step": {"value": json.loads(RECORD.to_json())}})]

@@ -5,12 +5,12 @@ long as parsing. So lists in request models stop at the first invalid item (`fai
 """
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Coroutine
+from collections.abc import AsyncGenerator
 from typing import Any
 
-from fastapi import Request, Response
-from fastapi.routing import APIRoute
+from fastapi import Request
 from jiter import from_json
+from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketState
 
 from drone_env.errors import InvalidValueError
@@ -38,15 +38,17 @@ def parse_json(data: bytes | None) -> Any:
         raise InvalidValueError(f"not JSON: {error}") from None
 
 
-READ = "drone_env.request"
-"""Key of a `JsonRequest` in the scope of a request whose body has been read."""
-
-
 class JsonRequest(Request):
-    """A request with a parsed body."""
+    """A request whose body is read and parsed before the application reads it.
+
+    Attributes:
+        content: The body.
+        value: The parsed body; None if it is empty.
+    """
 
     content = b""
     value: Any = None
+    _told = False
 
     async def read(self) -> None:
         """Read and parse the body.
@@ -75,35 +77,12 @@ class JsonRequest(Request):
         except InvalidValueError as error:
             raise RequestError(400, "not_json", str(error)) from None
 
-    async def body(self) -> bytes:
-        """Return the body. FastAPI calls this."""
-        return self.content
-
-    async def json(self) -> Any:
-        """Return the parsed body. FastAPI calls this, and validates it."""
-        return self.value
-
-
-class JsonRoute(APIRoute):
-    """A route that parses its body once, within the limit.
-
-    Every router with bodies needs this `route_class`; a test over the OpenAPI description enforces it.
-    """
-
-    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the handler of requests."""
-        answer = super().get_route_handler()
-        if self.body_field is None:
-            return answer
-
-        async def handle(request: Request) -> Response:
-            with_body: JsonRequest | None = request.scope.get(READ)
-            if with_body is None:
-                with_body = JsonRequest(request.scope, request.receive)
-                await with_body.read()
-            return await answer(with_body)
-
-        return handle
+    async def again(self) -> Message:
+        """The ASGI messages of the request once more, for the application."""
+        if self._told:
+            return await self.receive()
+        self._told = True
+        return {"type": "http.request", "body": self.content}
 
 
 async def received(socket: WebSocket, most: int) -> AsyncGenerator[bytes | None, None]:
