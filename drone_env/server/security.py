@@ -1,6 +1,7 @@
 """The middleware around every request: its origin and token, its headers, its line in the log."""
 
 import hmac
+import re
 import time
 from collections.abc import Awaitable, Callable
 
@@ -11,10 +12,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from drone_env.server.exceptions import RequestError, answer_to
 from drone_env.server.json_bodies import JsonRequest
 from drone_env.server.logs import RequestLog
+from drone_env.server.schemas import ENV_NAME
 from drone_env.server.settings import Settings
 
 OPEN_PATHS = {"/health", "/"}
 """These need no token, like the files of the page: health checks have none, and the page asks the user for it."""
+WITHOUT_HINTS = re.compile(
+    r"/(reset|step|state|session|path_history|health|metadata|schema|mcp/?|graders|kinds|list_environments|openapi\.json"
+    rf"|(grade|tasks|{ENV_NAME})/?.*|ws)"
+)
+"""The paths of a server that withholds hints. All others, such as `/values`, may show a better flight."""
 POLICY_VIOLATION = 1008
 HEADERS = [
     (
@@ -36,7 +43,7 @@ class Security:
 
     Args:
         app: The wrapped application.
-        settings: The token.
+        settings: The token, and whether hints are withheld.
         log: The request log.
         first: Answers some requests with bodies without the application; returns None for the others.
     """
@@ -51,6 +58,7 @@ class Security:
         self.app = app
         self.first = first
         self.log = log
+        self.withholds = settings.withhold_hints
         self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -97,6 +105,8 @@ class Security:
         # Behind a proxy that terminates TLS, the server sees http.
         if origin is not None and (not host or origin.lower() not in (f"http://{host}", f"https://{host}")):
             raise RequestError(403, "origin", f"origin {origin!r} is not allowed: pages of this server call it")
+        if self.withholds and not WITHOUT_HINTS.fullmatch(scope["path"]):
+            raise RequestError(403, "withheld", "this server withholds hints; see DRONE_ENV_WITHHOLD_HINTS")
         if self.expected is None or scope["path"] in OPEN_PATHS or scope["path"].startswith("/static/"):
             return
         scheme, _, token = headers.get("authorization", "").partition(" ")  # the scheme in any case: RFC 9110, 11.1

@@ -31,6 +31,11 @@ class Settings(BaseSettings):
         default=None,
         description="If set, requests need `Authorization: Bearer TOKEN`, except for `/health` and the page's files.",
     )
+    withhold_hints: bool = Field(
+        default=False,
+        description="For evaluations: serve only flights and the catalogue, not the page, other flights, values, "
+        "solutions and pilots.",
+    )
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time in seconds for each long job, such as solving a map."
     )
