@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
+from os.path import commonprefix
 from pathlib import Path
 from typing import Any, Literal
 
@@ -210,11 +211,16 @@ def loss_of(model: Any, batch: Sequence[Example], rng: random.Random) -> torch.T
             for token, share in ((token, share / following.total()) for token, share in following.items()):
                 targets.append((number, len(request) - 1 + place, token, share))
                 entropy -= share * math.log(share)
+    shared = len(commonprefix([request[:-1] for request, _ in batch])) if len(batch) > 1 else 0
     longest = max(map(len, inputs))
     tokens = torch.tensor([row + [0] * (longest - len(row)) for row in inputs], device=DEVICE)
     number, place, token, share = (torch.tensor(column, device=DEVICE) for column in zip(*targets, strict=True))
-    hidden = model.get_decoder()(input_ids=tokens, use_cache=False).last_hidden_state
-    likely = model.get_output_embeddings()(hidden[number, place]).float().log_softmax(-1)
+    decoder, cache = model.get_decoder(), None
+    if shared:  # all requests start with the same words: they are read once
+        cache = decoder(input_ids=tokens[:1, :shared], use_cache=True).past_key_values
+        cache.batch_repeat_interleave(len(batch))
+    hidden = decoder(input_ids=tokens[:, shared:], past_key_values=cache, use_cache=bool(shared)).last_hidden_state
+    likely = model.get_output_embeddings()(hidden[number, place - shared]).float().log_softmax(-1)
     return -((share * likely.gather(1, token[:, None])[:, 0]).sum() + entropy) / len(batch)
 
 
