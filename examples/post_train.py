@@ -155,8 +155,8 @@ def choose_parameters(options: Options, model: Any) -> tuple[Any, list[Any]]:
 
 
 def learning_rate(options: Options, model: Any) -> float:
-    """The rate for a model of this size; adapters take ten times as much."""
-    return options.lr or 1e-3 * (1e6 / model.num_parameters()) ** 0.4 * (10 if options.lora else 1)
+    """The rate for a model of this size; adapters take five times as much."""
+    return options.lr or 1e-3 * (1e6 / model.num_parameters()) ** 0.25 * (5 if options.lora else 1)
 
 
 def rows(options: Options) -> list[dict[str, Any]]:
