@@ -34,7 +34,7 @@ from drone_env.core.actions import Action
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.llm.answers import Answer
-from drone_env.llm.local import best_dtype
+from drone_env.llm.local import best_dtype, read_shared
 from drone_env.llm.prompt import get_prompt, ways_of
 from drone_env.llm.text_episode import TextEpisode
 from drone_env.models import DIRECTIONS
@@ -155,8 +155,8 @@ def choose_parameters(options: Options, model: Any) -> tuple[Any, list[Any]]:
 
 
 def learning_rate(options: Options, model: Any) -> float:
-    """The rate for a model of this size; adapters take ten times as much."""
-    return options.lr or 1e-3 * (1e6 / model.num_parameters()) ** 0.4 * (10 if options.lora else 1)
+    """The rate for a model of this size; adapters take five times as much."""
+    return options.lr or 1e-3 * (1e6 / model.num_parameters()) ** 0.25 * (5 if options.lora else 1)
 
 
 def rows(options: Options) -> list[dict[str, Any]]:
@@ -180,13 +180,13 @@ def example_of(options: Options, tokenizer: Any, row: dict[str, Any]) -> Example
     return tokenizer(start, add_special_tokens=False).input_ids, answers
 
 
-def batches(options: Options, data: Sequence[Example]) -> Iterator[list[Example]]:
+def batches(options: Options, data: Sequence[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
     """Yield batches of similar lengths, without an end."""
     rng, size = np.random.default_rng(options.seed), options.batch
     while True:
         order, found = rng.permutation(len(data)).tolist(), []
         for start in range(0, len(order), 4 * size):
-            pool = sorted(order[start : start + 4 * size], key=lambda number: len(data[number][0]))
+            pool = sorted(order[start : start + 4 * size], key=lambda number: len(str(data[number]["messages"])))
             found += [pool[first : first + size] for first in range(0, len(pool), size)]
         for number in rng.permutation(len(found)):
             yield [data[i] for i in found[number]]
@@ -213,8 +213,9 @@ def loss_of(model: Any, batch: Sequence[Example], rng: random.Random) -> torch.T
     longest = max(map(len, inputs))
     tokens = torch.tensor([row + [0] * (longest - len(row)) for row in inputs], device=DEVICE)
     number, place, token, share = (torch.tensor(column, device=DEVICE) for column in zip(*targets, strict=True))
-    hidden = model.get_decoder()(input_ids=tokens, use_cache=False).last_hidden_state
-    likely = model.get_output_embeddings()(hidden[number, place]).float().log_softmax(-1)
+    shared, read = read_shared(model, [request for request, _ in batch])
+    hidden = model.get_decoder()(input_ids=tokens[:, shared:], use_cache=bool(read), **read).last_hidden_state
+    likely = model.get_output_embeddings()(hidden[number, place - shared]).float().log_softmax(-1)
     return -((share * likely.gather(1, token[:, None])[:, 0]).sum() + entropy) / len(batch)
 
 
@@ -236,7 +237,7 @@ def fine_tune(options: Options) -> None:
     model, tokenizer = load(options, options.model, torch.float32)
     every = rows(options)
     some = np.random.default_rng(options.seed).permutation(len(every))[: options.answers]
-    data = [example_of(options, tokenizer, every[number]) for number in some]
+    data = [every[number] for number in some]
     rate = learning_rate(options, model)
     trained, parameters = choose_parameters(options, model)
     dtype = saved["dtype"] if saved else getattr(torch, best_dtype())  # the faster one, measured
@@ -264,7 +265,8 @@ def fine_tune(options: Options) -> None:
                 parameter.copy_(weight)
         if progress >= 1:
             break
-        loss = loss_of(model, batch, random.Random(f"{options.seed} {step}"))
+        examples = [example_of(options, tokenizer, row) for row in batch]
+        loss = loss_of(model, examples, random.Random(f"{options.seed} {step}"))
         loss.backward()
         torch.nn.utils.clip_grad_norm_(parameters, 1.0)
         for weight, parameter in zip(weights, parameters, strict=True):
@@ -276,7 +278,7 @@ def fine_tune(options: Options) -> None:
         trained.zero_grad()
         losses.append(loss.item())
         state["step"], state["answers"] = step + 1, state["answers"] + len(batch)
-        state["tokens"] += sum(len(request) for request, _ in batch)
+        state["tokens"] += sum(len(request) for request, _ in examples)
         if time.monotonic() > shown + 5:
             state["log"].append({"step": step + 1, "answers": state["answers"], "loss": float(np.mean(losses))})
             line = f"step {step + 1}, {state['answers']:,} answers, loss {np.mean(losses):.4f}"
@@ -290,7 +292,7 @@ def fine_tune(options: Options) -> None:
             # Saving takes at most 4 % of the time.
             kept, pause = time.monotonic(), min(30, max(5, 25 * (clock() - began)))
     model = trained.merge_and_unload() if options.lora else model
-    model.generation_config.eos_token_id = next(iter(data[0][1]))[-1]
+    model.generation_config.eos_token_id = next(iter(example_of(options, tokenizer, data[0])[1]))[-1]
     model.save_pretrained(out)
     tokenizer.save_pretrained(out)
     note(options, {options.name: {**state, "dtype": str(dtype), "lr": rate, "settings": settings}})

@@ -8,6 +8,8 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from functools import cache
+from inspect import signature
+from itertools import takewhile
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -134,17 +136,20 @@ class LocalModel:
     def _generate(self, prompts: Sequence[Sequence[int]], options: Mapping[str, Any]) -> list[Answer]:
         """The answers to requests with equal options."""
         longest, temperature = max(map(len, prompts)), options.get("temperature")
-        ids = torch.tensor([[self._pad] * (longest - len(tokens)) + [*tokens] for tokens in prompts])
-        mask = torch.tensor([[0] * (longest - len(tokens)) + [1] * len(tokens) for tokens in prompts])
         sampling: dict[str, Any] = {"do_sample": temperature != 0}
         if temperature:
             sampling["temperature"] = temperature
         if "seed" in options:
             torch.manual_seed(options["seed"])
         with torch.inference_mode():
+            shared, read = read_shared(self.model, prompts)
+            padding = [(tokens[:shared], longest - len(tokens), tokens[shared:]) for tokens in prompts]
+            ids = [[*start, *[self._pad] * missing, *rest] for start, missing, rest in padding]
+            mask = [[1] * len(start) + [0] * missing + [1] * len(rest) for start, missing, rest in padding]
             made = self.model.generate(
-                input_ids=ids.to(self.model.device),
-                attention_mask=mask.to(self.model.device),
+                input_ids=torch.tensor(ids, device=self.model.device),
+                attention_mask=torch.tensor(mask, device=self.model.device),
+                **read,
                 max_new_tokens=options.get("max_tokens", 1024),
                 eos_token_id=sorted(self._ends),
                 pad_token_id=self._pad,
@@ -167,6 +172,31 @@ class LocalModel:
             prompt_tokens=prompt,
             completion_tokens=len(tokens) if end is None else end,
         )
+
+
+def read_shared(model: Any, requests: Sequence[Sequence[int]]) -> tuple[int, dict[str, Any]]:
+    """Read the first tokens that all requests share once.
+
+    Args:
+        model: A causal language model of transformers.
+        requests: The tokens of each request.
+
+    Returns:
+        How many tokens they are, and the argument with which the model goes on for all requests after them. They are 0
+        for one request, and for models some of whose layers do not see all earlier tokens.
+    """
+    places = zip(*(tokens[:-1] for tokens in requests), strict=False)
+    shared = sum(1 for _ in takewhile(lambda tokens: len(set(tokens)) == 1, places))
+    if not shared or len(requests) == 1:
+        return 0, {}
+    layers = transformers.DynamicCache(config=model.config)
+    if {type(layer) for layer in layers.layers} != {transformers.cache_utils.DynamicLayer}:
+        return 0, {}
+    decoder = model.get_decoder()
+    name = "cache" if "cache" in signature(decoder.forward).parameters else "past_key_values"
+    decoder(input_ids=torch.tensor([requests[0][:shared]], device=model.device), use_cache=True, **{name: layers})
+    layers.batch_repeat_interleave(len(requests))
+    return shared, {name: layers}
 
 
 def model_digest(folder: Path) -> str:

@@ -93,6 +93,18 @@ def test_the_loss_is_the_divergence_from_all_answers_to_learn(post_train: Any) -
     assert losses == {round(first + loss, 5) for loss in second.values()}
 
 
+def test_words_that_all_requests_share_are_read_once_and_change_no_loss(post_train: Any, data: Path) -> None:
+    options = post_train.Options(data=data)
+    model, tokenizer = post_train.tiny_model(options)
+    first, *others = [post_train.example_of(options, tokenizer, row) for row in post_train.rows(options)[:3]]
+    batch = [([*first[0][:9], *request], answers) for request, answers in (first, *others)]
+    assert post_train.read_shared(model, [request for request, _ in batch])[0] >= 9
+    together = post_train.loss_of(model, batch, random.Random(0))
+    rng = random.Random(0)
+    alone = [post_train.loss_of(model, [example], rng) for example in batch]
+    assert together.item() == pytest.approx(sum(alone).item() / 3, abs=1e-5)
+
+
 @pytest.mark.parametrize("kind", ["rank", "regret", "score"])
 def test_grpo_pays_equal_answers_equally_and_unusable_ones_like_the_worst(
     post_train: Any, data: Path, kind: Any
