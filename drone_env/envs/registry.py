@@ -29,12 +29,13 @@ PLUGINS = "DRONE_ENV_PLUGINS"
 class StepLimit(int):
     """The steps of a task, for libraries that read `max_episode_steps`.
 
-    The task itself ends after them, so they must not truncate. Gymnasium's `TimeLimit` truncates if `steps >= limit`,
-    which Python computes as `limit <= steps` for a subclass of int.
+    The task itself ends after them, so they must not truncate, also if a search takes more steps from restored states.
+    Gymnasium's `TimeLimit` truncates if `steps >= limit`, which Python computes as `limit <= steps` for a subclass of
+    int.
     """
 
     def __le__(self, steps: int) -> bool:
-        return self < steps
+        return False
 
 
 def register_envs() -> None:

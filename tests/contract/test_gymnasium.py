@@ -91,6 +91,23 @@ def test_the_limit_that_libraries_read_truncates_nothing() -> None:
         assert ends == [(False, False)] * (task.max_steps - 1) + [(True, False)]
 
 
+def test_a_search_restores_states_and_its_steps_truncate_nothing() -> None:
+    env, best = make(SKYLINE), solve("skyline_easy", 3)
+    env.reset(seed=3)
+    *_, first = env.step(best.actions[0])
+    root = pickle.loads(pickle.dumps(env.unwrapped.get_state()))
+    for _ in range(env.spec.max_episode_steps):
+        *_, terminated, truncated, _ = env.step(4)
+        if terminated:
+            env.unwrapped.set_state(root)
+    assert not truncated
+    env.reset(seed=4)
+    env.unwrapped.set_state(root)
+    assert env.unwrapped.get_state() == root
+    info = [env.step(action)[4] for action in best.actions[1:]][-1]
+    assert (info["seed"], info["score"], info["regret"]) == (first["seed"], best.score, 0)
+
+
 def test_what_a_specification_says_is_made_again() -> None:
     env = FlatObservation(make(IDS[2], reward_profile="score"))
     twin = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
