@@ -120,7 +120,7 @@ def flight_reward(
 
     Args:
         completions: The conversations after the prompt. Without environments each is one answer with the route.
-        environments: The environments that flew. They pay their own reward, so it is 0 here, and None for those of other
+        environments: The environments that flew. They pay their own reward, so it is 0 here; None for those of other
             classes.
         log_metric: TRL's logger.
         columns: The columns of `training_maps`; all others are ignored.

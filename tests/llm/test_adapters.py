@@ -4,7 +4,6 @@ import inspect
 import json
 import re
 import sys
-from typing import Any
 
 import pytest
 
