@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import ChosenTask, SeedRange, SplitName, select_maps
+from drone_env.commands.arguments import OPTIONAL, ChosenTask, SeedRange, SplitName, select_maps
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import custom_task_rules, get_task
@@ -74,13 +74,17 @@ class SamplingOptions:
     Args:
         temperature: Sampling temperature.
         max_answer_tokens: Maximum length of an answer in tokens, sent as max_tokens; 0 sends none.
+        max_completion_tokens: The same limit under the newer name, which counts thoughts too; replaces max_tokens.
+        reasoning_effort: How much a reasoning model thinks, such as none, low or high. Default: not sent.
         sampling_seed: Sampling seed of the endpoint, plus the number of the repeat: with --repeats 3 and 5, the flights
             over a map send 5, 6 and 7. Default: not sent.
-        extra: More fields of the request's body, as a JSON object, such as '{"top_p": 0.9, "reasoning_effort": "low"}'.
+        extra: More fields of the request's body, as a JSON object, such as '{"top_p": 0.9}'.
     """
 
     temperature: float = 0.0
     max_answer_tokens: int = 1024
+    max_completion_tokens: Whole = None
+    reasoning_effort: Annotated[str | None, OPTIONAL] = None
     sampling_seed: Whole = None
     extra: str = "{}"
 
@@ -203,7 +207,9 @@ def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSett
             answers=run.answers,
             sampling=Sampling(
                 temperature=sampling.temperature,
-                max_tokens=sampling.max_answer_tokens or None,
+                max_tokens=None if sampling.max_completion_tokens else sampling.max_answer_tokens or None,
+                max_completion_tokens=sampling.max_completion_tokens,
+                reasoning_effort=sampling.reasoning_effort,
                 seed=sampling.sampling_seed,
                 extra=json.loads(sampling.extra),
             ),

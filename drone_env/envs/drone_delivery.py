@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.episode import Episode, Observation
+from drone_env.core.episode import Episode, EpisodeState, Observation
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
@@ -98,6 +98,22 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """The action mask as bool[5], for `MaskablePPO`."""
         return self.episode.action_mask().astype(np.bool_)
+
+    def get_state(self) -> EpisodeState:
+        """A snapshot of the episode for `set_state`, such as the root of a tree search. Immutable, comparable, pickled.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        return self.episode.get_state()
+
+    def set_state(self, state: EpisodeState) -> None:
+        """Continue from a snapshot of an episode with the same task and reward profile, also an ended episode's.
+
+        Raises:
+            InvalidValueError: if the snapshot has another task or profile; nothing changes.
+        """
+        self.episode.set_state(state)
 
     def render(self) -> Any:
         """The episode as a string (`ansi`) or a picture, uint8[h, w, 3] (`rgb_array`).

@@ -24,21 +24,25 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError
 
 PLUGINS = "DRONE_ENV_PLUGINS"
+MIXTURE = "DroneDelivery-Mixture-v1"
 
 
 class StepLimit(int):
     """The steps of a task, for libraries that read `max_episode_steps`.
 
-    The task itself ends after them, so they must not truncate. Gymnasium's `TimeLimit` truncates if `steps >= limit`,
-    which Python computes as `limit <= steps` for a subclass of int.
+    The task itself ends after them, so they must not truncate, also if a search takes more steps from restored states.
+    Gymnasium's `TimeLimit` truncates if `steps >= limit`, which Python computes as `limit <= steps` for a subclass of
+    int.
     """
 
     def __le__(self, steps: int) -> bool:
-        return self < steps
+        return False
 
 
 def register_envs() -> None:
-    """Register all tasks with Gymnasium, such as `DroneDelivery-Easy-v1`."""
+    """Register all tasks with Gymnasium, such as `DroneDelivery-Easy-v1`, and their mixture."""
+    if MIXTURE not in gymnasium.registry:
+        gymnasium.register(id=MIXTURE, entry_point="drone_env.envs.mixture:MixtureEnv")
     for task in TASKS.values():
         if task.gym_id not in gymnasium.registry:
             gymnasium.register(

@@ -105,6 +105,8 @@ class Sampling(StrictModel):
 
     temperature: float | None = Field(default=0.0, ge=0, le=2)
     max_tokens: int | None = Field(default=1024, ge=1)
+    max_completion_tokens: int | None = Field(default=None, ge=1)
+    reasoning_effort: str | None = None
     seed: int | None = Field(default=None, ge=0)
     extra: dict[str, Any] = Field(default_factory=dict, description="More fields of the body; they replace others.")
 

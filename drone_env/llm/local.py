@@ -24,7 +24,10 @@ with needs("trl"):
 
 BATCH_TOKENS = 1 << 14
 """Most tokens of the requests of a batch, padding included: they take memory."""
-SENT = {"model", "messages", "temperature", "max_tokens", "seed", "tools", "tool_choice", "chat_template_kwargs"}
+LIMITS = {"max_tokens", "max_completion_tokens"}
+TEMPLATE = {"tools", "reasoning_effort"}
+"""Fields of a request for the chat template."""
+SENT = {"model", "messages", "temperature", "seed", "tool_choice", "chat_template_kwargs", *LIMITS, *TEMPLATE}
 """Fields of a request that are not passed on to `generate`."""
 Request = Mapping[str, Any]
 
@@ -126,9 +129,9 @@ class LocalModel:
             raise ValueError("a local model gives no structured output: use --answers text")
         made = self.tokenizer.apply_chat_template(
             request["messages"],
-            tools=request.get("tools"),
             add_generation_prompt=True,
             return_dict=True,
+            **{name: request[name] for name in TEMPLATE & request.keys()},
             **request.get("chat_template_kwargs", {}),
         )
         return made["input_ids"]
@@ -149,11 +152,11 @@ class LocalModel:
             made = self.model.generate(
                 input_ids=torch.tensor(ids, device=self.model.device),
                 attention_mask=torch.tensor(mask, device=self.model.device),
-                **read,
-                max_new_tokens=options.get("max_tokens", 1024),
+                max_new_tokens=next((options[name] for name in LIMITS & options.keys()), 1024),
                 eos_token_id=sorted(self._ends),
                 pad_token_id=self._pad,
                 stopping_criteria=[self._is_stopped],
+                **read,
                 **sampling,
                 **{name: value for name, value in options.items() if name not in SENT},
             )

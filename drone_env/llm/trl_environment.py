@@ -7,7 +7,7 @@ trainer = GRPOTrainer(
     model="Qwen/Qwen3-0.6B",
     train_dataset=training_maps("easy", maps=1000),  # plan="plan": one answer, without environment_factory
     environment_factory=DroneEnvironment,
-    reward_funcs=flight_reward,
+    reward_funcs=flight_reward,  # logs the flights; pays those of one answer
     args=GRPOConfig(max_completion_length=4096, num_generations=8),
 )
 """
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 class DroneEnvironment:
     """One drone. TRL creates one per rollout, resets it for each map, and offers the model its tools.
 
-    TRL treats every public method except `reset` as a tool, and shows the model the errors that they raise.
+    TRL treats every public method except `reset` and `get_reward` as a tool, and shows the model the errors that they
+    raise. It knows no method that ends a rollout.
     """
 
     def __init__(self) -> None:
@@ -93,6 +94,14 @@ class DroneEnvironment:
         """
         return self._started().goto(stop)
 
+    def get_reward(self) -> float:
+        """The sum of the flight's rewards, undiscounted; an unfinished flight counts as waiting to its end.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        return _paid(self._started())
+
     def _started(self) -> TextEpisode:
         if self._flown is None:
             raise EpisodeError("no flight: call reset() first")
@@ -105,13 +114,14 @@ def flight_reward(
     log_metric: Callable[[str, float], None] | None = None,
     **columns: Sequence[Any],
 ) -> list[float | None]:
-    """The sum of each flight's rewards, undiscounted; an unfinished flight counts as waiting to its end.
+    """The reward of flights by one answer, as `DroneEnvironment.get_reward`.
 
     Logs the means of score, success, regret, steps, and of unusable plans, as `flight/score` and so on.
 
     Args:
         completions: The conversations after the prompt. Without environments each is one answer with the route.
-        environments: The environments that flew; None is returned for those of other classes.
+        environments: The environments that flew. They pay their own reward, so it is 0 here; None for those of other
+            classes.
         log_metric: TRL's logger.
         columns: The columns of `training_maps`; all others are ignored.
 
@@ -143,7 +153,13 @@ def flight_reward(
         known = [value for value in values if value is not None]
         if log_metric and known:
             log_metric(f"flight/{name}", fmean(known))
-    return [flight and flight.episode.waited_out().reward_total for flight in flights]
+    if environments is not None:
+        return [flight and 0.0 for flight in flights]
+    return [_paid(flight) for flight in flown]
+
+
+def _paid(flight: TextEpisode) -> float:
+    return flight.episode.waited_out().reward_total
 
 
 def training_maps(

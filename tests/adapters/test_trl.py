@@ -118,7 +118,8 @@ def test_the_trainer_flies_scores_and_learns(plan: str | None, tmp_path: Path) -
     # By tool calls the wrong word costs no step; as an answer it is unusable.
     wrong = [] if plan else best
     pay = [paid(route) for route in (best, best[:1], wrong, [])]
-    assert log["rewards/flight_reward/mean"] == pytest.approx(sum(pay) / 4)
+    owner = "flight_reward" if plan else "DroneEnvironment"
+    assert log[f"rewards/{owner}/mean"] == log["reward"] == pytest.approx(sum(pay) / 4)
     means = [(1 if plan else 2) / 4, (len(best) + 1 + len(wrong)) / 4, 0.5 if plan else 0]
     assert [log[f"flight/{name}"] for name in ("success", "steps", "unusable")] == means
     assert log["flight/score"] + log["flight/regret"] == pytest.approx(solve("easy", 14).score)

@@ -9,11 +9,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env import __version__
+from drone_env.agents import make_agent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, get_task
@@ -157,6 +158,12 @@ def test_openenvs_routes(client: TestClient) -> None:
     one = client.post("/drone-env/task", json=test | {"index": 2}).json()["task"]
     assert (one["seed"], one["id"]) == (2**52 + 2**51 + 2, "hard_delivery/test/2")
     assert client.post("/drone-env/task_range", json=test | {"start": 2, "stop": 3}).json() == {"tasks": [one]}
+    listed = client.post("/drone-env/task_range", json={"split": "skyline_easy/train", "stop": 20}).json()["tasks"]
+    for task in listed:
+        flown = rollout(Episode("skyline_easy", seed=task["seed"]), make_agent("greedy", "skyline_easy").act)
+        assert (task["group"], task["difficulty"]) == ("skyline_easy", round(1 - flown.score, 1))
+    assert len({task["difficulty"] for task in listed}) > 2
+    assert "difficulty" not in client.post("/drone-env/task", json={"split": "city/train", "index": 0}).json()["task"]
     assert client.post("/drone-env/task", json=test | {"index": -1}).status_code == 400
     assert client.post("/drone-env/task_range", json=test | {"start": 0, "stop": 1001}).status_code == 422
     assert client.get("/other/splits").status_code == 404

@@ -4,7 +4,6 @@ import inspect
 import json
 import re
 import sys
-from typing import Any
 
 import pytest
 
@@ -26,16 +25,16 @@ def test_a_flight_by_tool_calls() -> None:
     assert drone.fly("LEFT") == (
         f"On the way. Position: ({x - 1}, {y}). Battery: 59 units. Nearest parcel: {episode.target}. Delivered: 0 of 1."
     )
-    assert paid(drone) == [0.01]  # as if it waited to the end
+    assert drone.get_reward() == 0.01  # as if it waited to the end
     assert drone.fly_route(["UP", "UP", "UP"]) == "On the way. Delivered: 1 of 1. Mission accomplished."
-    assert paid(drone) == [0.99]
+    assert drone.get_reward() == 0.99
     for again in (drone.fly("DOWN"), drone.fly_route(["UP"] * 60)):
         assert again.startswith("Nothing done: the episode has ended")
-    assert paid(drone) == [0.99]
-
-
-def paid(*drones: object, **columns: list[Any]) -> list[float | None]:
-    return flight_reward([[]] * len(drones), drones, **columns)
+    assert drone.get_reward() == 0.99
+    logged: dict[str, float] = {}
+    # Trainers add both rewards.
+    assert flight_reward([[]] * 2, [drone, object()], logged.__setitem__) == [0.0, None]
+    assert (logged["flight/score"], logged["flight/success"]) == (0.99, 1)
 
 
 def test_an_answer_with_the_whole_route_is_paid_and_logged() -> None:
@@ -80,12 +79,12 @@ def test_the_reward_is_what_the_profile_pays_to_the_end(profile: str) -> None:
     drone.reset(task="hard", seed=3, reward_profile=profile)
     drone.fly_route([action.name for action in actions])
     episode = Episode("hard", profile_for_discount(get_reward_profile(profile), 1), 3).fly(actions)
-    assert paid(drone, object()) == [episode.waited_out().reward_total, None]
+    assert drone.get_reward() == episode.waited_out().reward_total
 
 
 def test_bad_calls_are_told_and_fly_nothing() -> None:
     methods = [name for name, _ in inspect.getmembers(DroneEnvironment, inspect.isfunction) if name[0] != "_"]
-    assert methods == ["fly", "fly_route", "goto", "reset"]
+    assert methods == ["fly", "fly_route", "get_reward", "goto", "reset"]
     drone = DroneEnvironment()
     with pytest.raises(EpisodeError, match="reset"):
         drone.fly_route(["UP"])

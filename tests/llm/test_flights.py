@@ -79,13 +79,15 @@ def test_flights_of_bad_answers_wait_and_their_run_is_marked(endpoint: Start) ->
 def test_only_what_is_needed_is_sent(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     foreign = {"HF_TOKEN": "hf_secret", "OPENAI_ORG_ID": "org-secret", "OPENAI_CUSTOM_HEADERS": "X-Secret: secret"}
-    done = scripted.infer("--seeds", "14:15", "--extra", '{"reasoning_effort": "low", "top_p": 0.5}', **foreign)
+    named = ("--max-completion-tokens", "99", "--reasoning-effort", "low", "--extra", '{"top_p": 0.5}')
+    done = scripted.infer("--seeds", "14:15", *named, **foreign)
     assert done.status == 0, done.err
     for request in scripted.requests():
         assert request["headers"]["authorization"] == f"Bearer {TOKEN}"
         assert "secret" not in json.dumps(request)
-        fields = {"reasoning_effort": "low", "top_p": 0.5, "temperature": 0.0}
+        fields = {"max_completion_tokens": 99, "reasoning_effort": "low", "top_p": 0.5, "temperature": 0.0}
         assert request["body"].items() >= fields.items()
+        assert "max_tokens" not in request["body"]
 
 
 def test_a_quoted_token_reaches_no_file_no_request_and_no_terminal(endpoint: Start) -> None:

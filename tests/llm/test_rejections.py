@@ -14,6 +14,7 @@ SENT: dict[str, Any] = {
     "temperature": 0.0,
     "seed": 1,
     "tool_choice": "auto",
+    "reasoning_effort": "low",
 }
 USE_OTHER = "Unsupported parameter: 'max_tokens' is not supported with this model. Use 'max_completion_tokens' instead."
 NO_SYSTEM = "System role not supported"
