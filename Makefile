@@ -11,7 +11,7 @@ SIDE_BY_SIDE = -n $(WORKERS) --dist worksteal
 # Keep bytecode: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long check bundle format docs python $(PYTHONS) adapters verify clean
+.PHONY: demo serve test test-long test-cluster check bundle format docs python $(PYTHONS) adapters verify clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -52,9 +52,11 @@ serve: $(VENV)/.server
 test: $(VENV)/.dev
 	$(PYTEST) $(SIDE_BY_SIDE)
 
-# The tests marked long. Those that need Ray share one cluster, so they run one after another.
+# The tests marked long. Those of clusters share one, and wait more than they compute.
 test-long: $(VENV)/.dev
 	$(PYTEST) -m long $(SIDE_BY_SIDE) --ignore tests/cluster
+
+test-cluster: $(VENV)/.dev
 	$(PYTEST) -m long tests/cluster
 
 # Node comes with the development tools, as a Python package; npm fetches the rest. No links: OpenEnv validates no folder with any.
@@ -77,7 +79,7 @@ check: $(VENV)/.dev $(PAGE_TOOLS)
 	$(BIN)/pyright
 	$(BIN)/python tools/plain.py
 	$(NODE) $(PAGE_TOOLS)/eslint/bin/eslint.js -c tools/page/eslint.config.js drone_env/server/static/js
-	$(BIN)/python tools/page/openapi.py >$(VENV)/openapi.json
+	$(BIN)/python -m tools.page.openapi >$(VENV)/openapi.json
 	$(NODE) $(PAGE_TOOLS)/openapi-typescript/bin/cli.js $(VENV)/openapi.json -o tools/page/api.d.ts >/dev/null
 	$(NODE) $(PAGE_TOOLS)/typescript/bin/tsc -p tools/page
 	$(MAKE) --no-print-directory bundle BUNDLE=$(abspath $(VENV))/bundle

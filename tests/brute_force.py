@@ -85,8 +85,9 @@ class BruteForce:
         self._first_step = episode.steps
         task = episode.task
         tables, rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
-        grids = np.frombuffer(self._start.grid, np.uint8)[None]
-        states = np.frombuffer(self._start.numbers, np.uint16)[None]
+        # Copies: for arrays that cannot be written, the kernel would be compiled once more.
+        grids = np.frombuffer(self._start.grid, np.uint8)[None].copy()
+        states = np.frombuffer(self._start.numbers, np.uint16)[None].copy()
         self._numbers: list[dict[bytes, int]] = [{self._start.numbers: 0}]
         self._grids, self._states = [grids], [states]
         flights = []

@@ -1,11 +1,11 @@
 """Run the README's commands in order, as on a fresh machine, and print the time of each.
 
-    python3 tests/stranger.py            in a clone of the last commit, in a folder of its own
-    python3 tests/stranger.py --keep DIR the same in DIR, which is kept
+    python3 tests/stranger.py                     in a clone of the last commit, in a folder of its own
+    python3 tests/stranger.py --keep DIR          the same in DIR, which is kept
+    python3 tests/stranger.py --beside COMMAND    the same, with COMMAND beside all that is typed after `make test`
 
 Needs what the README says is needed, and Git. Commands that serve go on in the background while the next ones are
-typed. The token to fill in is one for the scripted endpoint of the tests. Exit status 0 if
-every command ended with 0.
+typed. The token to fill in is one for the scripted endpoint of the tests. Exit status 0 if every command ended with 0.
 """
 
 import argparse
@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.tools import ROOT, eventually, is_taken, reserved_port
 
 SERVES = ("drone-env serve", "make serve")
+TESTS = "make test"
 FILL_IN = "cp .env.example .env"
 PATIENCE = 120.0
 """Seconds within which what was started in the background must end."""
@@ -70,12 +71,14 @@ def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dic
     return f"http://127.0.0.1:{port}/stranger/v1"
 
 
-def walk(clone: Path) -> list[tuple[str, float, int]]:
-    """Type every command; what it was, its seconds and its exit status."""
+def walk(clone: Path, beside: str | None) -> list[tuple[str, float, int]]:
+    """Type every command, and one more beside those after the tests; what it was, its seconds and its exit status."""
     environment = {**os.environ, "PATH": f"{clone / '.venv/bin'}{os.pathsep}{os.environ['PATH']}"}
     for name in ("VIRTUAL_ENV", "PYTHONDONTWRITEBYTECODE"):
         environment.pop(name, None)
     walked: list[tuple[str, float, int]] = []
+    other: subprocess.Popen[bytes] | None = None
+    began = 0.0
     with contextlib.ExitStack() as stack:
         for command in commands((clone / "README.md").read_text(encoding="utf-8")):
             print(f"\n$ {command}", flush=True)
@@ -97,17 +100,25 @@ def walk(clone: Path) -> list[tuple[str, float, int]]:
                 print(error, file=sys.stderr)
                 status = 1
             walked.append((command, time.perf_counter() - start, status))
+            if beside and command.startswith(TESTS):
+                began = time.perf_counter()
+                other = subprocess.Popen(["bash", "-c", beside], cwd=clone, env=environment, stdin=subprocess.DEVNULL)
+    if beside and other:
+        status = other.wait()
+        walked.append((f"{beside}    # beside what is typed after {TESTS}", time.perf_counter() - began, status))
     return walked
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="clone into this new folder and keep it")
-    keep: Path | None = parser.parse_args().keep
+    parser.add_argument("--beside", metavar="COMMAND", help="run this beside the commands after `make test`")
+    arguments = parser.parse_args()
+    keep: Path | None = arguments.keep
     with tempfile.TemporaryDirectory() as folder:
         clone = (keep or Path(folder) / "drone-env").resolve()
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
-        walked = walk(clone)
+        walked = walk(clone, arguments.beside)
     print(f"\n{'seconds':>9}  {'exit':>4}  command")
     for command, seconds, status in walked:
         print(f"{seconds:9.1f}  {status:4}  {command}")
