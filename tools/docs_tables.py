@@ -15,7 +15,7 @@ from drone_env.agents import AGENTS
 from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.tasks import TASKS
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.config import InferenceSettings
 from drone_env.results.evaluate import summarise
 from drone_env.results.folder import SHIPPED, stored_results
@@ -53,40 +53,41 @@ def kinds() -> str:
 
 def environments() -> str:
     """Every task under its Gymnasium id."""
-    head = ["Gymnasium id", "grid", "telemetry"]
-    rows = [
-        [f"`{task.gym_id}`", f"{task.width} x {task.height}", f"{task.telemetry_size} values"]
-        for task in TASKS.values()
-    ]
-    return table([head, *rows])
+    rows = [["Gymnasium id", "grid", "telemetry", "parcels", "steps", "nearest", "tournet", "optimum"]]
+    for task in TASKS.values():
+        scores = {agent: number(of["mean_score"]) for agent, of in figures_of(task).items()}
+        numbers = [str(task.telemetry_size), str(task.deliveries), str(task.max_steps)]
+        flown = [scores.get(agent, "-") for agent in ("nearest", "tournet", BEST)]
+        rows.append([f"`{task.gym_id}`", f"{task.width} x {task.height}", *numbers, *flown])
+    return table(rows)
+
+
+def numbers_of(task: TaskConfig) -> dict[str, str]:
+    """The numbers of a task as text, by their names."""
+    drain = ", ".join(f"{CELL_KINDS[kind].name} {units}" for kind, units in task.drain)
+    others: dict[float, list[str]] = {}
+    for event in (event.name.lower() for event in Event if event not in SPECIAL):
+        others.setdefault(getattr(task, f"r_{event}"), []).append(event)
+    rest = [f"{reward} {'else' if len(others) == 1 else ', '.join(events)}" for reward, events in others.items()]
+    return {
+        "grid": f"{task.width} x {task.height}",
+        "parcels": str(task.deliveries),
+        "buildings, trees, obstacles": "real" if task.terrain else f"{task.buildings}, {task.trees}, {task.obstacles}",
+        "streets every": "real" if task.terrain else str(task.street_spacing or "-"),
+        "steps": str(task.max_steps),
+        "battery": str(task.battery_capacity),
+        "drain": drain or "-",
+        "closed": ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "-",
+        "pads, charge": f"{task.pads}, {task.charge_rate}" if task.pads else "-",
+        "rewards of `tiered`": "; ".join([f"{task.r_delivery} delivery", *rest]),
+    }
 
 
 def tasks() -> str:
     """Return the numbers of all tasks, one row per task."""
-    head = ["task", "grid", "parcels", "buildings, trees, obstacles", "streets every", "steps", "battery"]
-    rows = [[*head, "drain", "closed", "pads, charge", "rewards of `tiered`"]]
-    for task in TASKS.values():
-        drain = ", ".join(f"{CELL_KINDS[kind].name} {units}" for kind, units in task.drain)
-        others: dict[float, list[str]] = {}
-        for event in (event.name.lower() for event in Event if event not in SPECIAL):
-            others.setdefault(getattr(task, f"r_{event}"), []).append(event)
-        rest = [f"{reward} {'else' if len(others) == 1 else ', '.join(events)}" for reward, events in others.items()]
-        rows.append(
-            [
-                f"`{task.id}`",
-                f"{task.width} x {task.height}",
-                str(task.deliveries),
-                "real" if task.terrain else f"{task.buildings}, {task.trees}, {task.obstacles}",
-                "real" if task.terrain else str(task.street_spacing or "-"),
-                str(task.max_steps),
-                str(task.battery_capacity),
-                drain or "-",
-                ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "-",
-                f"{task.pads}, {task.charge_rate}" if task.pads else "-",
-                "; ".join([f"{task.r_delivery} delivery", *rest]),
-            ]
-        )
-    return table(rows)
+    numbers = {task.id: numbers_of(task) for task in TASKS.values()}
+    head = next(iter(numbers.values()))
+    return table([["task", *head], *([f"`{task_id}`", *row.values()] for task_id, row in numbers.items())])
 
 
 def of_cities() -> str:
@@ -107,19 +108,34 @@ def described(rule: Rule) -> str:
     return " ".join(f"{key}={value}" for key, value in rule)
 
 
+CELLS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "Score (95 % interval)": lambda of: with_interval(of["mean_score"], of["score_ci95"]),
+    "Ratio to the optimum, and share of flights that delivered all parcels": lambda of: (
+        f"{number(of['score_ratio'])}, {of['success_rate']:.1%}"
+    ),
+}
+"""The titles of tables of results, and how a cell shows the figures of an agent on a task."""
+
+
+def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
+    """The figures of the shipped results of a task by agent, the optimum last."""
+    figures = {agent: summarise(*repeats) for agent, repeats in stored_results(SHIPPED, task.id)}
+    return {agent: figures[agent] for agent in sorted(AGENTS, key=lambda name: name == BEST) if agent in figures}
+
+
+def scores_of(task: TaskConfig) -> str:
+    """The shipped results of a task: a row per agent; empty if there are none."""
+    rows = [[agent, *(cell(of) for cell in CELLS.values())] for agent, of in figures_of(task).items()]
+    return table([["agent", *CELLS], *rows]) if rows else ""
+
+
 def agents(*families: str) -> str:
     """The shipped results of these families: a row per agent, a column per task."""
     tasks = [task for task in TASKS.values() if task.family in families]
-    figures = [{agent: summarise(*repeats) for agent, repeats in stored_results(SHIPPED, task.id)} for task in tasks]
-    cells: dict[str, Callable[[dict[str, Any]], str]] = {
-        "Score (95 % interval)": lambda of: with_interval(of["mean_score"], of["score_ci95"]),
-        "Ratio to the optimum, and share of flights that delivered all parcels": lambda of: (
-            f"{number(of['score_ratio'])}, {of['success_rate']:.1%}"
-        ),
-    }
+    figures = [figures_of(task) for task in tasks]
     parts: list[str] = []
     flown = [agent for agent in sorted(AGENTS, key=lambda name: name == BEST) if any(agent in of for of in figures)]
-    for title, cell in cells.items():
+    for title, cell in CELLS.items():
         rows = [["agent", *(task.short_name for task in tasks)]]
         rows += [[agent, *(cell(of[agent]) if agent in of else "-" for of in figures)] for agent in flown]
         parts.append(f"**{title}**\n\n{table(rows)}")
@@ -135,7 +151,7 @@ def tables() -> dict[tuple[str, str], str]:
         ("rules.md", "kinds"): kinds(),
         ("tasks.md", "tasks"): tasks(),
         ("cities.md", "layers"): of_cities(),
-        ("gymnasium.md", "environments"): environments(),
+        ("environments.md", "environments"): environments(),
         ("configuration.md", "settings of the server"): settings_table(Settings),
         ("configuration.md", "settings of language models"): settings_table(InferenceSettings),
     }

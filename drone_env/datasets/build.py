@@ -20,11 +20,14 @@ import pyarrow.parquet
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
+from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.datasets.chat import chat_rows
 from drone_env.datasets.trajectories import DatasetConfig, Trajectory, fly_map
 from drone_env.errors import InvalidValueError, needs
 from drone_env.files import locked
+from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.results.folder import shipped_results
 
 Write = Callable[[Sequence[Trajectory]], None]
 """Appends flights to a file."""
@@ -213,6 +216,7 @@ def _minari_writer(folder: Path, config: DatasetConfig) -> Write:
             "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
             "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
             "drone_env": config.as_json(),
+            **_reference_scores(config),
         }
     )
 
@@ -246,3 +250,13 @@ def _minari_writer(folder: Path, config: DatasetConfig) -> Write:
         storage.update_episode_metadata(about, [flight.number for flight in flights])
 
     return write
+
+
+def _reference_scores(config: DatasetConfig) -> dict[str, float]:
+    """Return the mean scores of the random agent and of the optimum, for `minari.get_normalized_score`.
+
+    They are those of the first 1,000 test maps if the package contains these results, else of the dataset's maps.
+    """
+    key = episodes_key(config.task, "random", split_seeds("test", 1000), "test")
+    results = shipped_results(key) or run_episodes(episodes_key(config.task, "random", config.seeds))
+    return {"ref_min_score": float(results.scores.mean()), "ref_max_score": float(results.optimal_scores.mean())}

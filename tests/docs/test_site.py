@@ -2,20 +2,47 @@
 
 import re
 import sys
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from drone_env.core.tasks import TASKS
 from tests.tools import ROOT, ran
 
 LOADED = re.compile(r'<(?:script|img|iframe|source|link(?! rel="canonical"))\b[^>]*? (?:src|href)="(.*?)"')
 """What a browser loads by itself for a page."""
+MOST_BYTES = 150_000
+"""Maximum size of a film."""
 OURS = re.compile(r"\bDRONE_ENV_[A-Z]+(?:_[A-Z]+)*\b")
 
 
 def test_the_tables_are_up_to_date() -> None:
     done = ran(sys.executable, "tools/docs_tables.py", "--check")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_task_of_your_own_gets_a_page_and_a_film(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    import docs_environments
+
+    names = {"id": "courier", "short_name": "courier", "grader": "drone_env.graders:grade_courier"}
+    monkeypatch.setattr(docs_environments, "TASKS", {"courier": replace(TASKS["easy_delivery"], deliveries=2, **names)})
+    files = docs_environments.site_files()
+    assert [*files] == ["environments/courier.md", "environments/courier.webp"]
+    page, film = files.values()
+    for part in (
+        "drone_env:DroneDelivery-Courier-v1",
+        "| parcels | 2 |",
+        "uint8[10, 10]",
+        "| `score` |",
+        "reward_profile",
+    ):
+        assert part in page
+    assert Image.open(BytesIO(film)).n_frames > 5
+    assert len(film) < MOST_BYTES
 
 
 def test_every_variable_that_the_package_reads_is_documented() -> None:
@@ -45,6 +72,11 @@ def test_the_site_is_whole_and_loads_nothing_from_elsewhere(site: Path) -> None:
     pages = {page.relative_to(site).with_suffix(".md").as_posix() for page in site.rglob("*.html")}
     sources = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
     assert sources | {"index.md", "changelog.md", "contributing.md"} <= pages
+    own = {f"environments/{task.short_name}.md" for task in TASKS.values()}
+    assert {page for page in pages if page.startswith("environments/")} == own
+    table = (site / "environments.html").read_text(encoding="utf-8")
+    assert all(f'href="{page.removesuffix(".md")}.html"' in table for page in own)
+    assert max(film.stat().st_size for film in (site / "environments").glob("*.webp")) < MOST_BYTES
     for page in site.rglob("*.html"):
         loaded = LOADED.findall(page.read_text(encoding="utf-8"))
         assert loaded

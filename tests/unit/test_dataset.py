@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
-from drone_env.core.seeds import SPLITS
-from drone_env.core.tasks import get_task
+from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.core.tasks import TASKS, get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
 from drone_env.datasets.trajectories import FORMAT, DatasetConfig, fly_map, random_actions
@@ -25,6 +26,7 @@ from drone_env.llm.text_episode import TextEpisode
 from drone_env.planning.optimal import solve
 from drone_env.planning.solver import ExactSolver
 from drone_env.planning.stops import next_stops, stop_values
+from drone_env.results.evaluate import episodes_key, run_episodes
 
 MINARI = sys.version_info >= (3, 11)
 
@@ -151,6 +153,25 @@ def test_minari_loads_the_same_flights(tmp_path: Path, monkeypatch: pytest.Monke
         for name in ("action_mask", "score"):
             assert np.array_equal(infos[name], [info[name] for info in told]), name
         assert not episode.truncations.any()
+
+
+@pytest.mark.skipif(not MINARI, reason="Minari asks for Python 3.11")
+@pytest.mark.parametrize("own", [False, True])
+def test_minari_normalises_scores_between_random_and_the_optimum(
+    own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import minari
+
+    task, maps = get_task("easy"), split_seeds("test", 1000)
+    if own:  # the package has no results of it
+        task, maps = replace(task, deliveries=2), range(3, 7)
+        monkeypatch.setitem(TASKS, task.id, task)
+    folder = made(tmp_path, DatasetConfig(task, range(3, 7), agents=["greedy"], minari=True))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
+    dataset = minari.load_dataset("drone_delivery_easy-v1")
+    flown = run_episodes(episodes_key(task, "random", maps))
+    means = np.array([flown.scores.mean(), flown.optimal_scores.mean()])
+    assert minari.get_normalized_score(dataset, means) == pytest.approx([0, 1])
 
 
 def test_a_missing_minari_is_named_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
