@@ -1,18 +1,23 @@
-"""Common first choices for Skyline: PPO of Stable-Baselines3 and MaskablePPO of sb3-contrib.
+"""Learning curves at equal CPU: our trainers, and PPO and MaskablePPO of Stable-Baselines3 and sb3-contrib.
 
-Both see the raw observation (one-hot planes through a small convolutional network, and the telemetry) and learn from
-`aligned` with the shaping of their discount, in one thread, for the same CPU time. Validations do not count. The policy
-with the best validation flies the first 1,000 test maps by its likeliest actions; MaskablePPO never bumps. The three
-tasks together get as much CPU time as the tour network for all six. `RECIPE` was the best of seven. A finished run is
-not repeated.
+All learn on the same simulator, in one thread, and are validated every few seconds of CPU time, which does not count.
+The peers see the raw observation, one-hot planes and telemetry, through a small convolutional network, and learn from
+`aligned` with the shaping of their discount. Runs are kept under results/peers, and a run that is there is not
+repeated; `learning_curves.py` draws them.
 """
 
 import argparse
-import copy
+import dataclasses
 import json
+import math
+import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from gymnasium import spaces
 from sb3_contrib import MaskablePPO
@@ -21,30 +26,62 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
-from training import Watch
-from training_runs import MAPS, ROOT, fly_test_maps
+from training_runs import ROOT
 
-from drone_env.agents import register_agent
+from drone_env.agents.base import ActBatch
 from drone_env.agents.custom import Sb3Agent
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.files import write_json
 from drone_env.rl.common import Validator
+from drone_env.rl.config import TourConfig, ppo_preset, preset
+from drone_env.rl.ppo import PpoTrainer
+from drone_env.rl.tournet import TourTrainer
+from drone_env.rl.trainer import Trainer
 
-ALGORITHMS: dict[str, type[PPO] | type[MaskablePPO]] = {"PPO": PPO, "MaskablePPO": MaskablePPO}
+SECONDS = {"easy": 20, "hard": 40, "skyline_easy": 90}
+"""CPU seconds of a run; other tasks take those of `skyline_easy`."""
 NUM_ENVS = 256
-RECIPE: dict[str, Any] = {
-    "n_steps": 32,
-    "batch_size": 1024,
-    "n_epochs": 4,
-    "learning_rate": 1e-3,
-    "ent_coef": 0.01,
-    "gamma": 0.99,
-}
-VALIDATION_MAPS = 200
-VALIDATIONS = 30
-"""Number of validations in a run."""
+RECIPE = {"n_steps": 32, "batch_size": 1024, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01, "gamma": 0.99}
+"""The settings of both peers: the best of seven."""
+VALIDATION_MAPS, VALIDATIONS = 200, 15
+"""Number of validation maps, and of validations in a run."""
+
+
+class Point(NamedTuple):
+    """One validation: CPU seconds and steps before it, ratio to the optimum, share of maps with all delivered."""
+
+    seconds: float
+    steps: int
+    ratio: float
+    success: float
+
+
+class Watch:
+    """Validates an agent every few seconds of CPU time, from the first look on. Validations do not count.
+
+    Args:
+        task: The task.
+        limit: CPU seconds after which the training ends.
+    """
+
+    def __init__(self, task: TaskConfig, limit: float) -> None:
+        self.validator, self.limit = Validator(task, VALIDATION_MAPS), limit
+        self.curve: list[Point] = []
+        self._began, self._next = math.nan, limit / VALIDATIONS
+
+    def look(self, act: ActBatch, steps: int, reset: Callable[[npt.NDArray[np.int64]], None] | None = None) -> bool:
+        """Validate if it is due; return whether the training continues."""
+        if math.isnan(self._began):
+            self._began = time.process_time()
+        seconds = time.process_time() - self._began
+        if seconds < self._next:
+            return True
+        validation = self.validator.validate(act, reset)
+        self.curve.append(Point(seconds, steps, validation.score / validation.optimum, validation.success))
+        self._began, self._next = time.process_time() - seconds, min(seconds + self.limit / VALIDATIONS, self.limit)
+        return seconds < self.limit
 
 
 class Cells(BaseFeaturesExtractor):
@@ -73,81 +110,94 @@ class Cells(BaseFeaturesExtractor):
         return torch.cat([self.layers(planes), observations["telemetry"]], dim=1)
 
 
-class KeepBest(BaseCallback):
-    """Shows the policy to a watch after every step, and keeps the weights with the best validation."""
+class Look(BaseCallback):
+    """Shows the policy to a watch after every step."""
 
     def __init__(self, task: TaskConfig, watch: Watch) -> None:
         super().__init__()
         self._task, self._watch = task, watch
-        self.weights: dict[str, Any] = {}
+
+    def _init_callback(self) -> None:
+        self._agent = Sb3Agent(self._task, self.model)
 
     def _on_step(self) -> bool:
-        before = len(self._watch.curve)
-        continues = self._watch.look(Sb3Agent(self._task, self.model).act_batch, self.num_timesteps)
-        ratios = [point.ratio for point in self._watch.curve]
-        if len(ratios) > before and ratios[-1] == max(ratios):
-            self.weights = copy.deepcopy(self.model.policy.state_dict())
-        return continues
+        return self._watch.look(self._agent.act_batch, self.num_timesteps)
 
 
-def train(task: TaskConfig, algorithm: str, seed: int, seconds: float) -> tuple[Sb3Agent, Watch]:
-    """Train for some CPU seconds; return the best policy by validation, and its watch."""
-    validator = Validator(task, VALIDATION_MAPS)
-    rewards = profile_for_discount(get_reward_profile(DEFAULT_PROFILE), RECIPE["gamma"])
+def ppo(task: TaskConfig, seed: int, watch: Watch) -> None:
+    """Our PPO, with the preset of the task."""
+    trainer = PpoTrainer(dataclasses.replace(ppo_preset(task.short_name), seed=seed, validation_every=10**9))
+    any(not watch.look(trainer.act, trainer.steps) for _ in trainer.train())
+
+
+def dqn(task: TaskConfig, seed: int, watch: Watch) -> None:
+    """Our DQN, with the preset of the task."""
+    config = dataclasses.replace(preset("fast", task.short_name), seed=seed, num_threads=1, validation_every=10**9)
+    trainer = Trainer(config)
+    any(not watch.look(trainer.act, trainer.steps) for _ in trainer.train())
+
+
+def tournet(task: TaskConfig, seed: int, watch: Watch) -> None:
+    """The tour network on this task alone; as many updates as fit into the time, so that the learning rate decays."""
+    updates = int(3 * watch.limit)
+    config = TourConfig(task=task.short_name, seed=seed, updates=updates, warm_up=updates // 10, validation_every=10**9)
+    trainer: Any = TourTrainer(config)
+    flyer = trainer._flyers[task.short_name]
+    any(not watch.look(flyer.act_batch, trainer.states, flyer.reset_batch) for _ in trainer.train())
+
+
+def sb3(algorithm: Any, task: TaskConfig, seed: int, watch: Watch) -> None:
+    """A learner of Stable-Baselines3 or sb3-contrib."""
+    torch.set_num_threads(1)
+    rewards = profile_for_discount(get_reward_profile(DEFAULT_PROFILE), 0.99)
     env = DroneDeliveryVecEnv(task, NUM_ENVS, reward_profile=rewards, observation="dict")
     network = {"features_extractor_class": Cells}
-    model = ALGORITHMS[algorithm]("MultiInputPolicy", env, seed=seed, device="cpu", policy_kwargs=network, **RECIPE)
+    model = algorithm("MultiInputPolicy", env, seed=seed, device="cpu", policy_kwargs=network, **RECIPE)
     model.set_logger(Logger(None, []))  # its own would leave a folder behind for each model
-    best = KeepBest(task, watch := Watch(validator, seconds, every=seconds / VALIDATIONS))
-    model.learn(10**12, best)
-    model.policy.load_state_dict(best.weights)
-    return Sb3Agent(task, model), watch
+    model.learn(10**12, Look(task, watch))
 
 
-def run(task: TaskConfig, algorithm: str, seed: int, seconds: float, folder: Path) -> dict[str, Any]:
-    """Train and fly, or read the result of an earlier run."""
-    name = f"{task.id}-{algorithm}-{seconds:g}s-seed{seed}"
-    finished = folder / f"{name}.json"
-    if finished.exists():
-        return json.loads(finished.read_text(encoding="utf-8"))
-    agent, watch = train(task, algorithm, seed, seconds)
-    register_agent(name, lambda task: agent)
-    columns = ("cpu_seconds", "steps", "ratio", "success")
-    result = {
-        "task": task.id,
-        "algorithm": algorithm,
-        "settings": RECIPE,
-        "seed": seed,
-        "curve": dict(zip(columns, zip(*watch.curve, strict=True), strict=True)),
-        "test": fly_test_maps(task, name),
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(finished, result)
-    return result
+LEARNERS: dict[str, Callable[[TaskConfig, int, Watch], None]] = {
+    "PPO": ppo,
+    "DQN": dqn,
+    "tournet": tournet,
+    "SB3 PPO": partial(sb3, PPO),
+    "SB3 MaskablePPO": partial(sb3, MaskablePPO),
+}
+
+
+def run(task: TaskConfig, learner: str, seed: int, watch: Watch, folder: Path) -> dict[str, Any]:
+    """Train, or read the curve of an earlier run."""
+    finished = folder / f"{task.short_name}-{learner.replace(' ', '-')}-{watch.limit:g}s-seed{seed}.json"
+    if not finished.exists():
+        LEARNERS[learner](task, seed, watch)
+        curve = dict(zip(Point._fields, zip(*watch.curve, strict=True), strict=True))
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(finished, {"task": task.short_name, "learner": learner, "seed": seed, **curve})
+    return json.loads(finished.read_text(encoding="utf-8"))
 
 
 def main() -> None:
-    """Train, fly, print."""
+    """Train in turn and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", default=["skyline_easy", "skyline_medium", "skyline_hard"])
-    parser.add_argument("--algorithms", nargs="+", default=list(ALGORITHMS), choices=ALGORITHMS)
-    parser.add_argument("--cpu-seconds", type=float, default=780, help="of each run (%(default)s)")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--tasks", nargs="+", default=list(SECONDS))
+    parser.add_argument("--learners", nargs="+", default=list(LEARNERS), choices=LEARNERS)
+    parser.add_argument("--seeds", type=int, nargs="+", default=range(5))
+    parser.add_argument("--cpu-seconds", type=float, help="of each run; the default depends on the task")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "peers")
     arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    print(f"| task | learner | seed | steps | validation ratio | {MAPS:,} test maps: ratio | delivered all |")
-    print("|---|---|---|---|---|---|---|")
-    for task in map(get_task, arguments.tasks):
-        for algorithm in arguments.algorithms:
-            for seed in arguments.seeds:
-                result = run(task, algorithm, seed, arguments.cpu_seconds, arguments.out.resolve())
-                curve, test = result["curve"], result["test"]
-                print(
-                    f"| {task.id} | {algorithm} | {seed} | {curve['steps'][-1]:,} | {max(curve['ratio']):.4f} "
-                    f"| {test['score_ratio']:.4f} | {test['success_rate']:.1%} |",
-                    flush=True,
-                )
+    print("| task | learner | CPU seconds | steps | last ratio: mean | minimum |\n|---|---|---|---|---|---|")
+    for name in arguments.tasks:
+        task, limit = get_task(name), arguments.cpu_seconds or SECONDS.get(name, SECONDS["skyline_easy"])
+        for learner in arguments.learners:
+            if learner == "tournet" and task.deliveries == 1:
+                continue  # it has nothing to choose
+            runs = [run(task, learner, seed, Watch(task, limit), arguments.out.resolve()) for seed in arguments.seeds]
+            last, steps = ([flown[column][-1] for flown in runs] for column in ("ratio", "steps"))
+            print(
+                f"| {name} | {learner} | {limit:g} | {np.mean(steps):,.0f} | {np.mean(last):.4f} | {min(last):.4f} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

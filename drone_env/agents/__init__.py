@@ -26,6 +26,7 @@ AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "beam": BeamAgent,
     "optimal": OptimalAgent,
     "pathqnet": PathQNetAgent,
+    "ppo": PpoAgent,
     "tournet": TournetAgent,
 }
 """The factory of each agent, by its name."""

@@ -90,9 +90,24 @@ MAPS_AT_ONCE = 256
 """Maximum number of maps per call of the network: their arrays fit into the processor's cache."""
 
 
-def shipped_network(task: TaskConfig) -> Path:
-    """Path of a task's shipped network; the file may be missing."""
-    return WEIGHTS / f"{task.id}_v{task.version}.safetensors"
+def shipped_network(task: TaskConfig, network: str = PATHQNET) -> Path:
+    """Path of a task's shipped network, PathQNet or `ppo`; the file may be missing."""
+    return WEIGHTS / f"{'' if network == PATHQNET else f'{network}_'}{task.id}_v{task.version}.safetensors"
+
+
+def require_shipped(task: TaskConfig, network: str = PATHQNET) -> Path:
+    """Path of a task's shipped network.
+
+    Raises:
+        UnsupportedTaskError: if none is shipped with the task.
+    """
+    path, algorithm = shipped_network(task, network), "" if network == PATHQNET else f" --algorithm {network}"
+    if not path.is_file():
+        raise UnsupportedTaskError(
+            f"no network is shipped for {task.id!r}: name the file of one, as in {network}:FILE, "
+            f"or train one first (drone-env train{algorithm} --task {task.short_name})"
+        )
+    return path
 
 
 class PathQNetAgent(StatelessAgent):
@@ -109,12 +124,7 @@ class PathQNetAgent(StatelessAgent):
     """
 
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
-        path = shipped_network(task) if network is None else network
-        if network is None and not path.is_file():
-            raise UnsupportedTaskError(
-                f"no network is shipped for {task.id!r}: name the file of one, as in pathqnet:FILE, "
-                f"or train one first (drone-env train --task {task.short_name})"
-            )
+        path = network or require_shipped(task)
         self._network = load_network(path)
         self._network.check_telemetry(path, task)
         self.config: Mapping[str, object] = {"agent": "pathqnet", "version": 1, "network": self._network.digest}

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
+from drone_env.agents.pathqnet import require_shipped
 from drone_env.agents.weights_file import PPO, Array, NumpyNetwork, in_one_thread, read_weights, rejecting
 from drone_env.core.tasks import TaskConfig
 
@@ -50,19 +51,21 @@ class PpoAgent(StatelessAgent):
 
     Args:
         task: The task.
-        network: The file of an exported network.
+        network: The file of an exported network; None for the shipped one.
 
     Raises:
         OSError: if the file cannot be read.
         CheckpointError: if it is no network, or takes other telemetry than the task has.
+        UnsupportedTaskError: if no network is shipped with the task.
     """
 
-    def __init__(self, task: TaskConfig, network: Path) -> None:
+    def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
         # Imported lazily, because Gymnasium takes a while.
         from drone_env.envs.forms import StopEntries
 
-        self._network = load_actor(network)
-        self._network.check_telemetry(network, task)
+        path = network or require_shipped(task, PPO)
+        self._network = load_actor(path)
+        self._network.check_telemetry(path, task)
         self._look = StopEntries(task)
         self.config: Mapping[str, object] = {"agent": "ppo", "version": 1, "network": self._network.digest}
 

@@ -1,7 +1,8 @@
 """Files of networks.
 
-A file is in the safetensors format: float32 parameters under PyTorch's names and, in the metadata, a JSON object as the
-entry `drone_env`. The object's entry `network` names the network, PathQNet if it is missing.
+A file is in the safetensors format: parameters under PyTorch's names and, in the metadata, a JSON object as the entry
+`drone_env`. The object's entry `network` names the network, PathQNet if it is missing. Parameters are float32, or
+float16 if that is exact.
 """
 
 import hashlib
@@ -66,9 +67,18 @@ class NumpyNetwork:
 def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping[str, Any]) -> None:
     """Write a network to a file, and create missing folders."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = save(dict(parameters), {METADATA: json.dumps(metadata, sort_keys=True)})
+    content = save(
+        {name: _smallest(array) for name, array in parameters.items()}, {METADATA: json.dumps(metadata, sort_keys=True)}
+    )
     with replacing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def _smallest(array: Array) -> npt.NDArray[Any]:
+    """The same numbers in float16 if it holds all of them."""
+    with np.errstate(over="ignore"):
+        half = array.astype(np.float16)
+    return half if np.array_equal(half, array) else array
 
 
 def read_weights(path: Path, network: str) -> Weights:
@@ -84,8 +94,9 @@ def read_weights(path: Path, network: str) -> Weights:
         if found != network:
             raise ValueError(f"it contains a network of {abbreviate(found)}, not of {network!r}")
         for name, array in weights.parameters.items():
-            if array.dtype != np.float32 or not np.isfinite(array).all():
+            if array.dtype not in (np.float16, np.float32) or not np.isfinite(array).all():
                 raise ValueError(f"{name} is not float32, or has NaN or infinity")
+            weights.parameters[name] = array.astype(np.float32)
         return weights
 
 

@@ -43,7 +43,8 @@ def _diagnose() -> Iterator[Finding]:
         yield _checked("extras", extra, partial(_complete, extra), "absent")
     for task in ("easy_delivery", "medium_delivery", "hard_delivery"):
         yield _checked("networks", task, partial(_network, "pathqnet", task))
-    yield _checked("networks", "tournet", partial(_network, "tournet", "easy"))
+    for name in ("ppo", "tournet"):
+        yield _checked("networks", name, partial(_network, name, "easy"))
     for name, find in {"data": data_folder, "results": partial(data_folder, "results")}.items():
         yield _checked("folders", name, partial(_writable, find))
     # Without the cache, every process compiles anew, and flies.

@@ -279,19 +279,19 @@ class PpoConfig(OneTaskConfig):
 
 
 PPO_STEPS = {
-    "easy_delivery": 200_000,
-    "medium_delivery": 300_000,
-    "hard_delivery": 400_000,
-    "skyline_easy": 2_000_000,
+    "easy_delivery": 150_000,
+    "medium_delivery": 150_000,
+    "hard_delivery": 200_000,
     "rush_easy": 1_000_000,
 }
 """Number of steps of PPO by task; other tasks take `MORE_STEPS`."""
-MORE_STEPS = 4_000_000
+MORE_STEPS = 2_000_000
 
 
 def ppo_preset(task: str) -> PpoConfig:
     """The settings of PPO for a task."""
-    return PpoConfig(task=task, steps=PPO_STEPS.get(get_task(task).id, MORE_STEPS))
+    known = get_task(task)
+    return PpoConfig(task=task, steps=PPO_STEPS.get(known.id, MORE_STEPS), hidden=128 if known.pads else 64)
 
 
 # The tour network

@@ -183,18 +183,20 @@ class PpoTrainer(TaskTrainer):
         self,
         grids: npt.NDArray[np.uint8],
         telemetry: npt.NDArray[np.float32],
+        network: ActorCritic | None = None,
         rng: torch.Generator | None = None,
     ) -> npt.NDArray[np.int64]:
-        """The actions of the averaged network, int64[N]: the likeliest, or samples."""
+        """The actions of a network, or else the averaged one, int64[N]: the likeliest, or samples."""
         seen = self.observe(grids, telemetry)
-        log_probs, _ = self.policy(self.average, *seen)
+        log_probs, _ = self.policy(network or self.average, *seen)
         return (log_probs.argmax(1) if rng is None else sample(log_probs, rng)).numpy()
 
     def validate(self) -> None:
         """Fly the validation maps with the averaged network, and keep it if it is the best so far."""
-        self.keep_best(self.average, self.act)
+        network = deepcopy(self.average).half().float()  # as a file holds it
+        self.keep_best(network, partial(self.act, network=network))
         sampling = torch.Generator().manual_seed(self.config.seed)  # of its own: validations do not change the training
-        self.sampled = self.validator.validate(partial(self.act, rng=sampling)).score
+        self.sampled = self.validator.validate(partial(self.act, network=network, rng=sampling)).score
 
     def log(self) -> list[PpoProgress]:
         """Validate and log if it is due; the new line of the log, if there is one."""

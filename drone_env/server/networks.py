@@ -39,7 +39,8 @@ class Networks:
     network without a restart.
 
     Args:
-        shipped: Folder with `<task id>_v<version>.safetensors` and `tournet_v1.safetensors`.
+        shipped: Folder with `<task id>_v<version>.safetensors`, `ppo_<task id>_v<version>.safetensors` and
+            `tournet_v1.safetensors`.
         trained: Data folder with `<short name>`, `ppo_<short name>`, `tournet_<short name>` and `tournet`, all
             `.safetensors`.
     """
@@ -127,7 +128,7 @@ class Networks:
         if pilot in (TRAINED, NETWORK):
             return folder / (f"{task.short_name}.safetensors" if trained else shipped_network(task).name)
         if network == PPO:
-            return folder / f"ppo_{task.short_name}.safetensors"
+            return folder / (f"ppo_{task.short_name}.safetensors" if trained else shipped_network(task, PPO).name)
         if not trained:
             return folder / tournet.SHIPPED.name
         # A network of this task has priority over one of all tasks.

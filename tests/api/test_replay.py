@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.actions import Action, Outcome
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode
@@ -196,6 +197,7 @@ def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> 
     assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]
     assert len({pilot["colour"] for pilot in pilots.values()}) == len(pilots)
     assert pilots["pathqnet"]["tasks"] == ["easy_delivery", "medium_delivery", "hard_delivery"]
+    assert pilots["ppo"]["tasks"] == [task.id for task in TASKS.values() if shipped_network(task, "ppo").exists()]
     assert pilots["greedy"]["tasks"] == pilots["tournet"]["tasks"] == list(TASKS)
     kinds = shared_client.get("/kinds").json()["kinds"]
     assert [(kind["id"], kind["name"]) for kind in kinds] == [(cell, kind.name) for cell, kind in CELL_KINDS.items()]

@@ -17,6 +17,7 @@ PAIRS = [
     *((name, get_task(task)) for name in SIMPLE for task in ("easy", "hard", "skyline_easy", "city_small")),
     *(("tournet", get_task(name)) for name in ("medium", "skyline_easy", "city_small")),
     ("pathqnet", get_task("easy")),
+    ("ppo", get_task("hard")),
 ]
 """Agents that fly batches, with tasks that they can fly: of one and of several parcels, without pads and with them."""
 CIRCLES = 6755399441055752

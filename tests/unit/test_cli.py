@@ -92,7 +92,7 @@ def test_the_maps_of_a_command() -> None:
     ("arguments", "allowed"),
     [
         (["fly", "--task", "esy"], "did you mean 'easy'? allowed: city, city_small, easy, hard, medium, rush_easy"),
-        (["evaluate", "--agents", "ace"], "beam, greedy, nearest, optimal, pathqnet, random"),
+        (["evaluate", "--agents", "ace"], "beam, greedy, nearest, optimal, pathqnet, ppo, random"),
         (["evaluate", "--episodes", "0"], "at least 1"),
         (["evaluate", "--seeds", "5:5"], "A < B"),
         (["trian"], "unknown command 'trian'; did you mean 'train'?"),

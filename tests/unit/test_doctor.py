@@ -31,7 +31,7 @@ def diagnosis(capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, list[s
 def test_a_sound_machine(capsys: pytest.CaptureFixture[str], empty_folder: Path) -> None:
     status, found = diagnosis(capsys)
     assert status == 0
-    for name in ("python", "required", "easy_delivery", "hard_delivery", "tournet", "data", "cache"):
+    for name in ("python", "required", "easy_delivery", "hard_delivery", "ppo", "tournet", "data", "cache"):
         assert found[name][0] == "ok", found[name]
     assert found["data"][1] == str(empty_folder / "data")
     assert list(empty_folder.iterdir()) == []

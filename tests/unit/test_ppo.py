@@ -10,21 +10,25 @@ import pytest
 import torch
 
 from drone_env.agents import make_agent
+from drone_env.agents.base import rollout_batch
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.agents.ppo import load_actor
-from drone_env.agents.weights_file import write_weights
+from drone_env.agents.weights_file import WEIGHTS, write_weights
 from drone_env.cli import main
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS, split_seeds
-from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import CheckpointError, UnsupportedTaskError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.config import PPO_STEPS, ppo_preset
 from drone_env.rl.ppo import PpoTrainer
 from drone_env.rl.run import load_checkpoint, save_checkpoint
 from tests.same import assert_same
 from tests.unit.small_training import SMALL_PPO, finished, parameters
+
+SHIPPED = [task for task in TASKS.values() if shipped_network(task, "ppo").exists()]
 
 
 def untrained(task: str = "skyline_easy", scale: float = 1.0, **changes: Any) -> PpoTrainer:
@@ -144,6 +148,8 @@ def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> N
 def test_the_network_without_torch_is_the_same(name: str, tmp_path: Path) -> None:
     trainer, task = untrained(name), get_task(name)
     file = exported(trainer, tmp_path / "net.safetensors")
+    trainer.average.load_state_dict(trainer.best)  # rounded to float16, as the file holds it
+    assert file.stat().st_size < 2 * sum(map(torch.numel, trainer.average.parameters())) + 3_000
     batch = Batch(task, 20)
     batch.reset(np.arange(20))
     seen = trainer.look({"grid": batch.grids, "telemetry": batch.telemetry})
@@ -161,6 +167,24 @@ def test_a_validation_is_what_evaluation_says_of_the_exported_network(tmp_path: 
     with pytest.raises(CheckpointError, match="takes 13 values of telemetry"):
         make_agent(f"ppo:{file}", "easy")
     assert make_agent(f"ppo:{file}", "skyline_hard").config["agent"] == "ppo"
+
+
+@pytest.mark.parametrize("task", SHIPPED, ids=lambda task: task.short_name)
+def test_the_shipped_policy_flies_as_its_card_says(task: TaskConfig) -> None:
+    network = load_actor(shipped_network(task, "ppo"))
+    assert (network.metadata["task"], network.metadata["task_version"]) == (task.id, task.version)
+    card = (WEIGHTS / "ppo_v1.md").read_text(encoding="utf-8")
+    ratio = network.metadata["validation_score"] / network.metadata["validation_optimum"]
+    assert f"| {task.short_name} | {network.metadata['config']['seed']} | {ratio:.4f} |" in card
+    flown = rollout_batch(task, np.array(split_seeds("validation", 200)), make_agent("ppo", task).act_batch, True)
+    assert flown.scores.mean() == pytest.approx(network.metadata["validation_score"])
+
+
+def test_the_shipped_policies_are_those_of_the_delivery_tasks_and_small() -> None:
+    assert {"easy", "medium", "hard"} <= {task.short_name for task in SHIPPED}
+    assert sum(shipped_network(task, "ppo").stat().st_size for task in SHIPPED) < 1_000_000
+    with pytest.raises(UnsupportedTaskError, match=r"as in ppo:FILE, or train one first .*--algorithm ppo --task city"):
+        make_agent("ppo", "city")
 
 
 def test_the_command_trains_a_network_that_flies(
