@@ -127,4 +127,4 @@ def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFix
     assert (report["reward"], report["maps"], report["gamma"]) == ("mine", 2, 0.99)
     assert set(report["mean_returns"]) == {"maximiser", "honest", "hover"}
     assert cli.main(["audit", "--gamma", "2"]) == 2
-    assert "gamma must be in [0, 1], got 2" in capsys.readouterr().err
+    assert "--gamma 0 to 1; got 20 and 2" in capsys.readouterr().err
