@@ -1,11 +1,11 @@
-"""Clients of the server.
+"""The client of the server: JSON over HTTP.
 
     with DroneEnvClient("http://localhost:8000") as client:
         observation = client.reset("hard_delivery", seed=7)
         while not observation["done"]:
             observation = client.step("RIGHT")
 
-`DroneDeliveryClient` is the OpenEnv client. It is imported on first access, because importing OpenEnv takes seconds.
+The OpenEnv client is `drone_env.openenv_client.DroneDeliveryClient`.
 `python -m drone_env.client URL` flies one map as a smoke test.
 """
 
@@ -15,7 +15,7 @@ import random
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from typing_extensions import Self
 
@@ -24,11 +24,6 @@ from drone_env.errors import DroneEnvError, InvalidValueError, needs
 
 with needs("server", __name__):
     import httpx
-
-if TYPE_CHECKING:
-    from drone_env.openenv_client import DroneDeliveryClient as DroneDeliveryClient
-
-__all__ = ["DroneDeliveryClient", "DroneEnvClient", "ServerError"]
 
 DEFAULT_URL = "http://localhost:8000"
 BROKEN = (httpx.ReadError, httpx.RemoteProtocolError, httpx.WriteError)
@@ -239,14 +234,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"drone_env.client: {error}", file=sys.stderr)
         return 1
     return 0
-
-
-def __getattr__(name: str) -> Any:
-    if name == "DroneDeliveryClient":
-        from drone_env.openenv_client import DroneDeliveryClient
-
-        return DroneDeliveryClient
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 if __name__ == "__main__":

@@ -19,13 +19,13 @@ from docs_tables import put, table
 
 from drone_env.agents import AGENTS
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
 from drone_env.errors import TooLargeError, UnsupportedTaskError
 from drone_env.files import replacing
-from drone_env.planning.audit import audit_maps, audited_profile, summarise_audits
+from drone_env.planning.audit import audit_maps, summarise_audits
 from drone_env.planning.optimal import require_solvable, solve
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine
 from drone_env.results.folder import SHIPPED, ResultsFolder, shipped_results
@@ -86,7 +86,7 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
     cases = [(name, 1.0, None) for name in REWARD_PROFILES]
     cases += [("aligned", 0.99, None), ("score", 0.99, None), ("aligned", 1.0, 0.99)]
     for name, gamma, shaping_gamma in cases:
-        profile = audited_profile(name, gamma, shaping_gamma)
+        profile = profile_for_discount(get_reward_profile(name), shaping_gamma or gamma)
         report = summarise_audits(
             task, profile, gamma, list(audit_maps(task, split_seeds("test", maps), profile, gamma))
         )

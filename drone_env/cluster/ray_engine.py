@@ -1,23 +1,19 @@
 """Evaluate on a Ray cluster: `run_episodes(key)` as tasks on nodes that equal the driver."""
 
-import dataclasses
 import logging
 import os
 import platform
 import secrets
 import socket
 import sys
-import tempfile
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from itertools import islice
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from drone_env import __version__
-from drone_env.agents import file_of, rebase_agent_path
 from drone_env.envs.registry import load_plugins, plugin_names
 from drone_env.errors import ClusterError, DroneEnvError, InvalidValueError, needs
 from drone_env.results.evaluate import run_episodes
@@ -84,7 +80,7 @@ def _check_reachable(address: str) -> None:
 def fly_on_nodes(keys: Sequence[EpisodesKey], address: str = "local") -> Iterator[Results]:
     """Yield the results of all keys in order of arrival.
 
-    A file in an agent's name is sent to the nodes. Your own modules must exist on every node.
+    A file in an agent's name and your own modules must exist on every node.
 
     Raises:
         MissingPackageError, ClusterError: from `connect`; also if no node offers a CPU, a node has other versions or
@@ -94,19 +90,17 @@ def fly_on_nodes(keys: Sequence[EpisodesKey], address: str = "local") -> Iterato
     with connect(address) as ray:
         if not ray.cluster_resources().get("CPU"):
             raise ClusterError("no node of the cluster offers a CPU")
-        files = {key.agent: file_of(key.agent) for key in keys}
-        contents = {agent: ray.put(file.read_bytes()) for agent, file in files.items() if file is not None}
         fly = ray.remote(num_cpus=1, max_retries=RETRIES)(_fly)
         remaining = iter(keys)
-        pending: dict[Any, EpisodesKey] = {}
+        pending: set[Any] = set()
         while True:
             room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1))) - len(pending)
             for key in islice(remaining, max(0, room)):
-                pending[fly.remote(VERSIONS, plugin_names(), key, contents.get(key.agent))] = key
+                pending.add(fly.remote(VERSIONS, plugin_names(), key))
             if not pending:
                 return
             for task in ray.wait(list(pending))[0]:
-                key = pending.pop(task)
+                pending.remove(task)
                 try:
                     results = ray.get(task)
                 except ray.exceptions.RayTaskError as error:
@@ -114,17 +108,12 @@ def fly_on_nodes(keys: Sequence[EpisodesKey], address: str = "local") -> Iterato
                     raise error.cause if ours else ClusterError(f"a node failed: {error}") from None
                 except ray.exceptions.RayError as error:
                     raise ClusterError(f"a chunk was lost, flown {1 + RETRIES} times: {error}") from None
-                yield dataclasses.replace(results, key=key)
+                yield results
 
 
-def _fly(versions: str, plugins: tuple[str, ...], key: EpisodesKey, content: bytes | None) -> Results:
+def _fly(versions: str, plugins: tuple[str, ...], key: EpisodesKey) -> Results:
     check_node(versions, plugins)
-    if content is None:
-        return run_episodes(key)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"file{cast(Path, file_of(key.agent)).suffix}"
-        file.write_bytes(content)
-        return run_episodes(key._replace(agent=rebase_agent_path(key.agent, file)))
+    return run_episodes(key)
 
 
 def check_node(versions: str, plugins: tuple[str, ...]) -> None:

@@ -8,7 +8,7 @@ from drone_env.commands.flights import prepare_file
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import DEFAULT_PROFILE
+from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
@@ -45,12 +45,12 @@ def audit(
     """
     # Imported lazily: they load a compiler.
     from drone_env.flights.record import record_of, save_record
-    from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
+    from drone_env.planning.audit import MapAudit, audit_maps, summarise_audits
 
     config = get_task(task)
-    profile = audited_profile(reward, gamma)
-    if maps < 1:
-        raise InvalidValueError("--maps must be at least 1")
+    if maps < 1 or not 0 <= gamma <= 1:
+        raise InvalidValueError(f"--maps must be at least 1, and --gamma 0 to 1; got {maps} and {gamma:g}")
+    profile = profile_for_discount(get_reward_profile(reward), gamma)
     if replay is not None:
         prepare_file("--replay", replay)
     seeds = split_seeds(split, maps)

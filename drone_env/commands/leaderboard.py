@@ -22,7 +22,7 @@ def leaderboard(folders: Folders) -> int:
 
     The answers of a language model are flown again. A run whose answers do not fit it is refused, and so are
     invalid and incomplete folders. Evaluations store no actions, so their scores are believed. "- first" is the mean
-    score minus that of the first row, map by map. Exit status: 0, or 1 if a folder is damaged.
+    score minus that of the first row, map by map. Exit status: 0, or 1 if a folder is not ranked.
 
     Example: drone-env leaderboard data/llm/* data/evaluations/*
 
@@ -40,7 +40,7 @@ def leaderboard(folders: Folders) -> int:
         print_table(_table(board), names=3, caption=caption, alarming=marked)
     for run in refused:
         print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
-    return int(any(run.damaged for run in refused))
+    return int(bool(refused))
 
 
 def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
@@ -52,7 +52,7 @@ def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
             from drone_env.llm.report import run_entry
         return [run_entry(path)]
     reason = "no results in it" if path.is_dir() else "no such folder"
-    return [NotRanked(path, f"{reason}; give a folder of evaluate --out or infer --out", damaged=True)]
+    return [NotRanked(path, f"{reason}; give a folder of evaluate --out or infer --out")]
 
 
 def _table(board: Leaderboard) -> Table:

@@ -22,8 +22,6 @@ with needs("trl"):
     import torch
     import transformers  # pyright: ignore[reportMissingImports]
 
-BATCH_TOKENS = 1 << 14
-"""Most tokens of the requests of a batch, padding included: they take memory."""
 LIMITS = {"max_tokens", "max_completion_tokens"}
 TEMPLATE = {"tools", "reasoning_effort"}
 """Fields of a request for the chat template."""
@@ -109,13 +107,10 @@ class LocalModel:
             options = {name: value for name, value in request.items() if name != "messages"}
             groups.setdefault(json.dumps(options, sort_keys=True), {})[number] = tokens
         for options, group in groups.items():
-            for batch in _batches(group):
-                try:
-                    answers = self._generate([group[number] for number in batch], json.loads(options))
-                except (ValueError, TypeError, RuntimeError) as error:
-                    found |= dict.fromkeys(batch, TryFailedError(0, f"{type(error).__name__}: {error}", fatal=True))
-                else:
-                    found |= dict(zip(batch, answers, strict=True))
+            try:
+                found |= dict(zip(group, self._generate([*group.values()], json.loads(options)), strict=True))
+            except (ValueError, TypeError, RuntimeError) as error:
+                found |= dict.fromkeys(group, TryFailedError(0, f"{type(error).__name__}: {error}", fatal=True))
         for number, answer in found.items():
             if isinstance(answer, Answer) and not requests[number].get("temperature"):
                 self._answered[keys[number]] = answer
@@ -237,13 +232,3 @@ def _gguf_file(folder: Path) -> Path:
     if len(files) != 1:
         raise InvalidValueError(f"{folder} must contain config.json or one GGUF file, it has {len(files)}")
     return files[0]
-
-
-def _batches(prompts: Mapping[int, Sequence[int]]) -> list[list[int]]:
-    """The numbers of requests of similar lengths in batches of at most `BATCH_TOKENS`."""
-    batches: list[list[int]] = []
-    for number in sorted(prompts, key=lambda number: len(prompts[number])):
-        if not batches or (len(batches[-1]) + 1) * len(prompts[number]) > BATCH_TOKENS:
-            batches.append([])
-        batches[-1].append(number)
-    return batches

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, ValidationError
+from pydantic import Field, StringConstraints, ValidationError
 
 from drone_env.core.actions import ACTION_OFFSETS, Action, Event
 from drone_env.core.cells import CELL_KINDS, LETTERS, Cell
@@ -42,26 +42,24 @@ COMPASS_PADS = 5
 CELL_LETTERS = list(LETTERS.values())
 
 
-class PromptFile(StrictModel):
-    """The fields of a prompt file."""
+Template = Annotated[str, StringConstraints(strip_whitespace=True)]
 
+
+class Prompt(StrictModel):
+    """One version of a prompt: the fields of its file, and what identifies it."""
+
+    id: str = Field(description="Name and version, such as `minimal-2`.")
+    digest: str = Field(description="SHA-256 of the file and all parts, 16 hex digits.")
+    own: str | None = Field(description="The text of a file that is not part of the package.")
     format: Literal[1]
     plan: bool = Field(description="Whether it asks for a whole route.")
     stop: bool = Field(default=False, description="Whether it asks for the next stop: see `planning.stops.next_stops`.")
     marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(
         default=(), strict=False, description="What can start the line with the answer; empty for a bare answer."
     )
-    system: str = Field(default="", description="A template; without text, no system message is sent.")
-    user: str = Field(description="A template.")
-    repair: str = Field(description="A template with the one value `reason`.")
-
-
-class Prompt(PromptFile):
-    """One version of a prompt."""
-
-    id: str = Field(description="Name and version, such as `minimal-2`.")
-    digest: str = Field(description="SHA-256 of the file and all parts, 16 hex digits.")
-    own: str | None = Field(description="The text of a file that is not part of the package.")
+    system: Template = Field(default="", description="A template; without text, no system message is sent.")
+    user: Template = Field(description="A template.")
+    repair: Template = Field(description="A template with the one value `reason`.")
 
     def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
         """The system message, if it has text, and the user message that ask for the next action, or for the route.
@@ -157,15 +155,14 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
     Raises:
         InvalidValueError: if it is not a prompt.
     """
+    digest = hashlib.sha256("".join([text, *_parts().values()]).encode()).hexdigest()[:16]
+    identity = {"id": Path(path).stem, "digest": digest, "own": text if own else None}
     try:
-        data = PromptFile.model_validate(parse_toml(text))
+        prompt = Prompt.model_validate({**parse_toml(text), **identity})
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
     except ValidationError as error:
         raise InvalidValueError(f"{path} is not a prompt: {text_of(error)}") from None
-    digest = hashlib.sha256("".join([text, *_parts().values()]).encode()).hexdigest()[:16]
-    templates = {name: getattr(data, name).strip() for name in ("system", "user", "repair")}
-    prompt = Prompt(**data.model_dump() | templates, id=Path(path).stem, digest=digest, own=text if own else None)
     if own:  # one flight shows whether its templates can be rendered
         prompt.messages(Episode("easy", seed=0))
         prompt.repair_text("")

@@ -67,9 +67,9 @@ def run_entry(path: Path) -> LeaderboardEntry | NotRanked:
     try:
         run = read_run(path)
     except (DroneEnvError, OSError, ValueError) as error:
-        return NotRanked(path, str(error).removeprefix(f"{path}: "), damaged=True)
+        return NotRanked(path, str(error).removeprefix(f"{path}: "))
     verdict, reason = run.verdict
-    return report(run) if verdict == "valid" else NotRanked(path, f"{verdict}: {reason}", damaged=False)
+    return report(run) if verdict == "valid" else NotRanked(path, f"{verdict}: {reason}")
 
 
 def write_report(entry: LeaderboardEntry) -> None:

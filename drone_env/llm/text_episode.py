@@ -247,15 +247,14 @@ class EpisodeRun(TextEpisode):
         Raises:
             InvalidValueError: if a call sent another request than the flight makes.
         """
-        sent: list[Mapping[str, Any]] = []
+        flown = 0
         for key, call in calls.items():
             if call.answer is None or not self.messages or key != self.next_key:
                 break
-            sent.append(self.request(call.changes))
+            call.check(self.request(call.changes))
             self.take(self.read(call.answer))
-        for call, request in zip(calls.values(), sent, strict=False):
-            call.check(request)
-        return len(sent)
+            flown += 1
+        return flown
 
     def log_lines(self, model: str, printed: int = 0) -> list[str]:
         """The log lines of the flight so far, without the first `printed` ones.

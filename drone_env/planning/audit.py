@@ -13,9 +13,8 @@ from typing import Any
 
 from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode, Observation, rollout
-from drone_env.core.rewards import RewardProfile, get_reward_profile, profile_for_discount
+from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.planning.returns import highest_returns
 
@@ -46,26 +45,8 @@ class MapAudit:
         return self.score == self.optimum
 
 
-def audited_profile(
-    reward_profile: str | RewardProfile, gamma: float, shaping_gamma: float | None = None
-) -> RewardProfile:
-    """The profile for a learner with this discount.
-
-    Potential-based shaping preserves the best policies if its gamma equals the learner's (Ng, Harada, Russell 1999).
-    `shaping_gamma` sets another value, to show the effect.
-    """
-    profile = get_reward_profile(reward_profile)
-    if shaping_gamma is not None and profile.shaping_gamma is None:
-        raise InvalidValueError(
-            f"reward profile {profile.id!r} has no potential-based shaping: leave out shaping_gamma"
-        )
-    if not 0 <= gamma <= 1:
-        raise InvalidValueError(f"gamma must be in [0, 1], got {gamma}")
-    return profile_for_discount(profile, gamma if shaping_gamma is None else shaping_gamma)
-
-
 def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardProfile, gamma: float) -> MapAudit:
-    """Audit a reward on one map, with the profile unchanged (see `audited_profile`).
+    """Audit a reward on one map, with the profile unchanged: `profile_for_discount` fits its shaping to a discount.
 
     Raises:
         TooLargeError: if the audit would take more memory than `states.MAX_BYTES`.

@@ -63,7 +63,7 @@ def episode_from_fields(
     return episode
 
 
-def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
+def episode_of(task: TaskConfig, observation: Observation) -> Episode:
     """Create an episode with this observation. Its seed is 0, its parcels are in reading order.
 
     Raises:
@@ -76,9 +76,7 @@ def episode_of(task: TaskConfig, observation: Observation, reward_profile: str =
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
     if len(parcels) != task.deliveries:
         raise InvalidValueError(f"an observation shows {len(parcels)} parcels; {task.id!r} has {task.deliveries}")
-    return episode_from_fields(
-        task, ground, int(drone), int(battery), task.max_steps - int(left), parcels, reward_profile
-    )
+    return episode_from_fields(task, ground, int(drone), int(battery), task.max_steps - int(left), parcels)
 
 
 def read_observations(

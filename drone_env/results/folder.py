@@ -81,10 +81,6 @@ class ResultsFolder:
             os.fsync(file.fileno())
 
 
-class IncompleteError(InvalidValueError):
-    """An evaluation is incomplete."""
-
-
 def stored_results(
     path: Path, task: str | None = None, most: int | None = None
 ) -> list[tuple[str, tuple[Results, ...]]]:
@@ -97,9 +93,8 @@ def stored_results(
 
     Raises:
         OSError: if it cannot be read.
-        IncompleteError: if chunks are missing.
         TooLargeError: if there are more maps.
-        InvalidValueError: if it is not an evaluation, or is damaged.
+        InvalidValueError: if it is not an evaluation, is damaged, or chunks are missing.
         UnknownNameError: if a task is not registered.
     """
     found: dict[tuple[str, str], list[Results]] = {}
@@ -114,7 +109,7 @@ def stored_results(
         there = [chunk for chunk in chunks if chunk is not None]
         if len(there) < len(chunks):
             missing = len(chunks) - len(there)
-            raise IncompleteError(f"{missing} of {len(chunks)} pieces of {key.agent} on {key.task} are not flown yet")
+            raise InvalidValueError(f"{missing} of {len(chunks)} pieces of {key.agent} on {key.task} are not flown yet")
         found.setdefault((key.agent, key.task), []).append(concatenate(there, key))
     return [(agent, tuple(repeats)) for (agent, _), repeats in found.items()]
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drone_env.errors import DroneEnvError, TooLargeError, UnknownNameError
+from drone_env.errors import DroneEnvError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.result import Results, repeated
 from drone_env.results.statistics import normalised
@@ -19,8 +19,6 @@ class NotRanked(NamedTuple):
 
     path: Path
     reason: str
-    damaged: bool
-    """Whether it is damaged or forged; otherwise it is incomplete, too large, or of an unknown task."""
 
 
 class LeaderboardEntry(NamedTuple):
@@ -56,13 +54,12 @@ def evaluation_entries(
         task: Read only this task; None for all.
         most: Maximum number of maps.
     """
-    from drone_env.results.folder import IncompleteError, stored_results  # loads Pydantic
+    from drone_env.results.folder import stored_results  # loads Pydantic
 
     try:
         return [_entry(path, agent, repeats) for agent, repeats in stored_results(path, task, most)]
     except (DroneEnvError, OSError) as error:
-        incomplete = isinstance(error, (IncompleteError, TooLargeError, UnknownNameError))
-        return [NotRanked(path, str(error), damaged=not incomplete)]
+        return [NotRanked(path, str(error))]
 
 
 def _entry(path: Path, agent: str, repeats: tuple[Results, ...]) -> LeaderboardEntry:
@@ -73,22 +70,18 @@ def _entry(path: Path, agent: str, repeats: tuple[Results, ...]) -> LeaderboardE
     random = shipped_results(by_chance) or run_episodes(by_chance)
     figures, results = summarise(*repeats), repeated(repeats)
     report = {
-        "format": "drone_env/agent-report",
         "agent": agent,
         "config": {
             "task": key.task,
             "task_version": key.version,
             "split": key.split,
             "seeds": list(key.seeds),
-            "repeats": len(repeats),
-            "config_hash": key.config_hash,
         },
         "score": figures["mean_score"],
         "score_ci95": figures["score_ci95"],
         "normalised": normalised(figures["mean_score"], fmean(random.scores), figures["mean_optimal_score"]),
         "regret": figures["mean_regret"],
         "success_rate": figures["success_rate"],
-        "maps": map_rows(results),
     }
     return LeaderboardEntry(path, report, results)
 

@@ -34,8 +34,6 @@ class Validation(NamedTuple):
     """Mean graded score."""
     optimum: float
     """Mean exact optimum of the same maps; NaN if one of them is too large to be solved."""
-    success: float
-    """Share of maps with all parcels delivered."""
 
 
 class Validator:
@@ -60,8 +58,7 @@ class Validator:
                 reset(self._seeds)
 
         ends = rollout_batch(self._task, self._seeds, act, reset is None, reset=begin)
-        success = ends.deliveries_done == self._task.deliveries
-        return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))
+        return Validation(float(ends.scores.mean()), self.optimum)
 
 
 def figure(value: float, digits: int) -> str:
@@ -151,7 +148,7 @@ class TaskTrainer(BaseTrainer):
         profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
         self.batch = Batch(self.task, config.num_envs, profile, same_step=True)
         self.validator = Validator(self.task, config.validation_maps)
-        self.validation = Validation(math.nan, self.validator.optimum, math.nan)
+        self.validation = Validation(math.nan, self.validator.optimum)
         self.best_score = -1.0
         self.steps: int = 0
         self.updates: int = 0

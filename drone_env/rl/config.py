@@ -333,8 +333,6 @@ class TourConfig:
 
     task: str = ALL
     """The task, by its short name, id or grader; `all` for one network on all tasks and their variants."""
-    initial: str = ""
-    """File of an exported tour network to start from; empty for random weights."""
     updates: PositiveInt = 8_000
     """Number of updates, and length of the learning rate's decay."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0

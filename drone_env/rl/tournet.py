@@ -16,7 +16,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,6 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
 from drone_env.agents.tour_features import SHORT_TIME, Features
-from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tournet import TourFlyer
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
@@ -187,9 +185,6 @@ class TourTrainer(BaseTrainer):
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in config.tasks()}
         self._flyers = {task.short_name: TourFlyer(task, self._logits) for task in config.tasks()}
         self.online = TourNet()
-        if config.initial:
-            parameters = load_tour_network(Path(config.initial)).parameters
-            self.online.load_state_dict({name: torch.from_numpy(array) for name, array in parameters.items()})
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.AdamW(
             self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay

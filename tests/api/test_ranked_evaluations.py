@@ -83,7 +83,7 @@ PIECES: dict[str, Callable[[Path], object]] = {
     "a table": column(scores=np.full((4, 1), 0.5)),
     "other maps": column(seeds=np.arange(4)),
 }
-RUNS = ("run.json", "calls.jsonl", "episodes.jsonl")
+RUNS = ("run.json", "calls.jsonl")
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,6 @@ def arguments(folder: Path, *more: str) -> list[str]:
 
 def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Path) -> None:
     local, on_ray = tmp_path / "local", tmp_path / "ray"
-    # The network lies where nodes of another machine would not find it under this name.
     network = tmp_path / "mine.safetensors"
     shutil.copy(shipped_network(get_task("easy")), network)
     for folder in (local, on_ray):

@@ -33,7 +33,7 @@ def best_actions(task: str, seed: int) -> list[DroneAction]:
 
 @pytest.mark.feature("E10")
 def test_the_official_client_flies_synchronously(server: Server) -> None:
-    from drone_env.client import DroneDeliveryClient
+    from drone_env.openenv_client import DroneDeliveryClient
 
     task = "medium_delivery"
     flight = Episode(task, "score", 7)

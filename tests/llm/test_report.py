@@ -151,7 +151,7 @@ def test_folders_that_cannot_be_ranked_are_named(tmp_path: Path, capsys: pytest.
     (killed / "calls.jsonl").unlink()
     (tmp_path / "empty").mkdir()
     for folder, status, told in (
-        (killed, 0, f"not ranked: {killed}: incomplete: flights cut short: 0; not begun: 3"),
+        (killed, 1, f"not ranked: {killed}: incomplete: flights cut short: 0; not begun: 3"),
         (tmp_path / "nowhere", 1, ": no such folder; give a folder of evaluate --out or infer --out"),
         (tmp_path / "empty", 1, "no results in it; give a folder of evaluate --out or infer --out"),
     ):

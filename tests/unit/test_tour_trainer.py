@@ -105,9 +105,6 @@ def test_a_validation_is_what_evaluation_says_of_the_exported_average(tmp_path: 
     key = episodes_key("skyline_easy", f"tournet:{file}", split_seeds("validation", 20), "validation")
     figures = summarise(run_episodes(key))
     assert trainer.ratios == {"skyline_easy": pytest.approx(figures["mean_score"] / figures["mean_optimal_score"])}
-    # Another training can start from it.
-    other = TourTrainer(replace(SMALL_TOUR, initial=str(file), seed=1))
-    assert_same(parameters(other.online), parameters(trainer.average))
 
 
 def fake_samples(counts: list[int], chunk: int, stops: int = 2) -> Samples:

@@ -162,7 +162,7 @@ def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
 def test_the_best_network_is_kept() -> None:
     trainer = Trainer(SMALL)
     scores = iter([0.3, 0.5, 0.4, 0.5])
-    trainer.validator.validate = lambda _: Validation(next(scores), 0.9, 0.0)  # type: ignore[method-assign]
+    trainer.validator.validate = lambda _: Validation(next(scores), 0.9)  # type: ignore[method-assign]
     kept = []
     for number in range(4):
         with torch.no_grad():
