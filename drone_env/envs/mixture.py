@@ -11,7 +11,7 @@ from gymnasium import spaces
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
-from drone_env.core.seeds import SPLITS
+from drone_env.core.seeds import SPLITS, check_seed
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.wrappers import StopObservation
@@ -35,7 +35,7 @@ class MixtureEnv(gymnasium.Env[dict[str, npt.NDArray[Any]], int]):
 
     Raises:
         UnknownNameError: if a task or the profile does not exist.
-        InvalidValueError: if there is no task, or the render mode does not exist.
+        InvalidValueError: if there is no task, or one twice, or the render mode does not exist.
     """
 
     metadata = DroneDeliveryEnv.metadata
@@ -47,10 +47,10 @@ class MixtureEnv(gymnasium.Env[dict[str, npt.NDArray[Any]], int]):
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         render_mode: str | None = None,
     ) -> None:
-        if not tasks:
-            raise InvalidValueError("a mixture needs at least one task")
         self.render_mode = render_mode
         self.drones = [DroneDeliveryEnv(task, None, reward_profile, render_mode) for task in tasks]
+        if not 0 < len({drone.task.id for drone in self.drones}) == len(tasks):
+            raise InvalidValueError("a mixture needs one or more tasks, all of them different")
         self._envs: list[Any] = [StopObservation(drone) for drone in self.drones] if stops else [*self.drones]
         self._numbers = "features" if stops else "telemetry"
         self._index = 0
@@ -73,7 +73,7 @@ class MixtureEnv(gymnasium.Env[dict[str, npt.NDArray[Any]], int]):
             InvalidValueError: if the seed is out of range, or there are other options.
         """
         options = dict(options or {})
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else check_seed(seed))
         tasks, name = [drone.task for drone in self.drones], options.pop("task", None)
         chosen = [i for i, task in enumerate(tasks) if name in (None, task.id, task.short_name)]
         if not chosen:

@@ -54,8 +54,13 @@ def is_registered(task: str) -> bool:
 
 def is_drawn(options: ResetOptions) -> bool:
     """Whether a reset may be over a drawn map, whose file is read."""
-    task = options.task_name if options.split is None else options.split.rpartition("/")[0]
+    task = options.task_name if options.split is None else task_in(options.split)
     return task is not None and not is_registered(task)
+
+
+def task_in(split: str) -> str:
+    """The task of a split, `task/split`."""
+    return split.rpartition("/")[0]
 
 
 class SplitInfo(TypedDict):

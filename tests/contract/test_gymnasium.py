@@ -190,5 +190,6 @@ def test_a_mixture_draws_tasks_and_maps_from_its_seed() -> None:
     assert (len({task for task, _ in drawn[0]}), len({seed for _, seed in drawn[0]})) == (3, 21)
     with pytest.raises(UnknownNameError, match="rush_easy"):
         env.reset(options={"task": "hard"})
-    with pytest.raises(InvalidValueError, match="at least one task"):
-        make(MIXTURE, tasks=[])
+    for wrong in ([], ["easy", "easy_delivery"]):
+        with pytest.raises(InvalidValueError, match="all of them different"):
+            make(MIXTURE, tasks=wrong)

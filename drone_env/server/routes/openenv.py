@@ -2,17 +2,18 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body
+from fastapi import APIRouter, Body, Request
 
 from drone_env import __version__
 from drone_env.models import DroneState
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.schemas import DESCRIPTION, ENV_NAME, RouteAction, WireObservation
-from drone_env.server.task_api import SplitInfo, TaskApi, TaskSpec
+from drone_env.server.state import AppStateDep
+from drone_env.server.task_api import SplitInfo, TaskApi, TaskSpec, task_in
 
 router = APIRouter(tags=["openenv"])
 named = APIRouter(prefix=f"/{ENV_NAME}")
-BODY_ERRORS = error_responses(400, 413, 415, 422)
+BODY_ERRORS = error_responses(400, 413, 415, 422, 503)
 api = TaskApi()
 
 
@@ -48,9 +49,11 @@ async def splits() -> list[SplitInfo]:
 
 
 @named.post("/tasks", responses=BODY_ERRORS)
-def split_tasks(split: Split) -> dict[str, str | list[TaskSpec]]:
+async def split_tasks(request: Request, app_state: AppStateDep, split: Split) -> dict[str, str | list[TaskSpec]]:
     """The first 1,000 maps of a split as `tasks`, and `env_name`."""
-    return {"tasks": api.list_tasks(split), "env_name": ENV_NAME}
+    # Difficulties take Numba, which this process does without.
+    tasks = await app_state.work(request, api.list_tasks, split, task=task_in(split))
+    return {"tasks": tasks, "env_name": ENV_NAME}
 
 
 @named.post("/num_tasks", responses=BODY_ERRORS)
@@ -60,22 +63,27 @@ def num_tasks(split: Split) -> dict[str, int]:
 
 
 @named.post("/task", responses=BODY_ERRORS)
-def split_task(split: Split, index: Annotated[int, Body(strict=True)]) -> dict[str, TaskSpec]:
+async def split_task(
+    request: Request, app_state: AppStateDep, split: Split, index: Annotated[int, Body(strict=True)]
+) -> dict[str, TaskSpec]:
     """One map of a split as `task`."""
-    try:
-        return {"task": api.get_task(split, index)}
-    except IndexError as error:
-        raise RequestError(400, "index", str(error)) from None
+    return {"task": await app_state.work(request, _task, split, index, task=task_in(split))}
 
 
 @named.post("/task_range", responses=BODY_ERRORS)
-def task_range(
+async def task_range(
+    request: Request,
+    app_state: AppStateDep,
     split: Split,
     start: Annotated[int | None, Body(strict=True)] = None,
     stop: Annotated[int | None, Body(strict=True)] = None,
 ) -> dict[str, list[TaskSpec]]:
     """Maps start to stop (exclusive) of a split as `tasks`, at most 1,000; by default the first."""
-    return {"tasks": api.get_task_range(split, start, stop)}
+    return {"tasks": await app_state.work(request, api.get_task_range, split, start, stop, task=task_in(split))}
 
 
-router.include_router(named)
+def _task(split: str, index: int) -> TaskSpec:
+    try:
+        return api.get_task(split, index)
+    except IndexError as error:
+        raise RequestError(400, "index", str(error)) from None
