@@ -24,14 +24,14 @@ $(VENV)/.server: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --editable '.[server]'
 	touch $@
 
-# PyTorch first, then the rest by uv, which keeps what is installed.
+# PyTorch first, then the rest by uv, which keeps what is installed. The server's packages are among it.
 $(VENV)/.dev: $(VENV)/.base
 	@date +%s >$(VENV)/began
 	$(BIN)/python -m pip install --quiet 'uv>=0.9'
 	$(BIN)/python tools/install_torch.py $(BIN)/python '$(TORCH)'
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable '.[dev]'
 	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
-	touch $@
+	touch $@ $(VENV)/.server
 
 # Fly a network that plans, compare the agents on the generated tasks, draw one flight.
 demo: $(VENV)/.base
