@@ -24,14 +24,14 @@ $(VENV)/.server: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --editable '.[server]'
 	touch $@
 
-# PyTorch first, then the rest by uv, which keeps what is installed.
+# PyTorch first, then the rest by uv, which keeps what is installed. The server's packages are among it.
 $(VENV)/.dev: $(VENV)/.base
 	@date +%s >$(VENV)/began
 	$(BIN)/python -m pip install --quiet 'uv>=0.9'
 	$(BIN)/python tools/install_torch.py $(BIN)/python '$(TORCH)'
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable '.[dev]'
 	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
-	touch $@
+	touch $@ $(VENV)/.server
 
 # Fly a network that plans, compare the agents on the generated tasks, draw one flight.
 demo: $(VENV)/.base
@@ -95,6 +95,7 @@ docs: $(VENV)/.dev
 
 # On the lowest and the highest Python, without PyTorch, one case of each test of what a Python or the oldest packages for it
 # can change: imports, what is read, written, printed, compiled and served, and the golden hashes. The rest is built on that.
+# In one process: a second one would import and compile what the first one does.
 PYTHONS := python-lowest python-highest
 ANY_PYTHON := test_env.py test_api.py parity contract/test_gymnasium.py contract/test_openenv.py \
     $(addprefix api/test_,golden_output.py socket.py starting.py) $(addprefix llm/test_,endpoint.py failures.py settings.py) \
@@ -106,7 +107,7 @@ python: $(PYTHONS)
 $(PYTHONS): %: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $(VERSIONS)) && $$python -m venv $(VENV)/$@
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest --one-case $(SIDE_BY_SIDE) $(addprefix tests/,$(ANY_PYTHON))
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$@/bin/python -m pytest --one-case $(addprefix tests/,$(ANY_PYTHON))
 
 # Every client and trainer that the docs name, each in an environment with its own packages.
 adapters: $(VENV)/.dev

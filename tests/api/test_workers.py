@@ -15,10 +15,12 @@ from drone_env.client import DroneEnvClient
 from tests.api.serving import serving
 from tests.tools import eventually, is_taken
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(sys.platform != "linux", reason="this system does not tell the children of a process"),
+]
 
 
-@pytest.mark.long
 def test_they_end_when_the_first_process_is_killed(tmp_path: Path) -> None:
     with serving(tmp_path / "data", WORKERS="2") as server:
         workers = descendants(server.process.pid)
@@ -28,7 +30,6 @@ def test_they_end_when_the_first_process_is_killed(tmp_path: Path) -> None:
         eventually(lambda: not any(map(is_running, workers)))
 
 
-@pytest.mark.long
 def test_one_that_is_killed_while_the_first_waits_for_it_is_started_again(tmp_path: Path) -> None:
     with serving(tmp_path / "data", WORKERS="2") as server:
         first = server.process.pid
@@ -42,12 +43,7 @@ def test_one_that_is_killed_while_the_first_waits_for_it_is_started_again(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("workers", "asked"),
-    [
-        (2, (signal.SIGINT,) * 3),
-        pytest.param(1, (signal.SIGINT,) * 3, marks=pytest.mark.long),
-        pytest.param(2, (signal.SIGTERM,), marks=pytest.mark.long),
-    ],
+    ("workers", "asked"), [(2, (signal.SIGINT,) * 3), (1, (signal.SIGINT,) * 3), (2, (signal.SIGTERM,))]
 )
 def test_they_fly_one_session_and_end_quietly_when_all_are_told_while_a_job_process_starts(
     tmp_path: Path, workers: int, asked: tuple[signal.Signals, ...]

@@ -178,7 +178,7 @@ def test_the_next_standard_task_starts_by_itself_unless_the_visitor_stays(shared
     page.context.close()
 
 
-@pytest.mark.parametrize(("seed", "x"), [(15, 0), (75, 7)])
+@pytest.mark.parametrize(("seed", "x"), [(15, 0), pytest.param(75, 7, marks=pytest.mark.long)])
 def test_the_card_is_over_the_map_but_not_over_the_drone_until_the_visitor_closes_it(
     page: Page, seed: int, x: int
 ) -> None:

@@ -31,7 +31,8 @@ def findings(page: Page, part: str = "html") -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("scheme", ["dark", pytest.param("light", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_axe_finds_nothing_serious_in_any_view(beside: Callable[..., Page], scheme: Literal["dark", "light"]) -> None:
     page = beside()  # which loses lines of its tables
     page.emulate_media(color_scheme=scheme)

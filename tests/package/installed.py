@@ -63,8 +63,7 @@ class Installed:
         self.place.mkdir()
         self.bin = folder / "env" / "bin"
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "DRONE_ENV_"))}
-        # An empty cache of compiled code, as on a new machine.
-        self.environment = {**kept, "DRONE_ENV_CACHE": str(folder / "cache")}
+        self.environment = kept
         own = str(self.bin / "python")
         if python is None:
             venv.create(folder / "env", with_pip=False)
@@ -74,6 +73,8 @@ class Installed:
             alone = ["--no-deps", "--no-index", "--no-build-isolation", str(file)]
             command = [sys.executable, "-m", "pip", "--python", own, "install", "--quiet", *alone]
         else:
+            # An empty cache of compiled code, as on a new machine.
+            self.environment = {**kept, "DRONE_ENV_CACHE": str(folder / "cache")}
             subprocess.run([python, "-m", "venv", str(folder / "env")], check=True, env=self.environment)
             command = [own, "-m", "pip", "install", "--quiet", f"{file}[server]"]
         self.packages = next((folder / "env").glob("lib/python*/site-packages"))
