@@ -19,7 +19,7 @@ DESCRIPTION = (
 )
 COMMANDS = (
     *("fly", "evaluate", "leaderboard", "solve", "audit"),
-    *("train", "infer", "replay", "dataset", "city", "serve", "doctor"),
+    *("train", "plot", "infer", "replay", "dataset", "city", "serve", "doctor"),
 )
 
 
