@@ -19,7 +19,7 @@ DESCRIPTION = (
 )
 COMMANDS = (
     *("fly", "evaluate", "leaderboard", "solve", "audit"),
-    *("train", "infer", "replay", "dataset", "city", "serve", "doctor"),
+    *("train", "plot", "infer", "replay", "dataset", "city", "serve", "doctor"),
 )
 
 
@@ -39,7 +39,8 @@ def _run_command(arguments: Sequence[str]) -> int | None:
     name, *rest = arguments
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
-    module, rest = _module(name), register_files(rest)
+    module = _module(name)
+    rest = register_files(module.expand_config(rest) if name == "train" else rest)
     command = module.train_command(rest) if name == "train" else getattr(module, name)
     return tyro.cli(command, prog=f"drone-env {name}", args=rest, config=[tyro.conf.DisallowNone])
 

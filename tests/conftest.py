@@ -18,7 +18,7 @@ import pytest
 from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
-from drone_env.envs.registry import PLUGINS
+from drone_env.envs.registry import FILES, PLUGINS
 from drone_env.errors import install_command
 from drone_env.flights import store
 from drone_env.graders import GRADERS
@@ -52,7 +52,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> Generator[None, None, None]:
     monkeypatch.setenv(PLUGINS, "")
     monkeypatch.delenv(PLUGINS)
     with ExitStack() as restored:
-        for names in (TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry):
+        for names in (TASKS, GRADERS, REWARD_PROFILES, FILES, AGENTS, gymnasium.registry):
             restored.enter_context(patch.dict(names))
         yield
 

@@ -10,7 +10,7 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from docs_tables import numbers_of, scores_of, table
+from docs_tables import numbers_of, scores_of
 from docstring_parser import parse
 from PIL import Image
 
@@ -26,6 +26,7 @@ from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.registry import load_plugins
 from drone_env.envs.rendering import draw_picture
 from drone_env.errors import TooLargeError, UnsupportedTaskError
+from drone_env.results.tables import markdown
 
 FOLDER = "environments"
 FLOWN = {"optimal": "the optimum", "tournet": "tournet"}
@@ -133,7 +134,7 @@ def arguments() -> str:
         if one.arg_name not in ("task", "version"):
             meaning = " ".join((one.description or "").split())
             rows.append([f"`{one.arg_name}`", f"`{defaults[one.arg_name].default!r}`", meaning])
-    return table(rows)
+    return markdown(rows)
 
 
 def observation(task: TaskConfig) -> str:
@@ -141,7 +142,7 @@ def observation(task: TaskConfig) -> str:
     seen = {column.name: column.text for column in columns(task)}
     grid, telemetry = f"uint8[{task.height}, {task.width}]", f"float32[{task.telemetry_size}]"
     rows = [["key", "type", "values"], ["`grid`", grid, seen["grid"]], ["`telemetry`", telemetry, seen["telemetry"]]]
-    return table(rows)
+    return markdown(rows)
 
 
 def page(task: TaskConfig, flown: dict[str, Episode]) -> str:
@@ -154,11 +155,11 @@ def page(task: TaskConfig, flown: dict[str, Episode]) -> str:
         title=title(task),
         caption="; ".join(map(": ".join, zip(("Left", "right"), ends, strict=False))),
         source=task.attribution and f", over real streets ({task.attribution})",
-        numbers=table([["number", "value"], *numbers_of(task).items()]),
-        actions=table([["action", "name"], *((str(int(action)), action.name) for action in Action)]),
+        numbers=markdown([["number", "value"], *numbers_of(task).items()]),
+        actions=markdown([["action", "name"], *((str(int(action)), action.name) for action in Action)]),
         observation=observation(task),
         default_profile=DEFAULT_PROFILE,
-        rewards=table([["profile", "reward"], *((f"`{one.id}`", one.summary) for one in REWARD_PROFILES.values())]),
+        rewards=markdown([["profile", "reward"], *((f"`{one.id}`", one.summary) for one in REWARD_PROFILES.values())]),
         information=(DOCUMENTED.long_description or "").split("\n\n")[-1],
         arguments=arguments(),
         scores=scores_of(task) or f"Fly it: `drone-env evaluate --task {task.short_name}`.",

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from docs_tables import put, table
+from docs_tables import put
 
 from drone_env.agents import AGENTS
 from drone_env.core.episode import Episode
@@ -30,6 +30,7 @@ from drone_env.planning.optimal import require_solvable, solve
 from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine
 from drone_env.results.folder import SHIPPED, ResultsFolder, shipped_results
 from drone_env.results.result import EpisodesKey
+from drone_env.results.tables import markdown
 from drone_env.server.page_files import PAGE
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -142,7 +143,7 @@ def write_curves() -> None:
         pyplot.ylabel(name)
         pyplot.legend()
         pyplot.savefig(DOCS / "images" / "training" / f"{name}.png", dpi=120)
-    REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "curves", table(rows)), encoding="utf-8")
+    REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "curves", markdown(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ python tools/docs_tables.py --check    changes nothing, and names what is not up
 """
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,19 +19,13 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.config import InferenceSettings
 from drone_env.results.evaluate import summarise
 from drone_env.results.folder import SHIPPED, stored_results
-from drone_env.results.tables import number, with_interval
+from drone_env.results.tables import markdown, number, with_interval
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
 STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
 BEST = "optimal"
 SPECIAL = (Event.NONE, Event.DELIVERY)
-
-
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as a table in Markdown; the first one is its head."""
-    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in rows]
-    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 
 def settings_table(settings: type[BaseSettings]) -> str:
@@ -42,13 +36,13 @@ def settings_table(settings: type[BaseSettings]) -> str:
         default = ",".join(cast(tuple[str, ...], field.default)) if several else str(field.default or "")
         shown = "in the package" if Path(default).is_absolute() else f"`{default}`" if default else "-"
         rows.append((f"`{prefix}{name.upper()}`", shown, f"{field.description}"))
-    return table(rows)
+    return markdown(rows)
 
 
 def kinds() -> str:
     """The kinds of cells."""
     rows = [[str(int(cell)), kind.name, kind.emoji, kind.effect] for cell, kind in CELL_KINDS.items()]
-    return table([["id", "name", "", "on the map"], *rows])
+    return markdown([["id", "name", "", "on the map"], *rows])
 
 
 def environments() -> str:
@@ -59,7 +53,7 @@ def environments() -> str:
         numbers = [str(task.telemetry_size), str(task.deliveries), str(task.max_steps)]
         flown = [scores.get(agent, "-") for agent in ("nearest", "tournet", BEST)]
         rows.append([f"`{task.gym_id}`", f"{task.width} x {task.height}", *numbers, *flown])
-    return table(rows)
+    return markdown(rows)
 
 
 def numbers_of(task: TaskConfig) -> dict[str, str]:
@@ -87,7 +81,7 @@ def tasks() -> str:
     """Return the numbers of all tasks, one row per task."""
     numbers = {task.id: numbers_of(task) for task in TASKS.values()}
     head = next(iter(numbers.values()))
-    return table([["task", *head], *([f"`{task_id}`", *row.values()] for task_id, row in numbers.items())])
+    return markdown([["task", *head], *([f"`{task_id}`", *row.values()] for task_id, row in numbers.items())])
 
 
 def of_cities() -> str:
@@ -100,7 +94,7 @@ def of_cities() -> str:
         share = f"{layer.share:.0%}" if layer.areas or layer.lines else "any"
         kind = "road (open)" if layer.kind == Cell.ROAD else layer.kind.name.lower()
         rows.append([layer.name, kind, share, ", ".join(things) + but])
-    return table([["layer", "cell", "share", "things"], *rows])
+    return markdown([["layer", "cell", "share", "things"], *rows])
 
 
 def described(rule: Rule) -> str:
@@ -126,7 +120,7 @@ def figures_of(task: TaskConfig) -> dict[str, dict[str, Any]]:
 def scores_of(task: TaskConfig) -> str:
     """The shipped results of a task: a row per agent; empty if there are none."""
     rows = [[agent, *(cell(of) for cell in CELLS.values())] for agent, of in figures_of(task).items()]
-    return table([["agent", *CELLS], *rows]) if rows else ""
+    return markdown([["agent", *CELLS], *rows]) if rows else ""
 
 
 def agents(*families: str) -> str:
@@ -138,7 +132,7 @@ def agents(*families: str) -> str:
     for title, cell in CELLS.items():
         rows = [["agent", *(task.short_name for task in tasks)]]
         rows += [[agent, *(cell(of[agent]) if agent in of else "-" for of in figures)] for agent in flown]
-        parts.append(f"**{title}**\n\n{table(rows)}")
+        parts.append(f"**{title}**\n\n{markdown(rows)}")
     return "\n\n".join(parts)
 
 

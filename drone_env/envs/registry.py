@@ -25,6 +25,8 @@ from drone_env.errors import InvalidTaskError, InvalidValueError
 
 PLUGINS = "DRONE_ENV_PLUGINS"
 MIXTURE = "DroneDelivery-Mixture-v1"
+FILES: dict[tuple[str, str], str] = {}
+"""The files of registered cities and reward profiles as the caller named them, by the setting and the id."""
 
 
 class StepLimit(int):
@@ -86,6 +88,7 @@ def register_city(path: str | Path) -> TaskConfig:
     from drone_env.city.city_file import city_task  # imported lazily: rarely needed
 
     task = register_task(city_task(path))
+    FILES["task", task.id] = str(path)
     named, absolute = plugin_names(), str(Path(path).resolve())
     if absolute not in named:
         os.environ[PLUGINS] = ",".join([*named, absolute])
@@ -120,7 +123,9 @@ def register_reward_file(path: str) -> RewardProfile:
     """
     from drone_env.reward_file import load_reward_profile  # imported lazily: rarely needed
 
-    return register_reward_profile(load_reward_profile(path))
+    profile = register_reward_profile(load_reward_profile(path))
+    FILES["reward_profile", profile.id] = path
+    return profile
 
 
 def load_plugins(names: Iterable[str] | None = None) -> list[ModuleType]:

@@ -108,6 +108,30 @@ def student(freedom: float, comparisons: int = 1) -> float:
     return z + math.fsum(term / freedom**power for power, term in enumerate(series, 1))
 
 
+def iqm_interval(strata: Sequence[Floats], resamples: int = 50_000) -> tuple[Floats, Floats, Floats]:
+    """Return interquartile means over all runs with the ends of their stratified bootstrap intervals, as rliable does.
+
+    The means of the middle half of the values; the 2.5 % and 97.5 % quantiles over resamples of the runs of each task.
+    The ends are NaN if a task has one run only.
+
+    Args:
+        strata: float64[runs, points] of each task.
+        resamples: Number of resamples.
+    """
+    rng, (mean,) = np.random.default_rng(0), _iqm(np.concatenate(strata)[None])
+    if min(map(len, strata)) < 2:
+        return mean, mean * math.nan, mean * math.nan
+    drawn = [runs[rng.integers(len(runs), size=(resamples, len(runs)))] for runs in strata]
+    low, high = np.quantile(_iqm(np.concatenate(drawn, axis=1)), (0.025, 0.975), axis=0)
+    return mean, low, high
+
+
+def _iqm(values: Floats) -> Floats:
+    """Return the means over runs, float64[samples, points], without the lowest and highest quarter of the runs."""
+    runs = values.shape[1]
+    return np.sort(values, axis=1)[:, runs // 4 : runs - runs // 4].mean(axis=1)
+
+
 def mean_of(values: Values) -> float | None:
     """Return the exactly rounded mean, which does not depend on the order; None without values."""
     return fmean(values) if len(values) else None

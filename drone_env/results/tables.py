@@ -1,5 +1,6 @@
-"""Tables as Markdown and on the terminal; templates show them as HTML."""
+"""Tables on the terminal, in Markdown and in LaTeX."""
 
+import re
 import sys
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
@@ -47,6 +48,19 @@ def known_sum(value: float | None, missing: int, form: str) -> str:
 def percent(value: float | None) -> str:
     """Format a share in percent; `-` if it is unknown."""
     return number(value, ".1%")
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Format rows as a table in Markdown; the first one is its head."""
+    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
+def latex(rows: Sequence[Sequence[str]]) -> str:
+    """Format rows as a table in LaTeX, which needs the package `booktabs`; the first one is its head."""
+    lines = [" & ".join(re.sub(r"([&%$#_{}])", r"\\\1", cell) for cell in row) + r" \\" for row in rows]
+    begin = rf"\begin{{tabular}}{{{'l' * len(rows[0])}}}"
+    return "\n".join([begin, r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule", r"\end{tabular}"])
 
 
 def print_table(

@@ -37,13 +37,18 @@ def _adapters(settings: type) -> dict[str, TypeAdapter[Any]]:
 
 def check_values(settings: object) -> None:
     """Check every value of a dataclass against its annotation."""
-    for name, adapter in _adapters(type(settings)).items():
-        value = getattr(settings, name)
-        try:
-            adapter.validate_python(value)
-        except ValidationError as error:
-            reason = error.errors()[0]["msg"].replace("Input", name)
-            raise InvalidValueError(f"{reason}, got {value!r}") from None
+    for name in _adapters(type(settings)):
+        check_value(type(settings), name, getattr(settings, name))
+
+
+def check_value(settings: type, name: str, value: object) -> None:
+    """Check the value of one field, if the dataclass has it, against its annotation."""
+    adapter = _adapters(settings).get(name)
+    try:
+        _ = adapter and adapter.validate_python(value)
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"].replace("Input", name)
+        raise InvalidValueError(f"{reason}, got {value!r}") from None
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,7 @@ class OneTaskConfig:
 class TrainConfig(OneTaskConfig):
     """The settings of one DQN training; `preset` makes one to start from."""
 
+    algorithm: ClassVar[str] = "dqn"
     unit: ClassVar[str] = "episodes"
     """The field that sets the length of a training."""
     unsaved = ("episodes", "checkpoint_episodes", "checkpoint_seconds")
@@ -233,6 +239,7 @@ def preset(name: Literal["fast", "original"], task: str, episodes: int | None = 
 class PpoConfig(OneTaskConfig):
     """The settings of one PPO training; `ppo_preset` makes one to start from."""
 
+    algorithm: ClassVar[str] = "ppo"
     unit: ClassVar[str] = "steps"
     """The field that sets the length of a training."""
     prefix = "ppo_"
@@ -326,6 +333,7 @@ LARGEST_SIDE, FEW = 48, 4
 class TourConfig:
     """The settings of one training of a tour network."""
 
+    algorithm: ClassVar[str] = "tournet"
     unit: ClassVar[str] = "updates"
     """The field that sets the length of a training."""
     checkpoint_episodes: ClassVar[int] = 1

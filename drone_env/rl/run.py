@@ -5,6 +5,7 @@ the previous one atomically. An exported network is read by `agents`, without Py
 """
 
 import csv
+import json
 import math
 import os
 import signal
@@ -19,9 +20,11 @@ from typing import Any, TextIO, cast
 
 import torch
 
+from drone_env import __version__
 from drone_env.agents.weights_file import write_weights
+from drone_env.envs.registry import FILES
 from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import locked, replacing
+from drone_env.files import locked, replacing, write_text
 from drone_env.rl.common import figure
 
 FORMAT = "drone_env/checkpoint"
@@ -68,7 +71,8 @@ class TrainingRun:
         data/<name>.safetensors            the best network by validation, exported
         data/train.log                     one line per `log_every` episodes or updates
         data/train.lock                    held while a training writes to this folder
-        results/<name>/history.csv         the log as a table
+        results/<name>/config.toml         the settings, as `drone-env train --config` reads them
+        results/<name>/history.csv         the log as a table, as far as the checkpoint
         results/<name>/tensorboard/        the log for TensorBoard
 
     A training from scratch keeps the checkpoint of an earlier one under the next free number, such as `<name>.pth.1`.
@@ -143,6 +147,7 @@ class TrainingRun:
                 self.checkpoint.replace(earlier)
                 print(f"the earlier training is kept as {earlier}", file=sys.stderr)
             self.results.mkdir(parents=True, exist_ok=True)
+            self._write_config()
             self._since = monotonic()
             saved_at, saved_done = self._since if self.resumed else None, self.done
             with self._log_file() as log, self._tensorboard() as board:
@@ -162,11 +167,9 @@ class TrainingRun:
                     if self.stopped:
                         break
             self.save()
-            if trainer.history:
-                self._write_history()
 
     def save(self) -> None:
-        """Write the checkpoint and, after a validation, the best network beside it."""
+        """Write the checkpoint, the table and, after a validation, the best network."""
         if not all(torch.isfinite(weights).all() for weights in self.trainer.online.parameters()):
             raise InvalidValueError(
                 f"the training diverged: after {self.done} {self.unit} weights are infinite or NaN; nothing is saved.\n"
@@ -176,6 +179,8 @@ class TrainingRun:
         if self.trainer.best:
             parameters = {name: tensor.cpu().numpy() for name, tensor in self.trainer.best.items()}
             write_weights(self.network, parameters, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
+        if self.trainer.history:
+            self._write_history()
 
     def _log_file(self) -> TextIO:
         """The log, with the lines of the checkpoint: training repeats later ones."""
@@ -188,6 +193,14 @@ class TrainingRun:
         with needs("train"):
             from torch.utils.tensorboard import SummaryWriter
         return SummaryWriter(self.results / "tensorboard", purge_step=self.done + 1)
+
+    def _write_config(self) -> None:
+        config = self.trainer.config
+        lines = [f"# drone-env {__version__}, PyTorch {torch.__version__}", f'algorithm = "{config.algorithm}"']
+        for name, value in asdict(config).items():
+            named = FILES.get((name, value), value)
+            lines.append(f"{name} = {json.dumps(named, ensure_ascii=False)}")  # scalars are the same in TOML
+        write_text(self.results / "config.toml", "\n".join(lines) + "\n")
 
     def _write_history(self) -> None:
         path = self.results / "history.csv"

@@ -48,6 +48,7 @@ class Progress:
         length: Mean steps of an episode.
         validation: Mean score of the network on the validation maps, at the last validation; NaN before it.
         validation_optimum: Exact optimum of the same maps; NaN if it is unknown.
+        cpu_seconds: Processor time of this training, validations included.
     """
 
     episode: int
@@ -61,6 +62,7 @@ class Progress:
     length: float
     validation: float
     validation_optimum: float
+    cpu_seconds: float
 
     @property
     def summary(self) -> str:
@@ -147,7 +149,7 @@ class Trainer(TaskTrainer):
 
     modules = ("online", "target", "optimizer")
     variables = ("steps", "updates", "episodes", "updates_due", "validated_updates", "best_score", "early", "window",
-                 "losses")  # fmt: skip
+                 "losses", "cpu_seconds")  # fmt: skip
     progress = Progress
     config: TrainConfig
 
@@ -177,6 +179,7 @@ class Trainer(TaskTrainer):
         self.window: list[tuple[float, float, bool, int]] = []
         """The same of the episodes that the last line covers."""
         self.losses: list[float] = []
+        self.cpu_seconds = 0.0
 
     def train(self) -> Iterator[list[Progress]]:
         """Train until `config.episodes` episodes or more have ended; yields the new log lines after each step.
@@ -285,6 +288,7 @@ class Trainer(TaskTrainer):
             length=length,
             validation=self.validation.score,
             validation_optimum=self.validation.optimum,
+            cpu_seconds=self.cpu_seconds,
         )
         self.losses = []
         self.history.append(line)

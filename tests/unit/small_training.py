@@ -67,5 +67,12 @@ def finished(trainer: AnyTrainer) -> AnyTrainer:
     return trainer
 
 
+def shared(state: dict[str, Any]) -> dict[str, Any]:
+    """All that two equal runs share."""
+    times = [state.pop("seconds", 1), state.pop("cpu_seconds"), *(line.pop("cpu_seconds") for line in state["history"])]
+    assert min(times) > 0
+    return state
+
+
 def parameters(network: nn.Module) -> list[torch.Tensor]:
     return [parameter.detach().clone() for parameter in network.parameters()]

@@ -16,15 +16,17 @@ from drone_env.agents.pathqnet import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
+from drone_env.envs.registry import register_city, register_reward_file
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl import common
 from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig
+from drone_env.rl.ppo import PpoTrainer
 from drone_env.rl.run import DIGITS, TrainingRun, load_checkpoint, log_line, save_checkpoint
 from drone_env.rl.samples import SampleGenerator
 from drone_env.rl.tournet import TourTrainer
 from drone_env.rl.trainer import Progress, Trainer
 from tests.same import assert_same
-from tests.unit.small_training import SMALL, SMALL_TOUR, finished, run_in
+from tests.unit.small_training import SMALL, SMALL_PPO, SMALL_TOUR, finished, run_in, shared
 
 # Checkpoints
 
@@ -103,8 +105,9 @@ def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: 
     run = run_in(tmp_path, episodes=15)
     list(run.train())
     assert log.read_text().splitlines() == [*first, log_line(run.trainer.history[-1])]
-    list(run_in(tmp_path, fresh=True, episodes=10).train())
-    assert log.read_text().splitlines() == first
+    run = run_in(tmp_path, fresh=True, episodes=10)
+    list(run.train())
+    assert log.read_text().splitlines() == [log_line(line) for line in run.trainer.history]
 
 
 @pytest.mark.feature("L5")
@@ -218,14 +221,68 @@ def test_every_value_is_a_flag(algorithm: str, config: Any, other: str, capsys: 
     assert other not in shown
 
 
+# The file of settings
+
+HOME = 'format = 1\n[task]\ndeliveries = 1\n[terrain]\nrows = ["🏢· · · ", "· 🌳· · ", "· · · · "]\n'
+MINE = 'id = "mine"\npays_score = true\n[events]\ndelivery = 1.0\n'
+
+
+@pytest.mark.parametrize(
+    ("make", "config"),
+    [
+        (Trainer, replace(SMALL, seed=3, double=False, gamma=1)),
+        (PpoTrainer, replace(SMALL_PPO, steps=64, learning_rate=3e-5)),
+        (TourTrainer, replace(SMALL_TOUR, updates=3)),
+    ],
+)
+def test_the_settings_beside_a_run_repeat_it_bit_for_bit(
+    make: Any, config: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if make is Trainer:  # on a map and for a reward of one's own
+        Path("home.toml").write_text(HOME, encoding="utf-8")
+        Path("mine.toml").write_text(MINE, encoding="utf-8")
+        task, profile = register_city("home.toml").id, register_reward_file("mine.toml").id
+        config = replace(config, task=task, reward_profile=profile)
+    list(TrainingRun(make(config), Path("a"), Path("a")).train())
+    settings = Path("a", config.name, "config.toml")
+    assert main(["train", "--config", str(settings), "--data", "b", "--results", "b"]) == 0
+    first, second = (shared(load_checkpoint(Path(folder, f"{config.name}.pth"))) for folder in "ab")
+    assert_same(first, second)
+    # The command line wins: the checkpoint of the other seed does not fit.
+    assert main(["train", f"--config={settings}", "--seed", "8", "--data", "b", "--results", "b"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('algorithm = "sac"', "unknown algorithm 'sac'; allowed: dqn, ppo, tournet"),
+        ("learning-rate = 1", "unknown setting of dqn 'learning-rate'; did you mean 'learning_rate'?"),
+        ('algorithm = "ppo"\nepisodes = 3', "unknown setting of ppo 'episodes'"),
+        ("[ppo]\nseed = 3", "unknown setting of dqn 'ppo'"),
+        ('seed = "3"', "seed should be a valid integer, got '3'"),
+        ("double = 1", "double should be a valid boolean, got 1"),
+        ("gamma = 1.5", "gamma should be less than or equal to 1, got 1.5"),
+        ("seed =", "invalid TOML: Invalid value"),
+    ],
+)
+def test_a_file_of_settings_that_is_wrong_is_named_with_the_reason(
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.toml").write_text(text)
+    assert main(["train", "--config", str(tmp_path / "run.toml"), "--data", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith(f"drone-env: {tmp_path / 'run.toml'}: {message}")
+
+
+def test_a_killed_run_leaves_the_table_of_its_checkpoint(tmp_path: Path) -> None:
+    run = run_in(tmp_path, checkpoint_seconds=0, checkpoint_episodes=0)
+    lines = run.train()
+    assert [next(lines).episode for _ in range(3)]
+    table = (run.results / "history.csv").read_text().splitlines()
+    assert len(table) == 1 + len(load_checkpoint(run.checkpoint)["history"]) > 2
+
+
 # The tour network
-
-
-def shared(state: dict[str, Any]) -> dict[str, Any]:
-    """All that two equal runs share."""
-    times = [state.pop("seconds", 1), state.pop("cpu_seconds"), *(line.pop("cpu_seconds") for line in state["history"])]
-    assert min(times) > 0
-    return state
 
 
 def test_samples_without_a_choice_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
