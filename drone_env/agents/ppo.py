@@ -16,8 +16,11 @@ class ActorNetwork(NumpyNetwork):
     """The logits of the five actions, float32[N, 5]: the same as `rl.model.ActorCritic` without the values.
 
     Args:
-        weights: The content of an exported file; its metadata contain `telemetry_size`.
+        weights: The content of an exported file; its metadata contain `telemetry_size` and the settings.
     """
+
+    shield = False
+    """Whether the training chose from safe actions alone."""
 
     @in_one_thread
     def __call__(self, entries: npt.NDArray[np.int32], features: Array) -> Array:
@@ -43,11 +46,12 @@ def load_actor(path: Path) -> ActorNetwork:
     with rejecting(path):  # one call shows whether the parameters fit
         features = np.zeros((1, network.metadata["telemetry_size"] + DIRECTION_FEATURES), np.float32)
         network(np.array([[ENTRIES - 1]], np.int32), features)
+        network.shield = bool(network.metadata["config"]["shield"])
     return network
 
 
 class PpoAgent(StatelessAgent):
-    """Takes the likeliest action that does not bump.
+    """Takes the likeliest of the actions that its training chose from.
 
     Args:
         task: The task.
@@ -71,8 +75,9 @@ class PpoAgent(StatelessAgent):
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The likeliest actions, int64[N]."""
-        from drone_env.planning.nearby import action_masks
+        from drone_env.planning.nearby import action_masks, safe_masks
 
         seen = self._look({"grid": grids, "telemetry": telemetry})
         logits = self._network(seen["entries"], seen["features"])
-        return np.where(action_masks(seen["entries"]), logits, -np.inf).argmax(axis=1)
+        masks = (safe_masks if self._network.shield else action_masks)(seen["entries"])
+        return np.where(masks, logits, -np.inf).argmax(axis=1)

@@ -123,3 +123,15 @@ def action_masks(entries: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
     drones, places = np.nonzero(entries >= NEIGHBOURS)
     masks[drones, (entries[drones, places] - NEIGHBOURS) // N_CELL_KINDS] = True
     return masks
+
+
+def safe_masks(entries: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """The first actions of the cheapest paths to stops that leave a pad within range, bool[N, 5].
+
+    All actions that do not bump, if there are none.
+    """
+    masks = action_masks(entries)
+    safe = np.zeros_like(masks)
+    drones, places = np.nonzero((entries >= SPARES) & (entries < UNITS) & ((entries - SPARES) % BUCKETS > 0))
+    safe[drones, (entries[drones, places] - SPARES) // BUCKETS % N_ACTIONS] = True
+    return np.where(safe.any(axis=1, keepdims=True), safe, masks)

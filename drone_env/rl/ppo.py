@@ -2,9 +2,10 @@
 
 Schulman et al., "Proximal policy optimization algorithms", 2017; Schulman et al., "High-dimensional continuous control
 using generalized advantage estimation", ICLR 2016. N environments step together; after `num_steps` steps the network
-learns from them for `update_epochs` epochs. Actions that would bump are masked (Huang and Ontañón, "A closer look at
-invalid action masking in policy gradient algorithms", FLAIRS 2022). The exported network is the moving average of the
-weights (Polyak and Juditsky, 1992).
+learns from them for `update_epochs` epochs. Actions that would bump are masked (Huang and Ontañón,
+"A closer look at invalid action masking in policy gradient algorithms", FLAIRS 2022), with `shield` also those that
+may strand the drone (Alshiekh et al., "Safe reinforcement learning via shielding", AAAI 2018). The exported network is
+the moving average of the weights (Polyak and Juditsky, 1992).
 
 Every end is part of the task: nothing bootstraps over an end, and nothing truncates an episode.
 """
@@ -24,13 +25,13 @@ from torch import Tensor, nn
 from drone_env.agents.weights_file import PPO
 from drone_env.core.seeds import SPLITS
 from drone_env.envs.forms import DIRECTION_FEATURES, StopEntries
-from drone_env.planning.nearby import action_masks
+from drone_env.planning.nearby import action_masks, safe_masks
 from drone_env.rl.common import TaskTrainer, figure, update_average
 from drone_env.rl.config import PpoConfig
 from drone_env.rl.model import ActorCritic
 
 CLOSED = -1e8
-"""The logit of an action that would bump."""
+"""The logit of a masked action."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,7 @@ class PpoTrainer(TaskTrainer):
         train = SPLITS["train"]
         self.batch.reset(torch.randint(train.start, train.stop, (config.num_envs,), generator=self.rng).numpy())
         self.look = StopEntries(self.task)
+        self.masks = safe_masks if config.shield else action_masks
         self.online = ActorCritic(self.look.table_size, self.task.telemetry_size + DIRECTION_FEATURES, config.hidden)
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate, eps=1e-5)
@@ -169,7 +171,7 @@ class PpoTrainer(TaskTrainer):
     def observe(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> tuple[Tensor, ...]:
         """The inputs of the network, entries and features, and the masks of its actions."""
         seen = self.look({"grid": grids, "telemetry": telemetry})
-        arrays = seen["entries"], seen["features"], action_masks(seen["entries"])
+        arrays = seen["entries"], seen["features"], self.masks(seen["entries"])
         return tuple(torch.from_numpy(array) for array in arrays)
 
     @staticmethod

@@ -48,7 +48,9 @@ def put_policy(task: TaskConfig, data: Path) -> Path:
     shapes = {"stops.weight": (ENTRIES, 4), "features.weight": (4, task.telemetry_size + 6), "features.bias": (4,)}
     shapes |= {"hidden.weight": (4, 4), "hidden.bias": (4,), "actor.weight": (5, 4), "actor.bias": (5,)}
     file = data / f"ppo_{task.short_name}.safetensors"
-    return put_random(file, shapes, {"network": "ppo", "telemetry_size": task.telemetry_size})
+    return put_random(
+        file, shapes, {"network": "ppo", "telemetry_size": task.telemetry_size, "config": {"shield": False}}
+    )
 
 
 def put_random(file: Path, shapes: dict[str, tuple[int, ...]], metadata: dict[str, Any], seed: int = 0) -> Path:

@@ -20,7 +20,9 @@ from drone_env.core.batch import Batch
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.envs.forms import StopEntries
 from drone_env.errors import CheckpointError, UnsupportedTaskError
+from drone_env.planning.nearby import NEIGHBOURS, action_masks, safe_masks
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.config import PPO_STEPS, ppo_preset
 from drone_env.rl.ppo import PpoTrainer
@@ -58,6 +60,23 @@ def test_it_flies_open_actions_on_train_maps_with_shaping_by_its_own_discount() 
     assert not masks.all()
     assert torch.isfinite(log_probs).all()
     assert trainer.scores
+
+
+def test_with_safe_actions_alone_hardly_a_flight_runs_out_of_battery() -> None:
+    """Whatever else it chooses: here it chooses at random."""
+    task, seeds, rng = get_task("skyline_medium"), np.arange(200), np.random.default_rng(0)
+    look, stranded = StopEntries(task), dict[str, float]()
+    for name, masks_of in {"safe": safe_masks, "open": action_masks}.items():
+
+        def act(grids: Any, telemetry: Any, masks_of: Any = masks_of) -> Any:
+            masks = masks_of(look({"grid": grids, "telemetry": telemetry})["entries"])
+            return np.where(masks, rng.random(masks.shape), -1).argmax(axis=1)
+
+        ends = rollout_batch(task, seeds, act, True)
+        stranded[name] = float(np.mean((ends.steps < task.max_steps) & (ends.deliveries_done < task.deliveries)))
+    assert stranded["safe"] < 0.03
+    assert stranded["open"] > 0.9
+    assert (safe_masks(np.array([[NEIGHBOURS]])) == [[True, False, False, False, True]]).all()
 
 
 def test_advantages_and_returns_are_those_of_the_paper() -> None:
