@@ -138,27 +138,18 @@ def abbreviate(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def wrong_parts(error: Any) -> list[tuple[str, str, str]]:
-    """Return name (such as `body.direction`, empty for the whole), message and type of the first 20 invalid parts."""
-    return [
-        (
-            ".".join(str(name) for name in part["loc"] if name != "[key]"),
-            part["msg"].removeprefix("Value error, "),
-            part["type"],
-        )
-        for part in error.errors()[:20]
-    ]
-
-
 def text_of(error: Any, name: Callable[[str], str] = str) -> str:
     """Describe the first five invalid parts: `part: reason; part: reason`.
 
     Args:
         error: The validation error.
-        name: Converts the name of a part for people.
+        name: Converts the name of a part, such as `body.direction`, for people.
     """
-    named = [(part and name(part), reason) for part, reason, _ in wrong_parts(error)[:5]]
-    return "; ".join(f"{part}: {reason}" if part else reason for part, reason in named)
+    told: list[str] = []
+    for wrong in error.errors()[:5]:
+        part, reason = ".".join(str(one) for one in wrong["loc"] if one != "[key]"), wrong["msg"]
+        told.append((f"{name(part)}: " if part else "") + reason.removeprefix("Value error, "))
+    return "; ".join(told)
 
 
 @contextmanager

@@ -261,22 +261,6 @@ class Sessions:
             self._store.show()
         return result
 
-    def step(
-        self,
-        session_id: str,
-        action: int,
-        answer: Callable[[Episode], Result],
-        after: int | None = None,
-        address: str | None = None,
-    ) -> Result:
-        """Fly one action and return what `answer` makes of the episode; the rest as `Session.fly` and `use`."""
-
-        def fly(session: Session) -> Result:
-            session.fly(action, after)
-            return answer(session.episode)
-
-        return self.use(session_id, fly, address)
-
     def read(self, session_id: str) -> Session:
         """Return a copy of a session, which does not change. This does not count as use.
 

@@ -16,7 +16,7 @@ from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of, wrong_parts
+from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError, text_of
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
 from drone_env.server.json_bodies import TRY_LATER, parse_json, received
@@ -37,14 +37,11 @@ class RefusedError(Exception):
     Args:
         code: OpenEnv's code.
         message: The message for people.
-        more: Further fields of the error, such as `errors`.
     """
 
-    def __init__(self, code: str, message: str, **more: object) -> None:
+    def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
-        self.code = code
-        data = {"message": message, "code": code, **more}
-        self.frame = _frame("error", to_json(data).decode())
+        self.frame = _frame("error", to_json({"message": message, "code": code}).decode())
 
 
 class OpenEnvSocket:
@@ -130,8 +127,7 @@ class OpenEnvSocket:
                 state = DroneState.of(await session.look(), session.episode_id)
                 return _frame("state", state.model_dump_json())
         except ValidationError as error:
-            errors = [{"loc": [where], "msg": why, "type": kind} for where, why, kind in wrong_parts(error)]
-            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
+            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}") from None
         except DroneEnvError as error:
             named = isinstance(error, UnknownNameError)
             raise RefusedError("VALIDATION_ERROR" if named else "EXECUTION_ERROR", str(error)) from None

@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from starlette.types import Message
 from starlette.websockets import WebSocketDisconnect
 
-from drone_env.errors import InvalidValueError, wrong_parts
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.server.app import create_app
 from drone_env.server.exceptions import RequestError
 from drone_env.server.json_bodies import LARGEST_BODY, JsonRequest, parse_json
@@ -87,11 +87,11 @@ class TestJson:
         """Each costs as much as parsing 500 bytes."""
         counts: list[int] = []
 
-        def counted(error: Any) -> Any:
+        def counted(error: Any) -> str:
             counts.append(len(error.errors()))
-            return wrong_parts(error)
+            return text_of(error)
 
-        monkeypatch.setattr("drone_env.errors.wrong_parts", counted)
+        monkeypatch.setattr("drone_env.server.exceptions.text_of", counted)
         assert shared_client.post(path, json=body).status_code == 422
         assert 0 < counts[0] <= 600
 

@@ -239,7 +239,12 @@ async def answer_step(app_state: AppState, request: JsonRequest) -> Response | N
 async def _fly(app_state: AppState, caller: Caller, body: DroneAction, after: int | None) -> Response:
     sessions = app_state.sessions
     session = caller.named or await run_in_threadpool(caller.session, sessions)
-    stepped = await app_state.write(sessions.step, session, body.action, flat_json, after, caller.address)
+
+    def fly(flown: Session) -> bytes:
+        flown.fly(body.action, after)
+        return flat_json(flown.episode)
+
+    stepped = await app_state.write(sessions.use, session, fly, caller.address)
     response = Response(stepped, media_type="application/json")
     if caller.named is None:
         response.headers[HEADER] = session
