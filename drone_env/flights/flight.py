@@ -1,6 +1,5 @@
 """The stored record of a flight. A replay gives everything else about the flight."""
 
-import re
 import secrets
 import sqlite3
 import time
@@ -12,9 +11,6 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import PACKAGE_TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.flights.provenance import Parent, Provenance
-
-FLIGHT_ID = re.compile(r"[0-9a-f]{16}")
-"""Form of the id of a flight."""
 
 
 @dataclass(frozen=True)
