@@ -153,12 +153,3 @@ def test_only_a_person_in_flight_changes_a_flight(client: TestClient) -> None:
     for change in ("WAIT", "UNDO", "VALUES"):
         flight.version = ended["version"]
         assert flight.change(change)["code"] == "wrong_moment"
-
-
-def test_a_full_server_opens_no_flight(tmp_path: Path) -> None:
-    with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
-        flight = ByHand(client, start(client, "human")[0])
-        flight.change("WAIT")
-        refused = client.post("/flights", json={"task": "easy", "seed": 7, "pilots": ["human"]})
-        assert (refused.status_code, refused.json()["code"]) == (503, "no_room")
-        assert flight.change("WAIT")["frame"]["step"] == 2

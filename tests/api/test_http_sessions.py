@@ -13,7 +13,6 @@ from starlette.testclient import TestClient
 from drone_env.flights.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
-from tests.api.conftest import Clock
 from tests.unit.stores import failing
 
 Header = dict[str, str]
@@ -48,18 +47,6 @@ class TestSessions:
         gone = client.request(method, path, json=body, headers={"X-Session-Id": "never"})
         assert (gone.status_code, gone.json()["code"]) == (410, "session_gone")
         assert "POST /reset opens a session" in gone.json()["detail"]
-
-    def test_two_servers_on_one_folder_fly_one_session(self, tmp_path: Path, clock: Clock) -> None:
-        app = create_app(Settings(data=tmp_path, capacity=1), clock)
-        with TestClient(app) as one, TestClient(create_app(Settings(data=tmp_path, capacity=1), clock)) as two:
-            session = {"X-Session-Id": one.post("/reset", json={"task_name": "hard", "seed": 1}).json()["session_id"]}
-            steps = [client.post("/step", json=UP, headers=session).json() for client in (one, two, one)]
-            assert [answer["step_count"] for answer in steps] == [1, 2, 3]
-            assert one.post("/reset", headers=NEW).status_code == 503
-            # An idle one makes room for another.
-            clock.now += 900
-            assert two.post("/reset", headers=NEW).status_code == 200
-            assert one.get("/state", headers=session).status_code == 410
 
 
 def test_a_session_that_is_ended_is_gone_and_its_place_free(tmp_path: Path) -> None:

@@ -101,12 +101,3 @@ class TestUnnamed:
     def test_http_1_0_counts_as_a_proxy(self) -> None:
         scope: dict[str, Any] = {"client": (self.HERE, 5000), "headers": []}
         assert [shared_address(scope | {"http_version": version}) for version in ("1.1", "1.0")] == [self.HERE, None]
-
-    @pytest.mark.parametrize("plain", [{"capacity": 3}], indirect=True)
-    def test_they_take_no_more_places_than_there_are(self, plain: TestClient) -> None:
-        named = {"X-Session-Id": plain.post("/reset", json={"seed": 7}).json()["session_id"]}
-        assert plain.post("/step", json=UP, headers=named).status_code == 200
-        for seed in range(9):
-            assert plain.post("/reset", json={"seed": seed}).status_code == 200
-            assert plain.get("/state").json()["seed"] == seed
-        assert plain.get("/state", headers=named).json()["step_count"] == 1

@@ -16,7 +16,6 @@ from starlette.requests import Request
 
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError, TooLargeError
-from drone_env.planning.optimal import solve
 from drone_env.server import workers
 from drone_env.server.exceptions import RequestError
 from drone_env.server.settings import Settings
@@ -160,11 +159,6 @@ def test_workers_know_the_tasks_that_the_server_has(tmp_path: Path, monkeypatch:
     pool = Workers(Settings(data=tmp_path / "data"))
     assert pool.submit(get_task, "toy", caller="a").result() == TOY
     pool.close()
-
-
-def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
-    easy = get_task("easy")
-    assert pool.solve(easy, [7, 8]).result()[0] == solve(easy, 7).score
 
 
 def test_a_job_is_dropped_when_its_caller_leaves(tmp_path: Path, gate: Path) -> None:
