@@ -87,3 +87,6 @@ def _task(split: str, index: int) -> TaskSpec:
         return api.get_task(split, index)
     except IndexError as error:
         raise RequestError(400, "index", str(error)) from None
+
+
+router.include_router(named)
