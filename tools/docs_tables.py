@@ -47,12 +47,11 @@ def kinds() -> str:
 
 def environments() -> str:
     """Every task under its Gymnasium id."""
-    rows = [["Gymnasium id", "grid", "telemetry", "parcels", "steps", "nearest", "tournet", "optimum"]]
+    rows = [["Gymnasium id", "grid", "telemetry", "nearest", "tournet", "optimum"]]
     for task in TASKS.values():
         scores = {agent: number(of["mean_score"]) for agent, of in figures_of(task).items()}
-        numbers = [str(task.telemetry_size), str(task.deliveries), str(task.max_steps)]
         flown = [scores.get(agent, "-") for agent in ("nearest", "tournet", BEST)]
-        rows.append([f"`{task.gym_id}`", f"{task.width} x {task.height}", *numbers, *flown])
+        rows.append([f"`{task.gym_id}`", f"{task.width} x {task.height}", str(task.telemetry_size), *flown])
     return markdown(rows)
 
 
