@@ -21,7 +21,7 @@ def city_data() -> dict[str, str]:
 
 def _terrain(cell: float) -> Terrain:
     city = import_city(EXTRACT, CENTRE, cell, (128, 128))
-    return Terrain(city.grid.tobytes(), city.grid.shape[1], None, (), f"Helsinki, {city.attribution}", cell)
+    return Terrain(city.grid.tobytes(), city.grid.shape[1], None, (), f"Helsinki, {city.attribution}", cell, city.names)
 
 
 def main() -> None:

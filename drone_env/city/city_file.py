@@ -6,6 +6,7 @@
     bbox = [24.9386, 60.1656, 24.9462, 60.1677]       # west, south, east, north in degrees (WGS 84)
     start = [0, 1]                                    # [x, y]; x grows rightwards from 0, y downwards
     parcels = [[3, 0]]
+    names = [["Kluuvi", 2.5, 0.5], ["Kaivokatu", 2.0, 1.0, -6]]   # text, x, y; of a street its degrees clockwise
 
     [task]
     deliveries = 1                                    # see `TaskNumber` for the other keys
@@ -35,7 +36,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from drone_env.core.cells import SYMBOLS, Cell
 from drone_env.core.tasks import MAX_DELIVERIES, TaskConfig, task_on
-from drone_env.core.terrain import PLACED, XY, Terrain, pieces
+from drone_env.core.terrain import PLACED, XY, Name, Terrain, pieces
 from drone_env.errors import InvalidTaskError, InvalidValueError, abbreviate
 from drone_env.files import read_file, write_text
 from drone_env.toml_text import read_toml
@@ -44,6 +45,7 @@ MIN_SIDE, MAX_SIDE = 2, 512
 """Cells along a side of a city. Maps of a task have at most `core.tasks.MAX_SIDE`."""
 MAX_FILE = 2 << 20
 """Bytes: the largest city takes 1 MiB."""
+MAX_NAMES = 100
 MAX_TEXT = 200
 """Characters of a text: frames and pictures repeat it in one line."""
 CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
@@ -68,6 +70,7 @@ class City:
         start: (x, y) of the start, a road.
         parcels: (x, y) of each parcel: roads that are connected with the start and each other.
         numbers: Numbers of the task.
+        names: Names of streets and districts.
 
     Raises:
         InvalidTaskError: on construction, if a value is invalid.
@@ -80,15 +83,19 @@ class City:
     start: XY | None = None
     parcels: tuple[XY, ...] = ()
     numbers: Mapping[str, int] = field(default_factory=dict[str, int])
+    names: tuple[Name, ...] = ()
 
     def __post_init__(self) -> None:
         height, width = self.grid.shape
         sides = f"a city is {MIN_SIDE} to {MAX_SIDE} cells wide and high"
         _require(MIN_SIDE <= min(width, height) and max(width, height) <= MAX_SIDE, f"{sides}, got {width} x {height}")
-        text = self.attribution
-        fits = text.isprintable() and len(text) <= MAX_TEXT
-        line = f"attribution must be one printable line of at most {MAX_TEXT} characters"
-        _require(fits, f"{line}, got {abbreviate(text)}")
+        _require(len(self.names) <= MAX_NAMES, f"at most {MAX_NAMES} names, got {len(self.names)}")
+        texts = [("attribution", self.attribution), *(("a name", name.text) for name in self.names)]
+        for name, text in texts:
+            fits = text.isprintable() and len(text) <= MAX_TEXT
+            _require(
+                fits, f"{name} must be one printable line of at most {MAX_TEXT} characters, got {abbreviate(text)}"
+            )
         _require(self.cell is None or 0 < self.cell < inf, f"cell must be metres above 0, got {self.cell}")
         if self.bbox is not None:
             check_bbox(self.bbox)
@@ -124,6 +131,7 @@ class CityFile(BaseModel):
     bbox: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None, Field(strict=False)] = None
     start: Annotated[XY | None, Field(strict=False)] = None
     parcels: Annotated[tuple[Annotated[XY, Field(strict=False)], ...], Field(strict=False, fail_fast=True)] = ()
+    names: Annotated[tuple[Name, ...], Field(strict=False, fail_fast=True)] = ()
     task: dict[TaskNumber, int] = {}
     terrain: Rows
 
@@ -144,6 +152,8 @@ def city_text(city: City) -> str:
     lines += [f"bbox = {list(city.bbox or ())!r}"] * (city.bbox is not None)
     lines += [f"start = {list(city.start or ())!r}"] * (city.start is not None)
     lines += [f"parcels = {[list(parcel) for parcel in city.parcels]!r}"] * bool(city.parcels)
+    names = [json.dumps([part for part in name if part is not None], ensure_ascii=False) for name in city.names]
+    lines += ["names = [", *(f"    {name}," for name in names), "]"] if names else []
     numbers = [f"{name} = {city.numbers[name]}" for name in get_args(TaskNumber) if name in city.numbers]
     lines += ["", "[task]", *numbers] if numbers else []
     lines += ["", "[terrain]", "rows = [", *(f'    "{row}",' for row in text_rows(city.grid)), "]"]
@@ -191,8 +201,8 @@ def parse_city(content: str | bytes) -> City:
     for y, row in enumerate(grid):
         wide = f"rows must be equally wide: row 0 has {len(grid[0])} cells, row {y} has {len(row)}"
         _require(len(row) == len(grid[0]), wide)
-    values = file.model_dump(exclude={"format", "task", "terrain"})
-    return City(np.array(grid, np.uint8), numbers={**file.task}, **values)
+    values = file.model_dump(exclude={"format", "names", "task", "terrain"})
+    return City(np.array(grid, np.uint8), numbers={**file.task}, names=file.names, **values)
 
 
 def task_of(city: City, name: str) -> TaskConfig:
@@ -212,7 +222,7 @@ def task_of(city: City, name: str) -> TaskConfig:
     rows, columns = city.grid.shape
     width, height = city.numbers.get("width", columns), city.numbers.get("height", rows)
     cells = city.grid.tobytes()
-    terrain = Terrain(cells, columns, city.start, city.parcels, city.attribution, city.cell)
+    terrain = Terrain(cells, columns, city.start, city.parcels, city.attribution, city.cell, city.names)
     pads = city.numbers.get("pads", terrain.count(Cell.PAD) if (width, height) == (columns, rows) else PADS)
     max_steps = 5 * (width + height)
     numbers = {

@@ -5,19 +5,22 @@ The first pass over a file stores the coordinates of its nodes, the second reads
 
 import logging
 import re
+from cmath import phase
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import degrees
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, BBox, City
+from drone_env.city.city_file import MAX_NAMES, MAX_SIDE, MAX_TEXT, MIN_SIDE, BBox, City
 from drone_env.city.raster import GridProjection, Points, paint_area, paint_line, projection_of, water_beside
 from drone_env.core.cells import Cell
+from drone_env.core.terrain import Name
 from drone_env.errors import InvalidValueError, abbreviate, needs
 from drone_env.toml_text import parse_toml
 
@@ -32,6 +35,10 @@ MAX_CUT = 0.1
 A file with complete ways has up to 7 % on squares of 400 to 900 metres: areas of several ways that reach across its
 border. One whose ways end at the border (`osmium extract --strategy simple`) has 17 to 54 %.
 """
+MOST_STREETS = 24
+"""Names of streets on a map: those of the longest."""
+STRAIGHT = 8.0
+"""Cells around the middle of a street that give the direction of its name."""
 MIN_CELL, MAX_CELL = 1.0, 100.0
 """Metres along the side of a cell."""
 FINE = 16
@@ -164,13 +171,18 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
     grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
     for layer in reversed(layers()):
         grid[_claimed(layer, found)] = layer.kind
-    return City(grid, ATTRIBUTION, cell, projection.bbox)
+    return City(grid, ATTRIBUTION, cell, projection.bbox, names=found.names())
+
+
+@lru_cache(maxsize=1)
+def _table() -> dict[str, Any]:
+    return parse_toml(TABLE.read_bytes())
 
 
 @lru_cache(maxsize=1)
 def layers() -> tuple[Layer, ...]:
     """Load the layers in the order of the table."""
-    return tuple(map(_layer, parse_toml(TABLE.read_bytes())["layer"]))
+    return tuple(map(_layer, _table()["layer"]))
 
 
 def _layer(row: Mapping[str, Any]) -> Layer:
@@ -231,6 +243,32 @@ class Collection:
         """Type and id of each way and area."""
         self.cut: dict[str, None] = {}
         """Those of them without all their nodes."""
+        self.districts: dict[str, Name] = {}
+        self.streets: dict[str, list[Points]] = {}
+        """Lines of the streets by name."""
+
+    def names(self) -> tuple[Name, ...]:
+        """The names of the districts, and of the longest streets, longest first."""
+        found = [street for text, lines in self.streets.items() if lines and (street := self._street(text, lines))]
+        longest = [name for _, name in sorted(found, key=lambda street: (-street[0], street[1]))[:MOST_STREETS]]
+        named = [*self.districts.values(), *longest]
+        return tuple(name for name in named if name.text.isprintable() and len(name.text) <= MAX_TEXT)[:MAX_NAMES]
+
+    def _street(self, text: str, lines: Sequence[Points]) -> tuple[float, Name] | None:
+        """Measure a street in the grid, and place its name at the part nearest to its middle."""
+        start, end = np.concatenate([line[:-1] for line in lines]), np.concatenate([line[1:] for line in lines])
+        middle, along = (start + end) / 2, end - start
+        inside = ((middle >= 0) & (middle < (self.grid.columns, self.grid.rows))).all(axis=1)
+        middle, along = middle[inside], along[inside]
+        lengths = np.hypot(*along.T)
+        if not lengths.sum():
+            return None
+        apart = np.hypot(*(middle - np.average(middle, axis=0, weights=lengths)).T)
+        x, y = middle[apart.argmin()].tolist()
+        near = np.hypot(*(middle - (x, y)).T) <= STRAIGHT
+        # Of double angles, because opposite directions are equal.
+        double = complex((lengths * np.exp(2j * np.arctan2(*along.T[::-1])))[near].sum())
+        return lengths.sum(), Name(text, round(x, 1), round(y, 1), round(degrees(phase(double) / 2)))
 
     def holds(self, place: Points) -> bool:
         """Return whether a point, float64[2] in cells, is in the grid."""
@@ -252,6 +290,9 @@ class Collection:
         # Most objects of a large extract end here, so this check comes first.
         if known and _outside(known, self.grid):
             return
+        if (street := tags.get("name")) and "lines" in forms and tags.get("highway") in _table()["names"]["highway"]:
+            parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
+            self.streets.setdefault(street, []).extend(parts)
         if (match := _match(tags, *forms)) is None:
             return
         self.objects.add(name)
@@ -275,7 +316,7 @@ def _collect(found: Collection, source: Source) -> None:
     """Read what a file contains of a grid."""
     osmium = source.osmium
     rules = [rule for layer in layers() for rule in (*layer.points, *layer.areas, *layer.lines, *layer.coasts)]
-    keys = {rule[0][0] for rule in rules}
+    keys = {rule[0][0] for rule in rules} | _table()["names"].keys()
     store = osmium.NodeLocationsForWays(osmium.index.create_map("flex_mem"))
     store.ignore_errors()
     relations: list[tuple[str, Mapping[str, str], list[int]]] = []
@@ -291,6 +332,9 @@ def _collect(found: Collection, source: Source) -> None:
                 continue
             if match := _match(tags, "points"):
                 found.matched.append((match, [place[None]]))
+            if tags.get("place") in _table()["names"]["place"] and "name" in tags:
+                x, y = place.tolist()
+                found.districts[tags["name"]] = Name(tags["name"], round(x, 1), round(y, 1))
     members: dict[int, Line] = {way: () for _, _, ways in relations for way in ways}
     for way in source.objects(osmium.osm.WAY, store):
         tags = {tag.k: tag.v for tag in way.tags}

@@ -23,6 +23,15 @@ MAX_WINDOWS_PER_SIDE = 32
 """Approximate limit: the tables for map generation grow with the number of windows."""
 
 
+class Name(NamedTuple):
+    """A name on a map: its text, its middle in cells, and the degrees clockwise of a street; None for a district."""
+
+    text: str
+    x: float
+    y: float
+    angle: int | None = None
+
+
 class Window(NamedTuple):
     """A part of the terrain with the size of a map."""
 
@@ -45,6 +54,7 @@ class Terrain:
         parcels: (x, y) of each parcel; empty if they are random.
         attribution: Source of the data, which every picture must show. This and what follows does not affect rules.
         cell: Side of a cell in metres; None if unknown.
+        names: Names of streets and districts.
     """
 
     cells: bytes = field(repr=False)
@@ -53,6 +63,7 @@ class Terrain:
     parcels: tuple[XY, ...] = ()
     attribution: str = field(default="", compare=False)
     cell: float | None = field(default=None, compare=False)
+    names: tuple[Name, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def height(self) -> int:
@@ -133,15 +144,15 @@ def shipped_terrain(name: str) -> Terrain:
     """Load a file of `cities`: a line of JSON, and a row of letters in every other line."""
     text = (Path(__file__).with_name("cities") / f"{name}.txt").read_text("utf-8")
     about, *rows = text.splitlines()
-    attribution, cell = json.loads(about)
+    attribution, cell, names = json.loads(about)
     cells = "".join(rows).encode().translate(KIND_OF_LETTER)
-    return Terrain(cells, len(rows[0]), None, (), attribution, cell)
+    return Terrain(cells, len(rows[0]), None, (), attribution, cell, tuple(Name(*name) for name in names))
 
 
 def terrain_text(terrain: Terrain) -> str:
     """The text of a file of `cities`."""
     letters = {kind: chr(letter) for letter, kind in LETTERS.items()}
-    about = json.dumps([terrain.attribution, terrain.cell], ensure_ascii=False)
+    about = json.dumps([terrain.attribution, terrain.cell, terrain.names], ensure_ascii=False)
     return "\n".join([about, *("".join(map(letters.__getitem__, row)) for row in terrain.grid().tolist()), ""])
 
 

@@ -182,21 +182,21 @@ def test_the_range_of_the_battery_is_an_outline_and_the_signs_keep_their_strengt
     box(page, "Battery range").uncheck()
 
 
-def test_a_city_has_a_scale_and_a_legend_and_standard_maps_have_scenery(page: Page) -> None:
+def test_a_city_has_names_a_scale_and_a_legend_and_standard_maps_have_scenery(page: Page) -> None:
     legend = page.get_by_role("list", name="Battery units of a step").get_by_role("listitem")
     show(page, "/?task=city&seed=7&pilot=greedy")
     expect(legend).to_have_text(["road 1", "tree 2", "building 3", "hatched closed", "pad +8", "any order"])
     tasks = {task["id"]: task for task in page.request.get("/tasks").json()["tasks"]}
     city = tasks["city"]
-    assert city["cell"] == 16
-    # Without its scale, other pixels above the ground.
+    assert (city["cell"], ["Kluuvi", 42.5, 18, None] in city["names"]) == (16, True)
+    # Without its names and its scale, other pixels: the ground and what is above it.
     written = pictures(page)
-    plain = {**tasks, "city": {**city, "cell": None}}
+    plain = {**tasks, "city": {**city, "cell": None, "names": []}}
     page.route("**/tasks", lambda route: route.fulfill(json={"tasks": [*plain.values()]}))
     try:
         page.reload()
         expect(legend).to_have_text(["road 1", "tree 2", "building 3", "hatched closed", "pad +8", "any order"])
-        until(page, lambda: changed(page, written) == [AIR])
+        until(page, lambda: changed(page, written) == [GROUND, AIR])
     finally:
         page.unroute("**/tasks")
     page.goto("/?task=easy&seed=7&pilot=greedy")

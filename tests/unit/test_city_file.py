@@ -16,6 +16,10 @@ cell = 16.5
 bbox = [24.9351762, 60.164155, 24.9534145, 60.179113]
 start = [1, 0]
 parcels = [[2, 1], [3, 0]]
+names = [
+    ["Käpylä", 2.5, 1.0],
+    ["a \\"street\\"", 0.0, 2.0, -35],
+]
 
 [task]
 deliveries = 2
@@ -46,6 +50,7 @@ def test_a_city_is_read_and_written_byte_for_byte(tmp_path: Path) -> None:
     assert (city.cell, city.start, city.parcels) == (16.5, (1, 0), ((2, 1), (3, 0)))
     assert city.bbox == (24.9351762, 60.164155, 24.9534145, 60.179113)
     assert city.attribution == '© a "town", ODbL-1.0'
+    assert city.names == (("Käpylä", 2.5, 1.0, None), ('a "street"', 0.0, 2.0, -35))
     write_city(city, tmp_path / "again.toml")
     assert (tmp_path / "again.toml").read_bytes() == WHOLE.encode()
 
@@ -85,6 +90,8 @@ ALL = f"format = 1\n{ROWS}"
         (f"start = [3, 0]\n{ALL}", "the start [3, 0] is outside the 3 x 3 cells"),
         (f"start = [0, 0]\nparcels = [[0, 0]]\n{ALL}", "start and parcels must be on distinct cells"),
         (f"parcels = [[2, 0], [2, 2]]\n{ALL}", "obstacles block every way from parcel 1 to parcel 2 [2, 2]"),
+        (f'names = [["a", 1]]\n{ALL}', "names.0.2: Field required"),
+        (f"names = {[['a', 1, 2]] * 101}\n{ALL}", "at most 100 names, got 101"),
         (f"format = 1\n[task]\nwide = 1\n{ROWS}", "task.wide: Input should be 'width', 'height'"),
     ],
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drone_env.city.city_file import city_text, text_rows
+from drone_env.city.city_file import city_text, task_of, text_rows
 from drone_env.city.openstreetmap import import_city
 from drone_env.city.raster import metres_per_degree, paint_area, water_beside
 from drone_env.errors import InvalidValueError
@@ -182,6 +182,25 @@ def test_without_a_box_the_middle_of_the_file_is_taken(tmp_path: Path) -> None:
     city = import_city(drawing.save(tmp_path / "town.osm"))
     assert text_rows(city.grid) == ["· · · · · · ", "· · 🏢🏢· · ", "· · 🏢🏢· · ", "· · · · · · "]
     assert city.bbox == pytest.approx(BOX, abs=1e-7)
+
+
+def test_districts_and_the_longest_streets_have_their_names(tmp_path: Path) -> None:
+    drawing = (
+        Drawing()
+        .box(5, 3, 6, 4, building="yes")
+        .node((2.5, 1.5), place="suburb", name="Kluuvi")
+        .node((9, 9), place="suburb", name="elsewhere")
+        .node((1, 1), place="house", name="no district")
+        .way((0, 3), (2, 3), highway="primary", name="Level")
+        .way((2, 3), (4, 3), highway="primary", name="Level")
+        .way((-9, 0), (3, 0.5), (5, 2.5), (20, 2.5), highway="residential", name="Bent")
+        .way((0, 1), (0.5, 1), highway="footway", name="no street")
+        .way((0, 1), (0.5, 1), highway="residential", name="odd\u200bname")
+        .way((7, 1), (9, 1), highway="residential", name="outside")
+    )
+    city = import_city(drawing.save(tmp_path / "town.osm"), BOX)
+    assert city.names == (("Kluuvi", 2.5, 1.5, None), ("Level", 1.0, 3.0, 0), ("Bent", 4.0, 1.5, 45))
+    assert {name.text for name in task_of(city, "town").terrain.names} == {"Kluuvi", "Level", "Bent"}
 
 
 @pytest.mark.parametrize(

@@ -125,4 +125,5 @@ def test_the_shipped_cities_are_what_the_importer_makes_of_the_extract() -> None
     city = get_task("city").terrain
     assert city is not None
     assert (city.attribution, city.width, city.cell) == ("Helsinki, © OpenStreetMap contributors, ODbL-1.0", 64, 16)
+    assert {"Kluuvi", "Mannerheimintie", "Aleksanterinkatu"} <= {name.text for name in city.names}
     assert terrain_text(city) == made["helsinki_16"]

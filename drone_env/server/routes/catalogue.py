@@ -14,7 +14,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, tabulate_rewards
 from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig, get_task
-from drone_env.core.terrain import Terrain
+from drone_env.core.terrain import Name, Terrain
 from drone_env.flights.provenance import HUMAN
 from drone_env.models import Count, Score, StrictModel
 from drone_env.server.exceptions import error_responses
@@ -54,6 +54,9 @@ class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
     score_range: tuple[Score, Score] = Field(description="The lowest and the highest score.")
     attribution: str = Field(description="Attribution of its terrain data, to be shown with it; empty for none.")
     cell: float | None = Field(description="Metres along the side of a cell; null if unknown.")
+    names: list[Name] = Field(
+        description="Names on its maps: text, x and y in cells; of a street its degrees clockwise."
+    )
 
     @classmethod
     def of(cls, task: TaskConfig) -> Self:
@@ -74,6 +77,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=StrictModel, **_PLAIN)):
             score_range=(LOWEST, HIGHEST),
             attribution=task.attribution,
             cell=terrain.cell,
+            names=[*terrain.names] if same else [],
         )
 
 

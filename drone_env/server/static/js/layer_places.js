@@ -1,4 +1,4 @@
-// Large maps and real cities: adjacent cells of one kind are drawn as one block; real places have a scale.
+// Large maps and real cities: adjacent cells of one kind are drawn as one block; real places have names and a scale.
 import { colourOf, font } from "./base.js";
 import { drawGrid, drawLabels } from "./layer_city.js";
 
@@ -71,6 +71,39 @@ function shapesOf({ cells, width, height }, names) {
   }
   cells.forEach((row, y) => row.forEach((id, x) => found[names[id]]?.rect(x, y, 1, 1)));
   return found;
+}
+
+/** Names that cover no other one; those of districts are in capital letters. */
+export function drawNames(ctx, { world, layout }) {
+  const { cell, left, top, scale } = layout;
+  const taken = [];
+  ctx.textAlign = "center";
+  ctx.textBaseline = "middle";
+  ctx.lineJoin = "round";
+  ctx.strokeStyle = colourOf("--block-street");
+  ctx.lineWidth = 3 * scale;
+  for (const [name, x, y, angle] of world.task.names) {
+    const text = angle === null ? name.toUpperCase() : name;
+    const turn = ((angle ?? 0) * Math.PI) / 180;
+    const size = (angle === null ? 12 : 11) * scale;
+    ctx.font = font(size);
+    const half = ctx.measureText(text).width / 2;
+    const along = [-1, -0.5, 0, 0.5, 1].map((share) => ({
+      px: x * cell + share * half * Math.cos(turn),
+      py: y * cell + share * half * Math.sin(turn),
+    }));
+    const covers = ({ px, py }) => taken.some((other) => Math.hypot(px - other.px, py - other.py) < 2 * size);
+    const leaves = ({ px, py }) => Math.min(px, py) < 0 || px > world.width * cell || py > world.height * cell;
+    if (along.some((point) => covers(point) || leaves(point))) continue;
+    taken.push(...along);
+    ctx.save();
+    ctx.translate(left + x * cell, top + y * cell);
+    ctx.rotate(turn);
+    ctx.strokeText(text, 0, 0);
+    ctx.fillStyle = colourOf(angle === null ? "--ink" : "--ink-2");
+    ctx.fillText(text, 0, 0);
+    ctx.restore();
+  }
 }
 
 /** In the lower left corner of what is seen: a length in metres, and an arrow to the north. */

@@ -1,12 +1,13 @@
 // The layers of a map, from the ground up. To add a layer, add an entry here.
 import { drawCity, drawSigns, isJoined } from "./layer_city.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
-import { drawBlocks, drawScale } from "./layer_places.js";
+import { drawBlocks, drawNames, drawScale } from "./layer_places.js";
 import { drawRange, drawValues } from "./layer_values.js";
 
 /** @type {Layer[]} */
 export const LAYERS = [
   { id: "city", place: "ground", draw: (ctx, view) => (isJoined(view.world) ? drawBlocks : drawCity)(ctx, view) },
+  { id: "names", place: "ground", draw: drawNames },
   {
     id: "values",
     place: "cells",
