@@ -18,7 +18,7 @@ DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
 )
 COMMANDS = (
-    *("fly", "evaluate", "leaderboard", "solve", "audit"),
+    *("fly", "evaluate", "leaderboard", "submit", "verify", "solve", "audit"),
     *("train", "plot", "infer", "replay", "dataset", "city", "serve", "doctor"),
 )
 

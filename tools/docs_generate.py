@@ -2,6 +2,7 @@
 
     tasks   docs/images/<task>.png, and preview.png of the page
     results drone_env/results/shipped.tar.xz: every agent over 1,000 test maps of every task; flies what it lacks
+    leaderboard  leaderboard/*.jsonl: every agent over 100 of them, with its actions
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` and on `aligned`
 
@@ -15,9 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from docs_tables import put
+from docs_tables import SUBMISSIONS, put
 
-from drone_env.agents import AGENTS
+from drone_env.agents import AGENTS, make_agent
+from drone_env.commands.submit import submit
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
@@ -72,6 +74,17 @@ def _anonymous(file: tarfile.TarInfo) -> tarfile.TarInfo:
     file.mtime = file.uid = file.gid = 0
     file.uname = file.gname = ""
     return file
+
+
+def write_leaderboard() -> None:
+    """Submit every agent to the leaderboard, with the tasks that it can fly."""
+    for agent in AGENTS:
+        tasks: list[str] = []
+        for task in TASKS.values():
+            with suppress(UnsupportedTaskError, TooLargeError):
+                make_agent(agent, task)
+                tasks.append(task.id)
+        submit("docs/benchmark.md", SUBMISSIONS / f"{agent}.jsonl", agent, task=tuple(tasks))
 
 
 def write_tasks() -> None:
@@ -147,6 +160,7 @@ def write_curves() -> None:
 
 
 if __name__ == "__main__":
-    parts = {"results": write_results, "tasks": write_tasks, "audits": write_audits, "curves": write_curves}
-    for name in sys.argv[1:] or ["results", "tasks", "audits"]:
-        parts[name]()
+    parts = {"results": write_results, "leaderboard": write_leaderboard, "tasks": write_tasks, "audits": write_audits}
+    parts_by_name = parts | {"curves": write_curves}
+    for name in sys.argv[1:] or parts:
+        parts_by_name[name]()

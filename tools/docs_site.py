@@ -12,7 +12,12 @@ from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import load_plugins
 
 ROOT = Path(__file__).parents[1]
-OF_THE_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+OF_THE_ROOT = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "leaderboard/README.md": "leaderboard.md",
+}
 OTHER_FILE = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)\)")
 EXAMPLE = re.compile(r"\[([^\]]+)\]\((examples/[^)#]+)\)")
 TARGET = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
@@ -59,4 +64,4 @@ def _named(link: re.Match[str]) -> str:
 
 
 def _from_docs(link: re.Match[str]) -> str:
-    return OF_THE_ROOT.get(link[1], link[1].removeprefix("docs/"))
+    return OF_THE_ROOT.get(link[1], link[1].removeprefix("../").removeprefix("docs/"))

@@ -7,6 +7,7 @@ python tools/docs_tables.py --check    changes nothing, and names what is not up
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from statistics import fmean
 from typing import Any, cast
 
 from pydantic_settings import BaseSettings
@@ -19,10 +20,13 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.config import InferenceSettings
 from drone_env.results.evaluate import summarise
 from drone_env.results.folder import SHIPPED, stored_results
-from drone_env.results.tables import markdown, number, with_interval
+from drone_env.results.statistics import Summary
+from drone_env.results.submission import SubmissionHead, read_submission
+from drone_env.results.tables import markdown, number, percent, with_interval
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
+SUBMISSIONS = DOCS.with_name("leaderboard")
 STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
 BEST = "optimal"
 SPECIAL = (Event.NONE, Event.DELIVERY)
@@ -135,12 +139,37 @@ def agents(*families: str) -> str:
     return "\n\n".join(parts)
 
 
+def leaderboard() -> str:
+    """The verified submissions: a table for each family of tasks, those with most tasks and the highest ratio first."""
+    submissions, parts = [read_submission(file) for file in sorted(SUBMISSIONS.glob("*.jsonl"))], list[str]()
+    for family in dict.fromkeys(task.family for task in TASKS.values()):
+        tasks, ranked = [task for task in TASKS.values() if task.family == family], list[tuple[int, float, list[str]]]()
+        for head, results in submissions:
+            flown = {task: Summary.of(results[task]) for task in tasks if task in results}
+            if flown:
+                cells = [with_interval(flown[t].score, flown[t].score_ci95) if t in flown else "-" for t in tasks]
+                ratio = fmean(summary.ratio or 0 for summary in flown.values())
+                ranked.append((len(flown), ratio, [submitter(head), str(head.maps), *cells, number(ratio)]))
+        ranked.sort(key=lambda entry: entry[:2], reverse=True)
+        rows = [[str(rank), *cells] for rank, (_, _, cells) in enumerate(ranked, 1)]
+        head = ["", "agent", "maps", *(task.short_name for task in tasks), "of the optimum"]
+        parts.append(f"**{family.capitalize()}**\n\n{markdown([head, *rows])}")
+    return "\n\n".join(parts)
+
+
+def submitter(head: SubmissionHead) -> str:
+    """The agent with its link, and what is known about a language model."""
+    name = f"[{head.agent}]({head.link if '://' in head.link else f'../{head.link}'})"
+    return name if head.prompt is None else f"{name}, `{head.prompt}`, {percent(head.unusable)} unusable"
+
+
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
     return {
         ("benchmark.md", "agents"): agents("standard", "skyline"),
         ("benchmark.md", "agents on rush"): agents("rush"),
         ("cities.md", "agents"): agents("city"),
+        ("../leaderboard/README.md", "leaderboard"): leaderboard(),
         ("rules.md", "kinds"): kinds(),
         ("tasks.md", "tasks"): tasks(),
         ("cities.md", "layers"): of_cities(),

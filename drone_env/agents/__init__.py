@@ -10,6 +10,7 @@ from drone_env.agents.planned import BeamAgent, NearestAgent, OptimalAgent
 from drone_env.agents.ppo import PpoAgent
 from drone_env.agents.simple import GreedyAgent, RandomAgent
 from drone_env.agents.tournet import TournetAgent
+from drone_env.agents.weights_file import local_file
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 
@@ -70,8 +71,9 @@ def rebase_agent_path(name: str, file: Path) -> str:
 def make_agent(name: str, task: str | TaskConfig) -> Agent:
     """Make an agent for a task by its name, as commands take it.
 
-    Names are those of `AGENTS`; `beam:WIDTH`; `pathqnet:FILE`, the network in a file, likewise for all
-    `NETWORK_AGENTS`; `MODULE:NAME`, your own class or function, or a model of Stable-Baselines3 that the module loads.
+    Names are those of `AGENTS`; `beam:WIDTH`; `pathqnet:FILE`, the network in a file, or `pathqnet:USER/NAME` of the
+    Hub, likewise for all `NETWORK_AGENTS`; `MODULE:NAME`, your own class or function, or a model of Stable-Baselines3
+    that the module loads.
 
     Raises:
         UnknownNameError: if there is no such agent or task; the message lists the valid names.
@@ -87,7 +89,7 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
     if name.startswith("beam:"):
         return BeamAgent(task, name.removeprefix("beam:"))
     if network := network_file(name):
-        return NETWORK_AGENTS[network[0]](task, network[1])
+        return NETWORK_AGENTS[network[0]](task, local_file(network[1]))
     if MODULE_AND_NAME.fullmatch(name):
         return as_agent(imported(name), task)
     raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME"])

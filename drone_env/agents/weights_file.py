@@ -7,6 +7,7 @@ float16 if that is exact.
 
 import hashlib
 import json
+import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,7 @@ from safetensors.numpy import load, save
 from threadpoolctl import ThreadpoolController
 
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import CheckpointError, abbreviate
+from drone_env.errors import CheckpointError, abbreviate, needs
 from drone_env.files import read_file, replacing
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
@@ -27,6 +28,10 @@ Array = npt.NDArray[np.float32]
 PATHQNET, TOURNET, PPO = "pathqnet", "tournet", "ppo"
 """The networks."""
 METADATA = "drone_env"
+HUB_FILE = "model.safetensors"
+"""The file of a network on the Hub, and in a folder of `HubNetwork.save_pretrained`."""
+HUB_NAME = re.compile(r"[\w.-]+/[\w.-]+")
+"""The form `USER/NAME`."""
 MOST_BYTES = 1 << 20
 """Maximum size of a file."""
 in_one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
@@ -98,6 +103,23 @@ def read_weights(path: Path, network: str) -> Weights:
                 raise ValueError(f"{name} is not float32, or has NaN or infinity")
             weights.parameters[name] = array.astype(np.float32)
         return weights
+
+
+def local_file(path: Path) -> Path:
+    """Return the file of a network: the path, the file in a folder for the Hub, or the download of `USER/NAME`.
+
+    Raises:
+        MissingPackageError: if it is to be downloaded, and the client of the Hub is not installed.
+        CheckpointError: if it is not on the Hub, or the Hub cannot be reached.
+    """
+    if path.is_dir():
+        return path / HUB_FILE
+    name = path.as_posix()
+    if path.exists() or path.suffix == ".safetensors" or not HUB_NAME.fullmatch(name):
+        return path
+    with needs("hub"):
+        from drone_env.agents.hub import downloaded
+    return downloaded(name)
 
 
 def network_of(path: Path) -> str:

@@ -1,6 +1,6 @@
 """`drone-env evaluate`: agents on the same maps, with the exact optimum."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -48,8 +48,8 @@ def evaluate(
 
     Args:
         task: One or more tasks; `all` for every registered task.
-        agents: One or more agents: names, `pathqnet:FILE` (or `ppo`, `tournet`) for a network, `MODULE:NAME` for your
-            own agent or a model of Stable-Baselines3 and its observation wrapper (docs/agents.md).
+        agents: One or more agents: names, `pathqnet:FILE` (or `ppo`, `tournet`) for a network, also `USER/NAME` of the
+            Hub, `MODULE:NAME` for your own agent or a model of Stable-Baselines3 (docs/agents.md).
         split: Fly the first maps of this split. Training never uses validation and test.
         episodes: Number of maps of the split.
         seeds: Fly maps A to B - 1 instead of a split's.
@@ -65,7 +65,7 @@ def evaluate(
     names = [*agents, *([] if against is None else [against])]
     if not task or not names:
         raise InvalidValueError("--task and --agents take one name or more")
-    tasks = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
+    tasks = chosen_tasks(task)
     made: dict[tuple[str, str], Agent] = {}
 
     def keys_of(task: TaskConfig, name: str) -> tuple[EpisodesKey, ...] | Exception:
@@ -96,9 +96,14 @@ def evaluate(
     caption = f"{plural(len(maps), 'map')} a task, split {chosen_split}, seeds {maps.start} to {maps.stop - 1}"
     if repeats > 1:
         caption += f", {repeats} flights of each stochastic agent per map"
-    _print(cells, caption)
+    print_results(cells, caption)
     if differences:
         _print_differences(differences, f"Against {against}, map by map")
+
+
+def chosen_tasks(names: TaskNames) -> list[TaskConfig]:
+    """Return the tasks of `--task`."""
+    return [task for name in names for task in (TASKS.values() if name == "all" else [get_task(name)])]
 
 
 def _fly(
@@ -147,7 +152,8 @@ def _report(
     return {"package": __version__, "tasks": tasks}
 
 
-def _print(cells: dict[Row, Summary | str], caption: str) -> None:
+def print_results(cells: Mapping[Row, Summary | str], caption: str) -> None:
+    """Print a row of figures for each task and agent, or why there are none."""
     head = ("task", "agent", "score (95 %)", "optimum", "ratio", "regret", "success", "steps", "excess")
     rows = [(f"{task.short_name} v{task.version}", agent, *_columns(cell)) for (task, agent), cell in cells.items()]
     print_table(Table("Graded score beside the exact optimum of the same maps", head, rows), 2, caption, sections=True)

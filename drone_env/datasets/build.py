@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 import pyarrow
 import pyarrow.parquet
+from jinja2 import Template
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
@@ -105,6 +106,9 @@ def _write(config: DatasetConfig, folder: Path, on_map: Callable[[], object]) ->
                     write(batch)
                 rows, batch = rows + steps, []
             on_map()
+    card = Template(Path(__file__).with_name("card.md").read_text(encoding="utf-8"))
+    about = card.render(config.as_json(), rows=rows, steps=PARQUET_FILE, chat=CHAT_FILE)
+    (folder / "README.md").write_text(f"{about}\n", encoding="utf-8")
     return rows
 
 

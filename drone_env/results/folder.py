@@ -4,6 +4,7 @@ import os
 import tarfile
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +19,7 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError
 from drone_env.files import is_begun, read_file, replacing, write_json
 from drone_env.models import StrictModel
-from drone_env.results.result import COLUMNS, EpisodesKey, Results, concatenate
+from drone_env.results.result import COLUMNS, MAPS_PER_CHUNK, EpisodesKey, Results, concatenate
 
 CONFIG, CHUNKS = "evaluation.json", "pieces"
 MOST_BYTES = 1 << 20
@@ -115,8 +116,11 @@ def stored_results(
 
 
 def shipped_results(key: EpisodesKey) -> Results | None:
-    """Return the results of a key from the shipped evaluation; None if it has no chunk of exactly these maps."""
-    return _load(_file(SHIPPED / CHUNKS, key), key)
+    """Return the results of a key from the shipped evaluation; None if it does not have all these maps."""
+    first, stop = key.seeds
+    chunk = key._replace(seeds=(first, first + MAPS_PER_CHUNK))
+    found = _load(_file(SHIPPED / CHUNKS, chunk), chunk) if stop <= chunk.seeds[1] else None
+    return None if found is None else replace(found.take(np.arange(stop - first)), key=key)
 
 
 @lru_cache(maxsize=1)

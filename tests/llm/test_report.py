@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from drone_env.cli import main
+from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.budget import Budget, Options
@@ -144,6 +145,22 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     table = capsys.readouterr().out
     assert "(waiting)" in table
     assert "(again)" in table
+
+
+def test_runs_can_be_submitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = split_seeds("test", 20)[0]
+    runs, file = [tmp_path / "easy", tmp_path / "skyline_easy"], tmp_path / "model.jsonl"
+    for run in runs:
+        fly(Scripted(), run, task=run.name, seeds=(first, first + 20))
+    submit = ("submit", "--link", "https://example.org", "--out", str(file), "--runs")
+    assert main([*submit, *map(str, runs)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "prompt minimal-2, 0.0% of the answers unusable as reported" in shown
+    score = json.loads((runs[0] / "flights.jsonl").read_text().splitlines()[0])["score"]
+    assert json.loads(file.read_text().splitlines()[1])["score"] == score
+    fly(Scripted(), tmp_path / "other", model="other", seeds=(first, first + 20))
+    assert main([*submit, str(runs[0]), str(tmp_path / "other")]) == 2
+    assert "other is of another model or prompt than" in " ".join(capsys.readouterr().err.split())
 
 
 def test_folders_that_cannot_be_ranked_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["pro
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env": (),
+    "drone_env.agents.hub": ("hub",),
     "drone_env.client": ("server",),
     "drone_env.cluster": ("cluster",),
     "drone_env.datasets": ("data",),
@@ -134,6 +135,7 @@ PROGRAMS: Mapping[str, str] = {
     "drone_env.cli dataset --task easy --maps 1 --out x": "data",
     "drone_env.cli city x.osm --out y.toml": "city",
     "drone_env.cli evaluate --ray local --task easy": "cluster",
+    "drone_env.cli evaluate --task easy --agents pathqnet:USER/NAME": "hub",
     "drone_env.client": "server",
     "inference.py": "llm",
     "train.py": "train",
@@ -165,5 +167,5 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
     assert not distributions("server") & {"torch", "pygame-ce", "matplotlib"}
     left_out = {canonicalize_name(name) for name in LEFT_OUT}
     assert not distributions("llm", "server", "test") & left_out  # `make python` has uv install these
-    assert distributions("all") >= distributions("city", "data", "server", "llm", "train")
+    assert distributions("all") >= distributions("city", "data", "hub", "server", "llm", "train")
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])

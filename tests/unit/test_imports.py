@@ -12,7 +12,7 @@ from tests.tools import ROOT, ran
 PACKAGE = ROOT / "drone_env"
 HEAVY = {
     *("PIL", "fastapi", "fastmcp", "gradio", "httpx", "matplotlib", "numba", "openenv", "pandas", "pydantic"),
-    *("pygame", "ray", "torch", "tyro"),
+    *("huggingface_hub", "pygame", "ray", "torch", "tyro"),
 }
 ALLOWED_IN_CORE = {"drone_env", "filelock", "numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_module_names}
 

@@ -1,0 +1,117 @@
+"""Exported networks as models of the Hugging Face Hub."""
+
+# huggingface_hub leaves types of `hf_hub_download` open.
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import shlex
+from functools import lru_cache
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+from huggingface_hub import ModelCard, ModelHubMixin, hf_hub_download
+from typing_extensions import Self
+
+from drone_env.agents.weights_file import HUB_FILE, network_of, read_weights, rejecting
+from drone_env.errors import CheckpointError
+
+TRAINED_BY = {"pathqnet": ("dqn", "episodes"), "ppo": ("ppo", "steps"), "tournet": ("tournet", "updates")}
+"""The algorithm that trains each network, and the unit of its length."""
+
+
+class HubNetwork(
+    ModelHubMixin,
+    library_name="drone-delivery-env",
+    pipeline_tag="reinforcement-learning",
+    tags=["drone-delivery-env", "reinforcement-learning"],
+    model_card_template=Path(__file__).with_name("model_card.md").read_text(encoding="utf-8"),
+):
+    """An exported network, to publish and to load.
+
+    `save_pretrained(folder)` and `push_to_hub("USER/NAME")` write the network, its metadata and a model card;
+    `from_pretrained` takes such a folder or `USER/NAME`, and `make_agent("pathqnet:USER/NAME", task)` flies it.
+
+    Args:
+        file: The file of an exported network.
+
+    Attributes:
+        file: The file.
+        network: The name of its agent.
+        metadata: Its metadata.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it is not an exported network.
+    """
+
+    def __init__(self, file: Path | str) -> None:
+        self.file, self.network = Path(file), network_of(Path(file))
+        self.metadata = read_weights(self.file, self.network).metadata
+        self._hub_mixin_config = self.metadata  # which the mixin writes as config.json
+
+    def _save_pretrained(self, save_directory: Path) -> None:
+        copyfile(self.file, save_directory / HUB_FILE)
+
+    @classmethod
+    def _from_pretrained(cls, *, model_id: str, **options: Any) -> Self:
+        if Path(model_id).is_dir():
+            return cls(Path(model_id, HUB_FILE))
+        return cls(hf_hub_download(model_id, HUB_FILE, **options))
+
+    def push_to_hub(self, repo_id: str, **options: Any) -> str:
+        """Publish it as `USER/NAME`, as `ModelHubMixin.push_to_hub` describes; returns the address of the commit."""
+        options.setdefault("model_card_kwargs", {"repo": repo_id})
+        return super().push_to_hub(repo_id, **options)
+
+    def generate_model_card(self, *_: Any, repo: str = "USER/NAME", **more: Any) -> ModelCard:
+        """Return the model card: how to fly and to train the network, and its scores beside the optimum.
+
+        Raises:
+            CheckpointError: if the metadata are not those of a training.
+        """
+        with rejecting(self.file):
+            maps = self.metadata["config"]["validation_maps"]
+            given = {"network": self.network, "repo": repo, "maps": maps, **more}
+            return super().generate_model_card(scores=self._scores(), command=self._command(), **given)
+
+    def _scores(self) -> dict[str, tuple[float | None, float | None, float | None]]:
+        """Return score, optimum and their ratio by task; None if unknown."""
+        of = self.metadata
+        if "validation_shares" in of:
+            return {task: (None, None, ratio) for task, ratio in of["validation_shares"].items()}
+        score, optimum = of["validation_score"], of["validation_optimum"]
+        return {of["task"]: (score, optimum, optimum and score / optimum)}
+
+    def _command(self) -> str:
+        """Return the command of the training, with all settings."""
+        algorithm, unit = TRAINED_BY[self.network]
+        words = ["drone-env", "train", "--algorithm", algorithm]
+        for name, value in {unit: self.metadata[unit], **self.metadata["config"]}.items():
+            flag = name.replace("_", "-")
+            if name in ("task_version", "tasks") or " " in name:  # of the task and the rewards, not settings
+                continue
+            words += (
+                [f"--{flag}" if value else f"--no-{flag}"] if isinstance(value, bool) else [f"--{flag}", f"{value}"]
+            )
+        return shlex.join(words)
+
+
+def downloaded(name: str) -> Path:
+    """Return the file of the network `USER/NAME`, which is downloaded once.
+
+    Raises:
+        CheckpointError: if it is not on the Hub, or the Hub cannot be reached.
+    """
+    file, reason = _download(name)
+    if file is None:
+        raise CheckpointError(f"{name} is no file here, and the Hub does not give it: {reason}")
+    return file
+
+
+@lru_cache
+def _download(name: str) -> tuple[Path | None, str]:
+    """Return the file, or why there is none: the client tries for half a minute, and each task asks again."""
+    try:
+        return Path(hf_hub_download(name, HUB_FILE)), ""
+    except (OSError, ValueError) as error:
+        return None, str(error).strip().partition("\n")[0]
