@@ -59,28 +59,25 @@ def plot(folders: Folders, x: str = "cpu_seconds", out: Path = Path("plots")) ->
     with matplotlib.rc_context(STYLE):
         _draw(groups, out / "curves", lambda axes, group, colour, _: _draw_curve(axes, group, colour, x))
         _draw(groups, out / "scores", _draw_score)
-    rows = [*(_row(group.task, [group]) for group in groups), *_rows_over_tasks(groups)]
+    rows = list(_rows(groups))
     print_table(Table("", HEAD, rows), names=2, sections=True)
     write_text(out / "scores.md", markdown([HEAD, *rows]) + "\n")
     write_text(out / "scores.tex", latex([HEAD, *rows]) + "\n")
     print(f"{out}: curves and scores as .pdf and .svg, scores as .md and .tex", file=sys.stderr)
 
 
-def _row(task: str, groups: Sequence[Group]) -> tuple[str, ...]:
-    """A row of the table: the runs of one label on one task or several."""
-    mean, low, high = (end.item() for end in iqm_interval([group.finals for group in groups]))
-    interval = "-" if math.isnan(low) else f"[{low:.4f}, {high:.4f}]"
-    return task, groups[0].label, str(len(groups[0].curves)), f"{mean:.4f}", interval
-
-
-def _rows_over_tasks(groups: Sequence[Group]) -> Iterator[tuple[str, ...]]:
-    """A row for each label over all tasks, if each label has equally many seeds of each task."""
+def _rows(groups: Sequence[Group]) -> Iterator[tuple[str, ...]]:
+    """A row for each group; then one for each label over all tasks, if it has equally many seeds of each."""
     tasks = {group.task for group in groups}
+    rows = [(group.task, group.label, [group]) for group in groups]
     for label in dict.fromkeys(group.label for group in groups):
-        of_label = [group for group in groups if group.label == label]
-        even = len({len(group.curves) for group in of_label}) == 1 and len(of_label) == len(tasks) > 1
-        if even and not any(task.endswith(SCORE) for task in tasks):
-            yield _row(f"all {len(tasks)}", of_label)
+        over = [group for group in groups if group.label == label]
+        even = len({len(group.curves) for group in over}) == 1 and len(over) == len(tasks) > 1
+        rows += [(f"all {len(tasks)}", label, over)] if even and not any(SCORE in task for task in tasks) else []
+    for task, label, over in rows:
+        mean, low, high = (end.item() for end in iqm_interval([group.finals for group in over]))
+        interval = "-" if math.isnan(low) else f"[{low:.4f}, {high:.4f}]"
+        yield task, label, str(len(over[0].curves)), f"{mean:.4f}", interval
 
 
 def _draw(groups: Sequence[Group], file: Path, draw: Callable[[Any, Group, str, int], None]) -> None:
@@ -88,17 +85,17 @@ def _draw(groups: Sequence[Group], file: Path, draw: Callable[[Any, Group, str, 
     from matplotlib.figure import Figure
 
     tasks, labels = (list(dict.fromkeys(getattr(group, name) for group in groups)) for name in ("task", "label"))
-    rows = -(-len(tasks) // COLUMNS)
-    figure: Any = Figure(figsize=(2.2 * min(len(tasks), COLUMNS) + 0.6, 1.7 * rows + 0.4), layout="constrained")
-    for panel, task in enumerate(tasks, 1):
-        axes = figure.add_subplot(rows, min(len(tasks), COLUMNS), panel, title=task.removesuffix(SCORE))
+    wide = min(len(tasks), COLUMNS)
+    rows = -(-len(tasks) // wide)
+    figure: Any = Figure(figsize=(2.2 * wide + 0.6, 1.7 * rows + 0.5), layout="constrained")
+    panels = {task: figure.add_subplot(rows, wide, n, title=task) for n, task in enumerate(tasks, 1)}
+    handles: dict[str, Any] = {}
+    for group in groups:
+        place, axes = labels.index(group.label), panels[group.task]
         axes.grid(alpha=0.3)
-        for group in groups:
-            if group.task == task:
-                place = labels.index(group.label)
-                draw(axes, group, COLOURS[place % len(COLOURS)], place)
-    handles = {line.get_label(): line for axes in figure.axes for line in axes.get_legend_handles_labels()[0]}
-    figure.legend(handles=[handles[label] for label in labels], loc="outside lower center", ncols=4, frameon=False)
+        draw(axes, group, COLOURS[place % len(COLOURS)], place)
+        handles[group.label] = axes.get_legend_handles_labels()[0][-1]
+    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=4, frameon=False)
     for kind, undated in ((".pdf", "CreationDate"), (".svg", "Date")):
         figure.savefig(file.with_suffix(kind), metadata={undated: None})
 
@@ -107,17 +104,12 @@ def _draw_curve(axes: Any, group: Group, colour: str, x: str) -> None:
     values, mean, low, high = group.over(x)
     axes.plot(values, mean, color=colour, label=group.label, linewidth=1)
     axes.fill_between(values, low, high, color=colour, alpha=0.2, linewidth=0)
-    axes.set(xlabel=x.replace("cpu_", "CPU ").replace("_", " "), ylabel=_unit(group.task))
+    axes.set(xlabel=x.replace("cpu_", "CPU ").replace("_", " "), ylabel="share of the optimum")
     ends = [line.get_xdata()[-1] for line in axes.lines]
-    if max(ends) > FAR * min(ends):
-        axes.set_xscale("log")
+    axes.set_xscale("log" if max(ends) > FAR * min(ends) else "linear")
 
 
 def _draw_score(axes: Any, group: Group, colour: str, place: int) -> None:
     mean, low, high = (end.item() for end in iqm_interval([group.finals]))
     axes.errorbar(mean, -place, xerr=[[mean - low], [high - mean]], fmt="o", color=colour, label=group.label, capsize=2)
-    axes.set(yticks=[], xlabel=_unit(group.task))
-
-
-def _unit(task: str) -> str:
-    return "score" if task.endswith(SCORE) else "share of the optimum"
+    axes.set(yticks=[], xlabel="share of the optimum")

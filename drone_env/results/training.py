@@ -1,54 +1,40 @@
 """Histories of training runs, grouped by their settings, with statistics over seeds as in rliable.
 
 A run is a folder with two files. `config.toml` contains `algorithm`, `task`, `seed` and any other settings.
-`history.csv` contains one line per entry of the log, with the columns `validation` (mean score on the validation maps),
-`validation_optimum` (the mean optimum of these maps) and at least one that grows, such as `cpu_seconds` or `steps`. A
-network for several tasks has a column of shares of the optimum for each, such as `validation_easy`.
+`history.csv` contains a line for each entry of the log, with the columns `validation` (mean score on the validation
+maps), `validation_optimum` (mean optimum of these maps) and at least one that grows, such as `cpu_seconds`. A network
+for several tasks has a column of shares of the optimum for each, such as `validation_easy`.
 """
 
-import csv
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drone_env.core.tasks import TASKS, get_task
+from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.files import read_file
 from drone_env.results.statistics import Floats, iqm_interval
 from drone_env.toml_text import parse_toml
 
-CONFIG, HISTORY = "config.toml", "history.csv"
-MAX_CONFIG, MAX_HISTORY = 1 << 16, 1 << 26
+PREFIX = "validation_"
 NO_TASKS = ("validation_optimum", "validation_sampled")
 """Columns that begin like those of single tasks."""
 SAME_RUN = ("seed", "num_threads", "checkpoint_seconds", "checkpoint_episodes")
 """Settings in which the runs of a group may differ."""
 SCORE = " (score)"
-"""Ends the name of a task whose optimum is unknown."""
+"""Ends the name of a task whose optimum is unknown: its values are scores."""
 POINTS = 200
 """Maximum number of points of a curve."""
 
 
-@dataclass(frozen=True)
-class Curve:
-    """The history of one run on one task.
-
-    Attributes:
-        algorithm: The algorithm.
-        task: The task; it ends in `SCORE` if the optimum is unknown.
-        seed: The seed.
-        settings: The other settings.
-        columns: The columns of the history.
-        ratios: The share of the optimum at the last validation before each line; the score if the optimum is unknown.
-    """
+class Curve(NamedTuple):
+    """One run on one task: the columns of its history, and the share of the optimum at the last validation before."""
 
     algorithm: str
     task: str
-    seed: int
     settings: dict[str, Any]
     columns: dict[str, Floats]
     ratios: Floats
@@ -59,7 +45,7 @@ class Group:
     """Curves whose settings differ only in their seeds.
 
     Attributes:
-        label: The algorithm, and the settings in which it differs from other groups of it on this task.
+        label: The algorithm, and the settings in which it differs from its other groups on this task.
         task: The task.
         curves: The curves.
     """
@@ -74,16 +60,15 @@ class Group:
         return np.array([curve.ratios[-1:] for curve in self.curves])
 
     def over(self, column: str) -> tuple[Floats, Floats, Floats, Floats]:
-        """The interquartile mean along a column: its values, means, lower and upper ends of the intervals.
+        """The values of a column, and interquartile means with the ends of their intervals.
 
         Between two lines a run keeps its value, and after its last line too.
 
         Raises:
             UnknownNameError: if a history does not have the column.
         """
-        for curve in self.curves:
-            if column not in curve.columns:
-                raise UnknownNameError(f"column of {self.label} on {self.task}", column, curve.columns)
+        if missing := [curve.columns for curve in self.curves if column not in curve.columns]:
+            raise UnknownNameError(f"column of {self.label} on {self.task}", column, missing[0])
         lines = [curve.columns[column] for curve in self.curves]
         values = np.unique(np.concatenate(lines))
         values = values[values >= max(line[0] for line in lines)]
@@ -94,73 +79,56 @@ class Group:
 
 def read_runs(folders: Iterable[Path]) -> tuple[list[Curve], list[str]]:
     """Read all training runs in these folders; return their curves, and what is left out with the reason."""
-    curves, left_out, seen = list[Curve](), list[str](), set[Path]()
+    curves, left_out = list[Curve](), list[str]()
     for folder in folders:
-        runs = {file.parent for name in (CONFIG, HISTORY) for file in folder.rglob(name)}
-        if not runs:
-            left_out.append(f"{folder}: no {CONFIG} and {HISTORY} in it")
-        for run in sorted(runs):
+        runs = sorted(file.parent for file in folder.rglob("config.toml"))
+        left_out += [] if runs else [f"{folder}: no config.toml in it"]
+        for run in runs:
             try:
-                if run.resolve() not in seen:
-                    curves += _read_run(run)
+                curves += _read_run(run)
+            except KeyError as error:
+                left_out.append(f"{run}: {error} is missing")
             except (OSError, ValueError) as error:
-                left_out.append(f"{run}: {getattr(error, 'strerror', None) or error}")
-            seen.add(run.resolve())
+                left_out.append(f"{run}: {error}")
     return curves, left_out
 
 
 def _read_run(folder: Path) -> list[Curve]:
-    for name in (CONFIG, HISTORY):
-        if not (folder / name).is_file():
-            raise InvalidValueError(f"no {name} in it")
-    settings = parse_toml(read_file(folder / CONFIG, MAX_CONFIG))
-    rows = list(csv.reader(read_file(folder / HISTORY, MAX_HISTORY).decode().splitlines()))
-    if len({len(row) for row in rows}) != 1:
-        raise InvalidValueError(f"{HISTORY} is empty, or its lines differ in length")
-    head, lines = rows[0], np.array(rows[1:], np.float64)
-    missing = [name for name in ("algorithm", "task", "seed") if name not in settings]
-    missing += [name for name in ("validation", "validation_optimum") if name not in head]
-    if missing:
-        raise InvalidValueError(f"it lacks {', '.join(missing)}")
-    if not len(lines) or np.isnan(lines[-1, head.index("validation")]):
+    settings = parse_toml((folder / "config.toml").read_bytes())
+    algorithm, task, _ = settings["algorithm"], settings.pop("task"), settings["seed"]
+    task = TASKS[task].short_name if task in TASKS else Path(task).stem
+    head, *lines = (folder / "history.csv").read_text("utf-8").splitlines() or [""]
+    columns = dict(zip(head.split(","), np.loadtxt(lines, delimiter=",", ndmin=2).T, strict=True)) if lines else {}
+    known = ~np.isnan(columns["validation"]) if lines else np.zeros(0, np.bool_)
+    if not known.any():
         raise InvalidValueError("no validation yet")
-    lines = lines[~np.isnan(lines[:, head.index("validation")])]
-    columns = dict(zip(head, lines.T, strict=True))
-    done, total = int(lines[-1, 0]), settings.get(head[0], settings.get(f"{head[0]}s", 0))
+    unit, *_ = columns = {name: column[known] for name, column in columns.items()}
+    done, total = int(columns[unit][-1]), settings.get(unit, settings.get(f"{unit}s", 0))
     if done < total:
-        raise InvalidValueError(f"unfinished: {done:,} of {total:,} {head[0].removesuffix('s')}s")
-    prefix, optimum, task = "validation_", columns["validation_optimum"], _short_name(settings.pop("task"))
-    tasks = [name for name in head if name.startswith(prefix) and name not in NO_TASKS]
-    ratios = {name.removeprefix(prefix): columns[name] for name in tasks}
+        raise InvalidValueError(f"unfinished: {done:,} of {total:,} {unit.removesuffix('s')}s")
+    tasks = [name for name in columns if name.startswith(PREFIX) and name not in NO_TASKS]
+    ratios = {name.removeprefix(PREFIX): columns[name] for name in tasks}
+    optimum = columns["validation_optimum"]
     if not tasks and np.isnan(optimum).any():
-        ratios = {task + SCORE: columns["validation"]}
+        ratios = {f"{task}{SCORE}": columns["validation"]}
     elif not tasks:
         ratios = {task: columns["validation"] / optimum}
-    algorithm, seed = settings.pop("algorithm"), settings.pop("seed")
-    rest = {name: value for name, value in settings.items() if name not in SAME_RUN}
-    return [Curve(algorithm, name, seed, rest, columns, ratio) for name, ratio in ratios.items()]
-
-
-def _short_name(task: str) -> str:
-    try:
-        return get_task(task).short_name
-    except UnknownNameError:
-        return Path(task).stem  # of a city file, or of a module that is not loaded
+    return [Curve(algorithm, name, settings, columns, ratio) for name, ratio in ratios.items()]
 
 
 def group_curves(curves: Iterable[Curve]) -> list[Group]:
     """Group curves by task and settings. Labels name the settings that differ between groups of one task."""
     groups: dict[tuple[str, str], dict[str, dict[int, Curve]]] = {}
     for curve in curves:
+        settings = {name: value for name, value in curve.settings.items() if name not in SAME_RUN}
         variants = groups.setdefault((curve.task, curve.algorithm), {})
-        variants.setdefault(json.dumps(curve.settings, sort_keys=True, default=str), {})[curve.seed] = curve
+        variants.setdefault(json.dumps(settings, sort_keys=True, default=str), {})[curve.settings["seed"]] = curve
     found: list[Group] = []
     for (task, algorithm), variants in groups.items():
-        settings = [next(iter(seeds.values())).settings for seeds in variants.values()]
-        names = sorted({name for each in settings for name in each})
-        differing = [name for name in names if any(each.get(name) != settings[0].get(name) for each in settings)]
+        settings = list(map(json.loads, variants))
+        differing = [name for name in settings[0] if any(each.get(name) != settings[0][name] for each in settings)]
         for seeds, each in zip(variants.values(), settings, strict=True):
             label = ", ".join([algorithm, *(f"{name}={each[name]}" for name in differing if name in each)])
             found.append(Group(label, task, list(seeds.values())))
-    tasks = [*(task.short_name for task in TASKS.values()), *(group.task for group in found)]
-    return sorted(found, key=lambda group: tasks.index(group.task))
+    order = [*(task.short_name for task in TASKS.values()), *(group.task for group in found)]
+    return sorted(found, key=lambda group: order.index(group.task))

@@ -24,10 +24,7 @@ def write_run(folder: Path, ratios: list[float], *, optimum: float = 1.0, head: 
     (folder / "history.csv").write_text("\n".join([f"{head},cpu_seconds,validation,validation_optimum", *lines]) + "\n")
 
 
-@pytest.mark.parametrize(
-    ("tasks", "expected"),
-    [([0], (0.93, 0.4433, 0.9567)), ([0, 1], (0.6933, 0.5267, 0.8117)), ([1], (0.5567, 0.4333, 0.65))],
-)
+@pytest.mark.parametrize(("tasks", "expected"), [([0], (0.93, 0.4367, 0.9633)), ([0, 1], (0.7033, 0.48, 0.8083))])
 def test_means_and_intervals_are_those_of_rliable(tasks: list[int], expected: tuple[float, ...]) -> None:
     assert [end.item() for end in iqm_interval([RUNS[:, [task]] for task in tasks])] == pytest.approx(
         expected, abs=2e-3
@@ -51,7 +48,7 @@ def test_the_command_leaves_figures_and_tables_and_says_what_it_left_out(
     printed = capsys.readouterr()
     assert printed.err.splitlines()[:-1] == [
         "left out: runs/begun: no validation yet",
-        "left out: runs/begun/2: no history.csv in it",
+        "left out: runs/begun/2: 'algorithm' is missing",
         "left out: runs/half: unfinished: 30 of 300 steps",
     ]
     rows = [line.strip("| ").split(" | ") for line in Path("plots/scores.md").read_text().splitlines()[2:]]
