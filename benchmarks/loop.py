@@ -119,7 +119,8 @@ def cleanrl(config: PpoConfig) -> Callable[[], Any]:
                 losses: Any = -gain * change.exp(), -gain * change.exp().clamp(1 - config.clip, 1 + config.clip)
                 value_loss: Any = 0.5 * (value - returns[rows]).square().mean()
                 bonus: Any = config.entropy_weight * chosen.entropy().mean()
-                loss: Any = torch.max(*losses).mean() - bonus + config.value_weight * value_loss
+                worst: Any = torch.maximum(*losses).mean()
+                loss: Any = worst - bonus + config.value_weight * value_loss
                 optimizer.zero_grad()
                 loss.backward()
                 nn.utils.clip_grad_norm_(agent.parameters(), config.max_grad_norm)

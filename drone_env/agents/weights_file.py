@@ -99,7 +99,7 @@ def read_weights(path: Path, network: str) -> Weights:
         if found != network:
             raise ValueError(f"it contains a network of {abbreviate(found)}, not of {network!r}")
         for name, array in weights.parameters.items():
-            if array.dtype not in (np.float16, np.float32) or not np.isfinite(array).all():
+            if array.dtype.name not in ("float16", "float32") or not np.isfinite(array).all():
                 raise ValueError(f"{name} is not float32, or has NaN or infinity")
             weights.parameters[name] = array.astype(np.float32)
         return weights
