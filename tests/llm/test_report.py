@@ -156,7 +156,7 @@ def test_runs_can_be_submitted(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main([*submit, *map(str, runs)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "prompt minimal-2, 0.0% of the answers unusable as reported" in shown
-    score = json.loads((runs[0] / "flights.jsonl").read_text().splitlines()[0])["score"]
+    score = json.loads((runs[0] / "episodes.jsonl").read_text().splitlines()[0])["score"]
     assert json.loads(file.read_text().splitlines()[1])["score"] == score
     fly(Scripted(), tmp_path / "other", model="other", seeds=(first, first + 20))
     assert main([*submit, str(runs[0]), str(tmp_path / "other")]) == 2
