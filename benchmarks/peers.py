@@ -3,7 +3,7 @@
 All learn on the same simulator, in one thread, and are validated every few seconds of CPU time, which does not count.
 The peers see the raw observation, one-hot planes and telemetry, through a small convolutional network, and learn from
 `aligned` with the shaping of their discount. Runs are kept under results/peers, and a run that is there is not
-repeated; `learning_curves.py` draws them.
+repeated; `drone-env plot results/peers` draws them.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from drone_env.agents.custom import Sb3Agent
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.files import write_json
+from drone_env.files import write_text
 from drone_env.rl.common import Validator
 from drone_env.rl.config import TourConfig, ppo_preset, preset
 from drone_env.rl.ppo import PpoTrainer
@@ -50,12 +50,11 @@ VALIDATION_MAPS, VALIDATIONS = 200, 15
 
 
 class Point(NamedTuple):
-    """One validation: CPU seconds and steps before it, ratio to the optimum, share of maps with all delivered."""
+    """One validation: CPU seconds and steps before it, ratio to the optimum."""
 
     seconds: float
     steps: int
     ratio: float
-    success: float
 
 
 class Watch:
@@ -79,7 +78,7 @@ class Watch:
         if seconds < self._next:
             return True
         validation = self.validator.validate(act, reset)
-        self.curve.append(Point(seconds, steps, validation.score / validation.optimum, validation.success))
+        self.curve.append(Point(seconds, steps, validation.score / validation.optimum))
         self._began, self._next = time.process_time() - seconds, min(seconds + self.limit / VALIDATIONS, self.limit)
         return seconds < self.limit
 
@@ -166,15 +165,20 @@ LEARNERS: dict[str, Callable[[TaskConfig, int, Watch], None]] = {
 }
 
 
-def run(task: TaskConfig, learner: str, seed: int, watch: Watch, folder: Path) -> dict[str, Any]:
-    """Train, or read the curve of an earlier run."""
-    finished = folder / f"{task.short_name}-{learner.replace(' ', '-')}-{watch.limit:g}s-seed{seed}.json"
-    if not finished.exists():
+def run(task: TaskConfig, learner: str, seed: int, watch: Watch, folder: Path) -> tuple[int, float]:
+    """Train, unless an earlier run is there; return steps and ratio of its last validation."""
+    folder = folder / f"{task.short_name}-{learner.replace(' ', '-')}-{watch.limit:g}s-seed{seed}"
+    history = folder / "history.csv"
+    if not history.exists():
         LEARNERS[learner](task, seed, watch)
-        curve = dict(zip(Point._fields, zip(*watch.curve, strict=True), strict=True))
         folder.mkdir(parents=True, exist_ok=True)
-        write_json(finished, {"task": task.short_name, "learner": learner, "seed": seed, **curve})
-    return json.loads(finished.read_text(encoding="utf-8"))
+        settings = {"algorithm": learner, "task": task.short_name, "seed": seed, "limit": watch.limit}
+        text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in settings.items())
+        write_text(folder / "config.toml", text)
+        lines = [f"{point.seconds},{point.steps},{point.ratio},1" for point in watch.curve]
+        write_text(history, "\n".join(["cpu_seconds,steps,validation,validation_optimum", *lines]) + "\n")
+    _, steps, ratio, _ = history.read_text(encoding="utf-8").splitlines()[-1].split(",")
+    return int(steps), float(ratio)
 
 
 def main() -> None:
@@ -193,7 +197,7 @@ def main() -> None:
             if learner == "tournet" and task.deliveries == 1:
                 continue  # it has nothing to choose
             runs = [run(task, learner, seed, Watch(task, limit), arguments.out.resolve()) for seed in arguments.seeds]
-            last, steps = ([flown[column][-1] for flown in runs] for column in ("ratio", "steps"))
+            steps, last = zip(*runs, strict=True)
             print(
                 f"| {name} | {learner} | {limit:g} | {np.mean(steps):,.0f} | {np.mean(last):.4f} | {min(last):.4f} |",
                 flush=True,

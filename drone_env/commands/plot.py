@@ -17,13 +17,8 @@ from drone_env.results.training import SCORE, Group, group_curves, read_runs
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Readable with every colour vision (Okabe and Ito)."""
-STYLE: Any = {
-    "font.size": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "pdf.fonttype": 42,  # journals refuse Type 3
-    "svg.hashsalt": "drone-env",
-}
+STYLE: Any = {"font.size": 8, "pdf.fonttype": 42, "svg.hashsalt": "drone-env"}
+"""Journals refuse fonts of PDF's Type 3; the salt makes the names in an SVG the same each time."""
 HEAD = ("task", "algorithm", "seeds", "IQM", "95 % interval")
 COLUMNS = 3
 """Panels side by side."""

@@ -22,8 +22,8 @@ from drone_env.toml_text import parse_toml
 PREFIX = "validation_"
 NO_TASKS = ("validation_optimum", "validation_sampled")
 """Columns that begin like those of single tasks."""
-SAME_RUN = ("seed", "num_threads", "checkpoint_seconds", "checkpoint_episodes")
-"""Settings in which the runs of a group may differ."""
+SAME_RUN = ("num_threads", "checkpoint_seconds", "checkpoint_episodes")
+"""Settings in which the runs of a group may differ, beside the seed."""
 SCORE = " (score)"
 """Ends the name of a task whose optimum is unknown: its values are scores."""
 POINTS = 200
@@ -35,6 +35,7 @@ class Curve(NamedTuple):
 
     algorithm: str
     task: str
+    seed: int
     settings: dict[str, Any]
     columns: dict[str, Floats]
     ratios: Floats
@@ -95,14 +96,15 @@ def read_runs(folders: Iterable[Path]) -> tuple[list[Curve], list[str]]:
 
 def _read_run(folder: Path) -> list[Curve]:
     settings = parse_toml((folder / "config.toml").read_bytes())
-    algorithm, task, _ = settings["algorithm"], settings.pop("task"), settings["seed"]
+    algorithm, task, seed = (settings.pop(name) for name in ("algorithm", "task", "seed"))
     task = TASKS[task].short_name if task in TASKS else Path(task).stem
     head, *lines = (folder / "history.csv").read_text("utf-8").splitlines() or [""]
     columns = dict(zip(head.split(","), np.loadtxt(lines, delimiter=",", ndmin=2).T, strict=True)) if lines else {}
     known = ~np.isnan(columns["validation"]) if lines else np.zeros(0, np.bool_)
     if not known.any():
         raise InvalidValueError("no validation yet")
-    unit, *_ = columns = {name: column[known] for name, column in columns.items()}
+    columns = {name: column[known] for name, column in columns.items()}
+    unit = next(iter(columns))
     done, total = int(columns[unit][-1]), settings.get(unit, settings.get(f"{unit}s", 0))
     if done < total:
         raise InvalidValueError(f"unfinished: {done:,} of {total:,} {unit.removesuffix('s')}s")
@@ -113,7 +115,7 @@ def _read_run(folder: Path) -> list[Curve]:
         ratios = {f"{task}{SCORE}": columns["validation"]}
     elif not tasks:
         ratios = {task: columns["validation"] / optimum}
-    return [Curve(algorithm, name, settings, columns, ratio) for name, ratio in ratios.items()]
+    return [Curve(algorithm, name, seed, settings, columns, ratio) for name, ratio in ratios.items()]
 
 
 def group_curves(curves: Iterable[Curve]) -> list[Group]:
@@ -122,11 +124,12 @@ def group_curves(curves: Iterable[Curve]) -> list[Group]:
     for curve in curves:
         settings = {name: value for name, value in curve.settings.items() if name not in SAME_RUN}
         variants = groups.setdefault((curve.task, curve.algorithm), {})
-        variants.setdefault(json.dumps(settings, sort_keys=True, default=str), {})[curve.settings["seed"]] = curve
+        variants.setdefault(json.dumps(settings, sort_keys=True, default=str), {})[curve.seed] = curve
     found: list[Group] = []
     for (task, algorithm), variants in groups.items():
         settings = list(map(json.loads, variants))
-        differing = [name for name in settings[0] if any(each.get(name) != settings[0][name] for each in settings)]
+        names = dict.fromkeys(name for each in settings for name in each)
+        differing = [name for name in names if any(each.get(name) != settings[0].get(name) for each in settings)]
         for seeds, each in zip(variants.values(), settings, strict=True):
             label = ", ".join([algorithm, *(f"{name}={each[name]}" for name in differing if name in each)])
             found.append(Group(label, task, list(seeds.values())))

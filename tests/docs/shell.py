@@ -121,7 +121,6 @@ def _check_options(arguments: list[str], where: str, monkeypatch: pytest.MonkeyP
         for option in REGISTERED:  # earlier commands of the page make the files
             known = get_task("easy") if option == "--task" else get_reward_profile("aligned")
             patch.setitem(REGISTERED, option, lambda file, known=known: known)
-        patch.setattr("drone_env.commands.train.read_file", lambda *_: b"")
         try:
             status = cli.main(arguments)
         except SystemExit as error:
