@@ -21,8 +21,8 @@ SHORT = {
     "sb3_ppo": ["--total-timesteps", "2048", "--maps", "5"],
 }
 """Flags that keep them short; an example that is not named here runs as it is."""
-ELSEWHERE = "post_train"
-"""It needs TRL: tests/adapters/test_post_train.py runs it."""
+ELSEWHERE = ("offline", "post_train")
+"""tests/adapters runs them: they need data, or TRL."""
 PAIR = re.compile(r"score (0\.\d+)[^\n]*optimum[^\n]*? (0\.\d+)")
 
 
@@ -35,7 +35,9 @@ def test_an_example_is_sound(example: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("example", [path for path in EXAMPLES if path.stem != ELSEWHERE], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example", [path for path in EXAMPLES if path.stem not in ELSEWHERE], ids=lambda path: path.stem
+)
 def test_an_example_runs_and_shows_its_score_beside_the_optimum(example: Path, tmp_path: Path, server: Server) -> None:
     options = [option.format(url=server.url) for option in SHORT.get(example.stem, [])]
     done = ran(sys.executable, example, *options, cwd=tmp_path, TMPDIR=str(tmp_path))
