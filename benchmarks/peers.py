@@ -3,7 +3,7 @@
 All learn on the same simulator, in one thread, and are validated every few seconds of CPU time, which does not count.
 The peers see the raw observation, one-hot planes and telemetry, through a small convolutional network, and learn from
 `aligned` with the shaping of their discount. Runs are kept under results/peers, and a run that is there is not
-repeated; `drone-env plot results/peers` draws them.
+repeated; `drone-env plot results/peers` draws them. With the defaults all runs take an hour of CPU time.
 """
 
 import argparse
