@@ -118,7 +118,9 @@ def film(flown: list[Episode]) -> bytes:
         for episode, copy in zip(flown, again, strict=True):
             copy.fly(episode.actions[copy.steps : step])
         pictures.append(Image.fromarray(np.hstack([draw_picture(copy, PIXELS) for copy in again])))
-    both_ends = Image.fromarray(np.vstack([pictures[0], pictures[-1]]))  # parcels before and after delivery
+    both_ends = Image.fromarray(
+        np.vstack([np.asarray(pictures[0]), np.asarray(pictures[-1])])
+    )  # parcels before and after delivery
     palette = both_ends.quantize(COLOURS, Image.Quantize.MEDIANCUT)
     first, *rest = (one.quantize(palette=palette, dither=Image.Dither.NONE).convert("RGB") for one in pictures)
     options: dict[str, Any] = {"duration": [FRAME_MS] * len(rest) + [END_MS], "loop": 0}
