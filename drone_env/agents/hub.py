@@ -3,7 +3,6 @@
 # huggingface_hub leaves types of `hf_hub_download` open.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-import shlex
 from functools import lru_cache
 from pathlib import Path
 from shutil import copyfile
@@ -14,9 +13,6 @@ from typing_extensions import Self
 
 from drone_env.agents.weights_file import HUB_FILE, network_of, read_weights, rejecting
 from drone_env.errors import CheckpointError
-
-TRAINED_BY = {"pathqnet": ("dqn", "episodes"), "ppo": ("ppo", "steps"), "tournet": ("tournet", "updates")}
-"""The algorithm that trains each network, and the unit of its length."""
 
 
 class HubNetwork(
@@ -64,7 +60,7 @@ class HubNetwork(
         return super().push_to_hub(repo_id, **options)
 
     def generate_model_card(self, *_: Any, repo: str = "USER/NAME", **more: Any) -> ModelCard:
-        """Return the model card: how to fly and to train the network, and its scores beside the optimum.
+        """Return the model card: how to fly the network, and its scores beside the optimum.
 
         Raises:
             CheckpointError: if the metadata are not those of a training.
@@ -72,7 +68,7 @@ class HubNetwork(
         with rejecting(self.file):
             maps = self.metadata["config"]["validation_maps"]
             given = {"network": self.network, "repo": repo, "maps": maps, **more}
-            return super().generate_model_card(scores=self._scores(), command=self._command(), **given)
+            return super().generate_model_card(scores=self._scores(), **given)
 
     def _scores(self) -> dict[str, tuple[float | None, float | None, float | None]]:
         """Return score, optimum and their ratio by task; None if unknown."""
@@ -81,19 +77,6 @@ class HubNetwork(
             return {task: (None, None, ratio) for task, ratio in of["validation_shares"].items()}
         score, optimum = of["validation_score"], of["validation_optimum"]
         return {of["task"]: (score, optimum, optimum and score / optimum)}
-
-    def _command(self) -> str:
-        """Return the command of the training, with all settings."""
-        algorithm, unit = TRAINED_BY[self.network]
-        words = ["drone-env", "train", "--algorithm", algorithm]
-        for name, value in {unit: self.metadata[unit], **self.metadata["config"]}.items():
-            flag = name.replace("_", "-")
-            if name in ("task_version", "tasks") or " " in name:  # of the task and the rewards, not settings
-                continue
-            words += (
-                [f"--{flag}" if value else f"--no-{flag}"] if isinstance(value, bool) else [f"--{flag}", f"{value}"]
-            )
-        return shlex.join(words)
 
 
 def downloaded(name: str) -> Path:
